@@ -4,8 +4,8 @@
     python benchmarks/over_the_wire.py --out reference-recordings --only solenoid --fit-only
 
 Each case's twin carries the plant of the text's table; `labhil run` drives it through its real driver with
-the signal of the text and records it, once to identify and once to test. `labhil fit` is told the terms that
-the text has, and nothing of their values. Beside the table stand R² and RMSE of the test signal: over the
+the signal of the text and records it, once to identify and once to test. `labhil fit` gets the terms of the
+text, and nothing of their values. Beside the table stand R² and RMSE of the test signal: over the
 windows of the fit, and, as the text has it, over one run of the whole recording from rest.
 """
 
@@ -46,7 +46,7 @@ class Case:
 
     @property
     def truth(self) -> list[float]:
-        """The twin's values: the text's true ones, or those that its swarm found where it is nothing."""
+        """The twin's values: the text's true ones, or those of its swarm where it states none."""
         absent = {"F_v2", "F_v3", "U_l", "U_r"}
         return [
             0.0 if row.symbol in absent else row.pso if row.real is None else row.real
@@ -83,17 +83,17 @@ def record(case: Case, out: Path) -> None:
             raise SystemExit("the recording is not whole, and was thrown away")
 
 
-def fitted(case: Case, out: Path) -> dict[str, Any]:
+def fit_case(case: Case, out: Path) -> dict[str, Any]:
     """Fit a case, and return its table."""
     identify, test = recordings_of(case, out)
     result = out / f"{case.name}.json"
     if labhil("fit", identify, "--test", test, "--terms", case.terms, "--json", result):
         raise SystemExit(f"{identify} could not be fitted")
-    told = json.loads(result.read_text(encoding="utf-8"))
-    rows = {row["name"]: row for row in told["parameters"]}
+    fit = json.loads(result.read_text(encoding="utf-8"))
+    rows = {row["name"]: row for row in fit["parameters"]}
     levels, names = Levels(case.parameters.rows), list(rows)
     values = levels.to_text({name: row["value"] for name, row in rows.items()})
-    spread = np.sqrt(np.diag(levels.covariance(np.array(told["covariance"]), names)))
+    spread = np.sqrt(np.diag(levels.covariance(np.array(fit["covariance"]), names)))
     return {
         "case": case.name,
         "table": case.parameters.number,
@@ -114,7 +114,7 @@ def fitted(case: Case, out: Path) -> dict[str, Any]:
             )
         ],
         "quality_table": case.quality.number,
-        "test_windows": told["test"],
+        "test_windows": fit["test"],
         "test_from_rest": from_rest(identify, test, {name: row["value"] for name, row in rows.items()}),
         "text_r2_percent": {row.model: row.r2 for row in case.quality.rows},
     }
@@ -127,39 +127,39 @@ def from_rest(identify: Path, test: Path, values: dict[str, float]) -> list[dict
     known = KnownStart(model, np.zeros(len(model.state_names)))
     windows = Windows.of([(0, len(judged))])
     simulated = known.simulate(start_theta(model, values), judged, windows, np.empty((1, 0)))
-    found = []
+    rows = []
     for name, unit, y, x in zip(
         judged.output_names, judged.output_units, judged.outputs.T, simulated.T, strict=True
     ):
         mse = float(np.mean((y - x) ** 2))
         r2 = 1.0 - mse / float(np.var(y))
-        found.append({"channel": name, "unit": unit, "rmse": float(np.sqrt(mse)), "mse": mse, "r2": r2})
-    return found
+        rows.append({"channel": name, "unit": unit, "rmse": float(np.sqrt(mse)), "mse": mse, "r2": r2})
+    return rows
 
 
-def table(found: dict[str, Any]) -> str:
+def table(case: dict[str, Any]) -> str:
     """One case in Markdown."""
     lines = [
-        f"Table {found['table']} ({found['case'].replace('_', ' ')})",
+        f"Table {case['table']} ({case['case'].replace('_', ' ')})",
         "",
         "| parameter | text, PSO | text, NLSE | truth of the twin | ours | 99 % interval | |",
         "|---|---|---|---|---|---|---|",
     ]
-    for row in found["parameters"]:
+    for row in case["parameters"]:
         low, high = (float("nan") if end is None else end for end in row["ci99"])
         holds = "covered" if low <= row["truth"] <= high else "**missed**"
         numbers = [f"{row[key]:.4g}" for key in ("text_pso", "text_nlse", "truth", "value")]
         lines.append(
             f"| {row['symbol']}, {row['unit']} | {' | '.join(numbers)} | {low:.4g} … {high:.4g} | {holds} |"
         )
-    return "\n".join([*lines, "", *_quality(found)])
+    return "\n".join([*lines, "", *_quality(case)])
 
 
-def _quality(found: dict[str, Any]) -> Sequence[str]:
-    text = ", ".join(f"{r2:g} % ({model})" for model, r2 in found["text_r2_percent"].items())
-    lines = [f"Table {found['quality_table']}, R² on the test signal; the text has {text}:"]
-    for row in found["test_from_rest"]:
-        channel = next(c for c in found["test_windows"]["per_channel"] if c["channel"] == row["channel"])
+def _quality(case: dict[str, Any]) -> Sequence[str]:
+    text = ", ".join(f"{r2:g} % ({model})" for model, r2 in case["text_r2_percent"].items())
+    lines = [f"Table {case['quality_table']}, R² on the test signal; the text has {text}:"]
+    for row in case["test_from_rest"]:
+        channel = next(c for c in case["test_windows"]["per_channel"] if c["channel"] == row["channel"])
         lines.append(
             f"- {row['channel']}: one run from rest {100 * row['r2']:.2f} % at an RMSE of {row['rmse']:.3g}"
             f" {row['unit']}; windows {100 * channel['r2']:.2f} % at {channel['rmse']:.3g} {row['unit']}"
@@ -183,11 +183,11 @@ def main() -> None:
             record(case, options.out)
     if options.record_only:
         return
-    found = [fitted(case, options.out) for case in chosen]
-    print("\n\n".join(table(each) for each in found))
+    tables = [fit_case(case, options.out) for case in chosen]
+    print("\n\n".join(table(fitted_case) for fitted_case in tables))
     if options.json is not None:
-        told = {"schema": "labhil.over_the_wire/1", "cases": found}
-        options.json.write_text(json.dumps(told, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        report = {"schema": "labhil.over_the_wire/1", "cases": tables}
+        options.json.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

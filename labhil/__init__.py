@@ -96,9 +96,9 @@ def __getattr__(name: str) -> Any:
         near = get_close_matches(name, __all__, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise AttributeError(f"module 'labhil' has no attribute {name!r}{hint}")
-    found = public(name)
+    attribute = public(name)
     # a package of that name that was imported on the way stays: it can be called, and its modules are found
-    return globals().setdefault(name, found)
+    return globals().setdefault(name, attribute)
 
 
 def __dir__() -> list[str]:

@@ -57,7 +57,7 @@ def refuse_claim(what: str, claimed: int, size: int) -> None:
 class Work:
     """How many bytes may still be looked through in search of something."""
 
-    left: int
+    remaining: int
 
     @classmethod
     def of(cls, size: int) -> Work:
@@ -66,9 +66,9 @@ class Work:
 
     def take(self, length: int) -> None:
         """Note that ``length`` bytes are looked through; ImplausibleError when they are too many."""
-        if length > self.left:
-            raise ImplausibleError(f"{length} bytes to look through, {self.left} left")
-        self.left -= length
+        if length > self.remaining:
+            raise ImplausibleError(f"{length} bytes to look through, {self.remaining} left")
+        self.remaining -= length
 
 
 @dataclass(slots=True)

@@ -46,7 +46,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; ends the process with 0 (done), 1 (the run came to grief) or 2 (wrong use)."""
+    """Run the command line; ends the process with 0 (done), 1 (the run failed) or 2 (wrong use)."""
     with forgiving_streams():
         try:
             _command()()

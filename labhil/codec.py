@@ -187,11 +187,11 @@ class Codec:
 
     def _refuse_claim(self, payloads: Sequence[bytes]) -> None:
         """Fields may be left out, but not so many that a few bytes would make a table of gigabytes."""
-        claimed, there = 8 * len(payloads) * self.stream.width, sum(len(payload) for payload in payloads)
-        if claimed > content_bound(there):
+        claimed, size = 8 * len(payloads) * self.stream.width, sum(len(payload) for payload in payloads)
+        if claimed > content_bound(size):
             raise ProtocolError(
                 f"stream {self.stream.name!r}: expected messages of {self.size} bytes, found {len(payloads)} "
-                f"with {there} bytes in all"
+                f"with {size} bytes in all"
             )
 
     def _take(self, message: Any, signal: Signal, row: FloatArray) -> None:
@@ -200,18 +200,19 @@ class Codec:
             if message.HasField(signal.name):
                 row[columns] = getattr(message, signal.name)
             return
-        found = getattr(message, signal.name)
-        if found and len(found) != signal.width:
+        values = getattr(message, signal.name)
+        if values and len(values) != signal.width:
             raise ProtocolError(
-                f"stream {self.stream.name!r}: {signal.name} has {len(found)} values, expected {signal.width}"
+                f"stream {self.stream.name!r}: {signal.name} has {len(values)} values, "
+                f"expected {signal.width}"
             )
-        if found:
-            row[columns] = found
+        if values:
+            row[columns] = values
 
-    def _complaint(self, payload: bytes, found: str) -> str:
+    def _complaint(self, payload: bytes, reason: str) -> str:
         return (
             f"stream {self.stream.name!r}: expected a message of {self.size} bytes ({self.schema_name}), "
-            f"found {len(payload)} bytes: {found}"
+            f"found {len(payload)} bytes: {reason}"
         )
 
 
@@ -220,12 +221,12 @@ def stamps_of(payloads: Sequence[bytes]) -> IntArray:
 
     ProtocolError when a message is too short to hold them or does not begin with their tags.
     """
-    end = STAMP_OFFSETS[-1] + 8
-    heads = np.frombuffer(b"".join(payload[:end] for payload in payloads), dtype=np.uint8)
-    if len(heads) != end * len(payloads):
+    head_size = STAMP_OFFSETS[-1] + 8
+    heads = np.frombuffer(b"".join(payload[:head_size] for payload in payloads), dtype=np.uint8)
+    if len(heads) != head_size * len(payloads):
         shortest = min(len(payload) for payload in payloads)
         raise ProtocolError(f"expected messages that begin with {STAMPS}, found one of {shortest} bytes")
-    rows = heads.reshape(-1, end)
+    rows = heads.reshape(-1, head_size)
     tags = np.array([number << 3 | _FIXED64 for number in (1, 2, 3)], dtype=np.uint8)
     if not (rows[:, [offset - 1 for offset in STAMP_OFFSETS]] == tags).all():
         raise ProtocolError(f"expected messages that begin with {STAMPS}, found other tags")

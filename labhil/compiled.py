@@ -73,15 +73,15 @@ def _keep_fresh() -> None:
 _keep_fresh()
 
 
-def _cached(function: Callable[..., object], **more: bool) -> Any:
+def _compile_to_disk(function: Callable[..., object], **more: bool) -> Any:
     njit: Any = numba.njit
-    found = njit(cache=True, **more, **HOW)(function)
-    kept = getattr(found, "_cache", None)  # NUMBA_DISABLE_JIT leaves functions as they are
-    if kept is not None:
-        kept.save_overload = _where_there_is_room(kept.save_overload)
-        index = kept._cache_file
+    dispatcher = njit(cache=True, **more, **HOW)(function)
+    kernel_cache = getattr(dispatcher, "_cache", None)  # NUMBA_DISABLE_JIT leaves functions as they are
+    if kernel_cache is not None:
+        kernel_cache.save_overload = _where_there_is_room(kernel_cache.save_overload)
+        index = kernel_cache._cache_file
         index._load_index = _of_known_classes(index._load_index)
-    return found
+    return dispatcher
 
 
 def _of_known_classes(load: Callable[[], dict[Any, Any]]) -> Callable[[], dict[Any, Any]]:
@@ -108,7 +108,7 @@ def _where_there_is_room(save: Callable[[Any, Any], None]) -> Callable[[Any, Any
 
 def compiled(function: Function) -> Function:
     """Compile ``function`` to machine code at its first call and cache that on disk beside the source."""
-    return cast(Function, _cached(function))
+    return cast(Function, _compile_to_disk(function))
 
 
 def inlined(function: Function) -> Function:
@@ -116,13 +116,13 @@ def inlined(function: Function) -> Function:
 
     Such kernels run up to twice as fast and take longer to compile.
     """
-    return cast(Function, _cached(function, forceinline=True))
+    return cast(Function, _compile_to_disk(function, forceinline=True))
 
 
 def specialised(function: Function) -> Function:
     """Compile a function made for one kernel by closing over that kernel's laws, into the kernel.
 
-    Such a function cannot be found again on disk; the kernel that calls it can, and has it inside.
+    Such a function cannot be loaded from disk again; the kernel that calls it can, and has it inside.
     """
     alone: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return cast(Function, numba.njit(**HOW, **alone)(function))

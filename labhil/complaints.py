@@ -49,9 +49,9 @@ def fields_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
     current: type[BaseModel] = model
     for part in loc:
         field = current.model_fields.get(str(part))
-        found = _model_within(field.annotation) if field is not None else None
-        if found is not None:
-            current = found
+        inner = _model_within(field.annotation) if field is not None else None
+        if inner is not None:
+            current = inner
     return [name for name, field in current.model_fields.items() if not field.exclude]
 
 
@@ -59,7 +59,7 @@ def _model_within(annotation: object) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in getattr(annotation, "__args__", ()):
-        found = _model_within(inner)
-        if found is not None:
-            return found
+        model = _model_within(inner)
+        if model is not None:
+            return model
     return None

@@ -18,7 +18,7 @@ from labhil.terminal import complain, printable_json, show, terminal
 from labhil.whole import whole
 
 STDOUT = Path("-")
-"""What stands for stdout where the path of a result is asked for."""
+"""Stands for stdout in place of the path of a result."""
 DRAWN = (".png", ".pdf", ".svg", ".html", ".htm")
 """Endings of results that are drawn."""
 
@@ -61,11 +61,11 @@ class _Outlet(io.RawIOBase):
 def forgiving_streams() -> Iterator[None]:
     """Let no result be lost to stdout: a closed pipe is no failure, what it cannot encode becomes "?".
 
-    Where stdout fails otherwise (a full disk) that is told at the end, with exit status 1.
+    Any other failure of stdout (a full disk) is reported at the end, with exit status 1.
     """
     before = sys.stdout, sys.stderr
     outlets: list[_Outlet] = []
-    sys.stdout, sys.stderr = (_forgiving(stream, outlets) for stream in before)
+    sys.stdout, sys.stderr = (_make_forgiving(stream, outlets) for stream in before)
     try:
         yield
     finally:
@@ -79,7 +79,7 @@ def forgiving_streams() -> Iterator[None]:
             sys.exit(1)
 
 
-def _forgiving(stream: TextIO, outlets: list[_Outlet]) -> TextIO:
+def _make_forgiving(stream: TextIO, outlets: list[_Outlet]) -> TextIO:
     """The same stream over an outlet; anything but a descriptor of this process stays as it is."""
     if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
         return stream

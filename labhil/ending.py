@@ -55,7 +55,7 @@ class Deadline:
         self._at = float("inf") if seconds is None else time.monotonic() + seconds
         self._seconds = seconds
         self._accepted = False
-        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._told)
+        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._note_signal)
 
     def __enter__(self) -> Self:
         self._before, Deadline._present = Deadline._present, self
@@ -81,7 +81,7 @@ class Deadline:
         """Raise nothing any more: somebody ends with the best so far."""
         self._accepted = True
 
-    def _told(self, number: int, _frame: FrameType | None) -> None:
+    def _note_signal(self, number: int, _frame: FrameType | None) -> None:
         if self.reason:
             raise KeyboardInterrupt
         self.reason = signal.Signals(number).name
@@ -109,7 +109,7 @@ class Ending:
 
     def __init__(self) -> None:
         self.due = False
-        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._told)
+        self._handled = Handled((signal.SIGINT, signal.SIGTERM), self._note_signal)
         self._pipe = _standard_input_pipe()
         self._rest = b""
 
@@ -140,17 +140,17 @@ class Ending:
         """Return the lines that came in on those descriptors that are readable."""
         if self._pipe is None or self._pipe not in readable:
             return []
-        said = b""
+        data = b""
         with contextlib.suppress(OSError):
-            said = os.read(self._pipe, 4096)
-        if not said:
+            data = os.read(self._pipe, 4096)
+        if not data:
             self.due = True
             self._pipe = None
             return []
-        *lines, self._rest = (self._rest + said).split(b"\n")
+        *lines, self._rest = (self._rest + data).split(b"\n")
         return [line.decode("utf-8", "replace").strip() for line in lines if line.strip()]
 
-    def _told(self, _number: int, _frame: FrameType | None) -> None:
+    def _note_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.due = True
 
 

@@ -92,7 +92,7 @@ def is_installed(module: str) -> bool:
 
 
 def missing_extra(error: ModuleNotFoundError, purpose: str) -> MissingExtraError | None:
-    """What to say of a module that was not found; None where no extra would bring it."""
+    """The error for a module that is not installed; None where no extra would bring it."""
     root = (error.name or "").partition(".")[0]
     return _missing(PACKAGES[root], purpose) if root in PACKAGES else None
 

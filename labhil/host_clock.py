@@ -37,13 +37,13 @@ class _Anchor:
         if self._offset_ns is None:
             with self._lock:
                 if self._offset_ns is None:
-                    self._offset_ns = _inherited()
+                    self._offset_ns = _inherit_offset()
         return self._offset_ns
 
     def open_session(self) -> int:
         with self._lock:
             if self._sessions == 0 or self._offset_ns is None:
-                self._offset_ns = _measured()
+                self._offset_ns = _measure_offset()
                 os.environ[OFFSET_VARIABLE] = str(self._offset_ns)
             self._sessions += 1
             return self._offset_ns
@@ -91,18 +91,18 @@ def session_clock() -> Iterator[int]:
         _anchor.close_session()
 
 
-def _inherited() -> int:
+def _inherit_offset() -> int:
     try:
         return int(os.environ[OFFSET_VARIABLE])
     except (KeyError, ValueError):
-        return _measured()
+        return _measure_offset()
 
 
-def _measured() -> int:
-    found = []
+def _measure_offset() -> int:
+    readings = []
     for _ in range(READINGS):
         before = steady_ns()
         wall = time.time_ns()
         after = steady_ns()
-        found.append((after - before, wall - (before + after) // 2))
-    return min(found)[1]
+        readings.append((after - before, wall - (before + after) // 2))
+    return min(readings)[1]

@@ -205,11 +205,11 @@ def kind_named(name: str) -> RigKind:
         return _DECLARED[name]
     for point in entry_points(group=PLUGGED):
         if point.name == name:
-            return _plugged(point)
+            return _load_plugged(point)
     raise UnknownNameError("rig kind", name, kind_names())
 
 
-def _plugged(point: EntryPoint) -> RigKind:
+def _load_plugged(point: EntryPoint) -> RigKind:
     try:
         kind = point.load()
     except (ImportError, AttributeError) as error:

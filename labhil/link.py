@@ -70,7 +70,7 @@ class StateFlag(IntFlag):
     CONFIGURED = 1
     """It has received CONFIG since it booted."""
     SAFE = 2
-    """Its output is the safe one: it was told so, or the host fell silent, or nothing was set yet."""
+    """Its output is the safe one: by command, by the host's silence, or because nothing was set yet."""
     EXPIRED = 4
     """Its output lasted longer than is allowed: it is the safe one, and SET does nothing until SAFE."""
 

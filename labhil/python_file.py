@@ -28,11 +28,11 @@ def object_of(stated: str, folder: Path) -> object:
         raise UsageError(f"expected a Python file and a name in it, like bench.py:pendulum, found {stated!r}")
     path = (folder / file).resolve()
     module = module_of(path)
-    names = [each for each in vars(module) if not each.startswith("_")]
+    names = [key for key in vars(module) if not key.startswith("_")]
     if name not in names:
         raise UsageError(f"{path}: has no {name!r}{suggestion(name, names)}")
-    found: object = getattr(module, name)
-    return found
+    value: object = getattr(module, name)
+    return value
 
 
 def module_of(path: Path) -> ModuleType:

@@ -118,19 +118,19 @@ class RigFile(BaseModel):
 
     @field_validator("nominal", mode="before")
     @classmethod
-    def _flattened(cls, value: object) -> object:
+    def _flatten_nominal(cls, value: object) -> object:
         return dict(_flatten(value)) if isinstance(value, Mapping) else value
 
     @field_validator("known", "nominal", mode="before")
     @classmethod
-    def _are_numbers(cls, value: object) -> object:
-        for name, each in _flatten(value) if isinstance(value, Mapping) else ():
-            if any(isinstance(x, bool) for x in (each if isinstance(each, list) else [each])):
-                raise ValueError(f"{name}: expected a number, found {str(each).lower()}")
+    def _refuse_bools(cls, value: object) -> object:
+        for name, number in _flatten(value) if isinstance(value, Mapping) else ():
+            if any(isinstance(x, bool) for x in (number if isinstance(number, list) else [number])):
+                raise ValueError(f"{name}: expected a number, found {str(number).lower()}")
         return value
 
     @model_validator(mode="after")
-    def _names_exist(self) -> RigFile:
+    def _check_all_names(self) -> RigFile:
         signals = {signal.name for signal in self.kind.signals()}
         _check_names("known", self.known, set(self.kind.known))
         columns = {column for signal in self.kind.signals() for column in signal.columns()}
@@ -162,8 +162,8 @@ def load_rig(path: Path) -> RigFile:
     except (OSError, DocumentError) as error:
         raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
     rig = parse_rig(_with_kind(text, path), path).model_copy(update={"text": text})
-    found = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}
-    return rig.model_copy(update={"files": {name: file.content for name, file in found.items() if file}})
+    files = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}
+    return rig.model_copy(update={"files": {name: file.content for name, file in files.items() if file}})
 
 
 def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -> RigFile:
@@ -318,8 +318,8 @@ def _content(path: Path, field: str) -> bytes:
     """The bytes of a file that a rig file names; RigFileError when it is not there, or no such file."""
     hint = "paths are relative to the rig file; a recording's own rig file is replaced by --rig RIG.toml"
     if not path.is_file():
-        found = "something else" if path.exists() else "none"
-        raise RigFileError(f"{field}: expected the file {path}, found {found} ({hint})")
+        actual = "something else" if path.exists() else "none"
+        raise RigFileError(f"{field}: expected the file {path}, found {actual} ({hint})")
     size = path.stat().st_size
     if size > LARGEST_FILE:
         raise RigFileError(f"{field}: expected at most {LARGEST_FILE} bytes, found {path} with {size}")

@@ -27,7 +27,7 @@ class RigSection(Section):
 
     @field_validator("kind")
     @classmethod
-    def _exists(cls, value: str) -> str:
+    def _check_kind(cls, value: str) -> str:
         names = kind_names()
         if value not in names:
             raise ValueError(f"no such rig{suggestion(value, names)}; known: {', '.join(sorted(names))}")
@@ -49,7 +49,7 @@ class ModelSection(Section):
     outputs: dict[str, str] | None = None
 
     @model_validator(mode="after")
-    def _one_of_them(self) -> ModelSection:
+    def _check_choice(self) -> ModelSection:
         if sum(value is not None for value in (self.python, self.mujoco, self.fmu)) != 1:
             raise ValueError(
                 'give either python = "FILE.py:NAME", mujoco = "FILE.xml" or fmu = "FILE.fmu", and no other'
@@ -79,7 +79,7 @@ class Limit(Section):
     rate: Annotated[float, Field(gt=0)] = float("inf")
 
     @model_validator(mode="after")
-    def _ordered(self) -> Limit:
+    def _check_order(self) -> Limit:
         if not self.min < self.max:
             raise ValueError(f"min ({self.min:g}) must be smaller than max ({self.max:g})")
         return self
@@ -100,7 +100,7 @@ class Interlock(Section):
     then: Literal["abort", "pause"] = "abort"
 
     @model_validator(mode="after")
-    def _sensible(self) -> Interlock:
+    def _check_thresholds(self) -> Interlock:
         if self.trip_above is None and self.trip_below is None:
             raise ValueError("give trip_above, trip_below or both: nothing would trip")
         if self.resume_below is not None and (self.trip_above is None or self.resume_below > self.trip_above):
@@ -154,7 +154,7 @@ class Table(Section):
     bad_rows: Literal["drop", "fail"] | None = None
 
     @model_validator(mode="after")
-    def _marks_differ(self) -> Table:
+    def _check_marks(self) -> Table:
         if self.thousands == self.decimal:
             raise ValueError(f"decimal and thousands are both {self.decimal!r}; they must differ")
         return self
@@ -181,7 +181,7 @@ class Channel(Section):
     shift: Annotated[float, Field(allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
-    def _one_way(self) -> Channel:
+    def _check_columns(self) -> Channel:
         if (self.column is None) == (self.columns is None):
             raise ValueError("give either `column` (one) or `columns` (a list)")
         for name, factor in (("scale", self.scale), ("offset", self.offset)):

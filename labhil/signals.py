@@ -23,7 +23,7 @@ class Direction(StrEnum):
     OUTPUT = "output"
     """What is measured."""
     REQUESTED = "requested"
-    """What somebody asked for before limits were applied."""
+    """What was requested, before limits were applied."""
     STATUS = "status"
     """Anything else a device says about itself."""
 

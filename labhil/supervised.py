@@ -12,7 +12,7 @@ class SupervisedThread:
     """A thread that keeps what ended it, for the owner who asks :meth:`failure` several times a second.
 
     Args:
-        work: What the thread does; it returns only once its owner has told it to.
+        work: What the thread does; it returns only once its owner has ended it.
         name: Of the thread, and in the reason of its failure.
         daemon: Whether the process may end while it is still at work.
         on_failure: Called in the thread when ``work`` has raised, to wake whoever waits for it.
@@ -36,7 +36,7 @@ class SupervisedThread:
         self.error: BaseException | None = None
         self._work, self._on_failure = work, on_failure
         self._thread = threading.Thread(target=self._run, name=name, daemon=daemon)
-        self._told_to_end = False
+        self._end_requested = False
 
     def start(self) -> None:
         """Begin the work."""
@@ -44,7 +44,7 @@ class SupervisedThread:
 
     def end(self) -> None:
         """Say that the work may end from now on: a thread that returns is then no failure."""
-        self._told_to_end = True
+        self._end_requested = True
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the work is over, at most ``timeout`` s."""
@@ -55,10 +55,10 @@ class SupervisedThread:
         return self._thread.is_alive()
 
     def failure(self) -> str:
-        """Return why it works no more, though nobody told it to end; empty while all is well."""
+        """Return why it works no more without having been ended; empty while all is well."""
         if self.error is not None:
             return f"the thread {self._thread.name!r} has died: {self.error!r}{_place(self.error)}"
-        if self._told_to_end or self._thread.is_alive() or self._thread.ident is None:
+        if self._end_requested or self._thread.is_alive() or self._thread.ident is None:
             return ""
         return f"the thread {self._thread.name!r} has ended, though nobody told it to"
 

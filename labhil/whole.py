@@ -13,12 +13,12 @@ DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What a disk says that is full or broken; anything else is the fault of the path."""
 
 
-def unwritten(path: Path, error: OSError, what: str = "") -> LabhilError:
-    """The error of a file that could not be written: of the disk, or of the path that was asked for."""
-    told = f"{path}: {what + ' ' if what else ''}cannot be written: {error.strerror or error}"
+def write_error(path: Path, error: OSError, what: str = "") -> LabhilError:
+    """The error of a file that could not be written: of the disk, or of the path."""
+    message = f"{path}: {what + ' ' if what else ''}cannot be written: {error.strerror or error}"
     if error.errno in DISK:
-        return DiskFailedError(f"{told}; make room and try again, nothing half is left")
-    return UsageError(told)
+        return DiskFailedError(f"{message}; make room and try again, nothing half is left")
+    return UsageError(message)
 
 
 @contextmanager
@@ -36,7 +36,7 @@ def whole(path: Path, what: str = "") -> Iterator[Path]:
         if not special:
             draft.replace(path)
     except OSError as error:
-        raise unwritten(path, error, what) from error
+        raise write_error(path, error, what) from error
     finally:
         if not special:
             with suppress(OSError):

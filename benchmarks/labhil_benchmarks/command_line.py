@@ -50,7 +50,7 @@ def reference(
     refuse_unwritable(json_path, markdown)
     to_stdout = json_path == STDOUT
     with status() as say:
-        found = reference_command(
+        result = reference_command(
             tables or NUMBERS,
             quick=quick,
             seed=seed,
@@ -61,7 +61,7 @@ def reference(
             console=terminal(stderr=True) if to_stdout else None,
         )
     if to_stdout:
-        write_json(found.to_json())
+        write_json(result.to_json())
 
 
 @app.command(epilog="Example: labhil benchmark dc_motor --recordings 20 -o bench")
@@ -134,9 +134,9 @@ def trial_compare(
     cards: Annotated[list[Path], typer.Argument(metavar="FILE...", help="JSON of score or benchmark.")],
 ) -> None:
     """Print score cards side by side, as a Markdown table."""
-    from labhil_benchmarks.trials.compare import compared
+    from labhil_benchmarks.trials.compare import compare_cards
 
-    show(compared(cards))
+    show(compare_cards(cards))
 
 
 @trial.command("calibrate", epilog="Example: labhil trial calibrate axis-trials/effects")
@@ -150,9 +150,9 @@ def trial_calibrate(
     Probabilities that were fitted to trials are to be scored on others.
     """
     from labhil.diagnose.claim_probability import WEIGHTS
-    from labhil_benchmarks.trials.calibrate import calibrated, claimed_in
+    from labhil_benchmarks.trials.calibrate import calibrate, claimed_in
 
-    fitted = calibrated([claim for folder in folders for claim in claimed_in(folder)])
+    fitted = calibrate([claim for folder in folders for claim in claimed_in(folder)])
     show(f"{fitted.claims} claims, {fitted.right} of them right")
     names = ("a single claim, ΔBIC −100, nothing left", "ln (what is left)", "each further claim", "lg ΔBIC")
     for name, weight, error, used in zip(names, fitted.weights, fitted.errors, WEIGHTS, strict=True):

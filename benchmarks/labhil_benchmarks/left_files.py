@@ -25,7 +25,7 @@ Log = Mapping[str, Mapping[int, bytes]]
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class LeftFile:
     """What one file gave back, over all streams.
 
     ``wrong`` counts samples that nobody published so; ``unheard`` those from before the log began, or of
@@ -62,7 +62,7 @@ def variants(data: bytes, synced: int, chance: random.Random) -> Iterator[tuple[
     yield "power lost: pages", data[:synced] + b"".join(kept)
 
 
-def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, folder: Path) -> Left:
+def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, folder: Path) -> LeftFile:
     """Recover a file and hold every sample against the log.
 
     Args:
@@ -95,18 +95,18 @@ def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, 
         holes += max(samples) - min(samples) + 1 - len(samples)
     lost = [_lost(saved.get(topic, {}), samples, begun_ns, killed_ns) for topic, samples in log.items()]
     longest = max((time for time in lost if time is not None), default=None)
-    return Left(variant, sum(map(len, saved.values())), wrong, unheard, holes, longest, fault)
+    return LeftFile(variant, sum(map(len, saved.values())), wrong, unheard, holes, longest, fault)
 
 
 def _messages(path: Path) -> dict[str, dict[int, bytes]]:
     """The samples of a recording by mcap's own reader, by topic and number."""
-    found: dict[str, list[bytes]] = {}
+    by_topic: dict[str, list[bytes]] = {}
     with path.open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
             if "labhil.stream" in channel.metadata:
-                found.setdefault(channel.topic, []).append(message.data)
-    numbers = {topic: stamps_of(payloads)[:, 0].tolist() for topic, payloads in found.items()}
-    return {topic: dict(zip(numbers[topic], found[topic], strict=True)) for topic in found}
+                by_topic.setdefault(channel.topic, []).append(message.data)
+    numbers = {topic: stamps_of(payloads)[:, 0].tolist() for topic, payloads in by_topic.items()}
+    return {topic: dict(zip(numbers[topic], by_topic[topic], strict=True)) for topic in by_topic}
 
 
 def _lost(

@@ -112,16 +112,16 @@ def noisy_frames(count: int, damage: Callable[[bytes, Random], bytes], seed: int
         # a damage may leave the frame as it was
         wire = damage(frame, draw) if draw.random() < 1 / 3 else frame
         lately.append(frame)
-        found = _take(decoder, wire, heard)
+        received = _take(decoder, wire, heard)
         heard.bytes += len(wire)
         heard.sent += 1
-        heard.received += len(found)
+        heard.received += len(received)
         # one whose delimiter is late comes with the next
-        heard.wrong += sum(one not in lately for one in found)
+        heard.wrong += sum(other not in lately for other in received)
         if wire == frame:
             heard.whole += 1
-            missed = 0 if frame in found else missed + 1
-            heard.missed += frame not in found
+            missed = 0 if frame in received else missed + 1
+            heard.missed += frame not in received
             heard.longest_miss = max(heard.longest_miss, missed)
         else:
             heard.touched += 1
@@ -221,14 +221,14 @@ def rtde_packages(count: int, seed: int) -> Heard:
             heard.bytes += len(wire)
             heard.touched += touched
             if ours:
-                packages = _received(packages, recipe, wire, payload, heard)
+                packages = _feed_driver(packages, recipe, wire, payload, heard)
             else:
-                conversation = _asked(conversation, wire, heard)
+                conversation = _feed_twin(conversation, wire, heard)
         heard.sent += 2
     return heard
 
 
-def _received(packages: Packages, recipe: Recipe, wire: bytes, sent: bytes, heard: Heard) -> Packages:
+def _feed_driver(packages: Packages, recipe: Recipe, wire: bytes, sent: bytes, heard: Heard) -> Packages:
     """Let the driver's side take bytes; a new connection where it refuses them."""
     try:
         for letter, payload in packages.feed(wire):
@@ -245,7 +245,7 @@ def _received(packages: Packages, recipe: Recipe, wire: bytes, sent: bytes, hear
     return packages
 
 
-def _asked(conversation: Conversation, wire: bytes, heard: Heard) -> Conversation:
+def _feed_twin(conversation: Conversation, wire: bytes, heard: Heard) -> Conversation:
     """Let the twin's side take bytes; a new client where it refuses them."""
     try:
         conversation.receive(wire)

@@ -110,8 +110,8 @@ class Intruder:
     def _token(self) -> str:
         for key, (payload, _) in self.heard.items():
             if key.endswith("/setpoint"):
-                found: Any = json.loads(payload)
-                return str(found["token"])
+                setpoint: Any = json.loads(payload)
+                return str(setpoint["token"])
         return "none"
 
 

@@ -17,7 +17,7 @@ from typing import Any
 from labhil.codec import Codec, stamps_of
 from labhil.documents import parse_json
 from labhil.recording.reader import read_recording
-from labhil_benchmarks.left_files import Left, examine, variants
+from labhil_benchmarks.left_files import LeftFile, examine, variants
 from logged_publisher import stream_at
 from measure_safety import PATIENCE, Relay
 from noted_syncs import synced
@@ -66,12 +66,12 @@ COMING = (0.0, 3.0)
 
 def files_of(folder: Path, log: dict[str, dict[int, bytes]], begun: int, killed: int) -> list[dict[str, Any]]:
     """Each unfinished file of the folder, as it was left and as a power failure may have left it."""
-    found: list[Left] = []
+    examined: list[LeftFile] = []
     for path in sorted(folder.glob("*.mcap*")):
         certain = synced(folder / "syncs.txt", path)
-        for variant, data in variants(path.read_bytes(), certain, random.Random(len(found))):
-            found.append(examine(variant, data, log, begun, killed, folder.parent))
-    return [left.to_json() for left in found]
+        for variant, data in variants(path.read_bytes(), certain, random.Random(len(examined))):
+            examined.append(examine(variant, data, log, begun, killed, folder.parent))
+    return [file.to_json() for file in examined]
 
 
 def gapless(log: dict[str, dict[int, bytes]]) -> None:
@@ -83,7 +83,7 @@ def gapless(log: dict[str, dict[int, bytes]]) -> None:
 
 def kill_recorder(_relay: Relay | None, folder: Path, chance: random.Random) -> dict[str, Any]:
     """A recorder by itself: killed while it records, or while it ends its file."""
-    place, found = folder / "lab", dict[str, Any]()
+    place, outcome = folder / "lab", dict[str, Any]()
     place.mkdir()
     with ExitStack() as stack:
         command = [sys.executable, str(HERE / "recorder_alone.py"), "syncs.txt", "a.mcap"]
@@ -104,12 +104,12 @@ def kill_recorder(_relay: Relay | None, folder: Path, chance: random.Random) -> 
         if chance.random() < 0.2:
             recorder.stdin.close()  # it ends its file now
             time.sleep(chance.uniform(0.0, 0.3))
-        killed_ns = kill(recorder.pid, [], None, found)
+        killed_ns = kill(recorder.pid, [], None, outcome)
         for publisher in publishers:
             assert publisher.stdin is not None
             publisher.stdin.close()
     log = {f"/{name}/state": published_in(folder / f"{name}.log") for name in devices}
-    return {"moment_s": moment, **found, "files": files_of(place, log, 0, killed_ns)}
+    return {"moment_s": moment, **outcome, "files": files_of(place, log, 0, killed_ns)}
 
 
 def published_in(path: Path) -> dict[int, bytes]:
@@ -121,7 +121,7 @@ def published_in(path: Path) -> dict[int, bytes]:
 
 def with_a_run(relay: Relay | None, folder: Path, chance: random.Random, child: str = "") -> dict[str, Any]:
     """A run, of which one process is killed: the run itself, or the child with this word in its command."""
-    place, found = folder / "lab", dict[str, Any]()
+    place, outcome = folder / "lab", dict[str, Any]()
     place.mkdir()
     address = "twin" if relay is None else relay.address
     (place / "e.toml").write_text(RUN.replace("ADDRESS", address))
@@ -135,15 +135,15 @@ def with_a_run(relay: Relay | None, folder: Path, chance: random.Random, child: 
         if run.poll() is not None:
             raise ValueError(f"the run ended before: {(place / 'said.txt').read_text()[-200:]}")
         victim = child_of(run.pid, child) if child else run.pid
-        killed_ns = kill(victim, family_of(run.pid), relay, found)
+        killed_ns = kill(victim, family_of(run.pid), relay, outcome)
         run.wait(30)
         time.sleep(0.2)
     gapless(listener.streams)
     begun = listener.began_ns()
     log = listener.streams if begun is not None else {}
     if not child:
-        return {"moment_s": moment, **found, "files": files_of(place, log, begun or 0, killed_ns)}
-    return {"moment_s": moment, **found, **ended_run(place, run, log, begun or 0, killed_ns)}
+        return {"moment_s": moment, **outcome, "files": files_of(place, log, begun or 0, killed_ns)}
+    return {"moment_s": moment, **outcome, **ended_run(place, run, log, begun or 0, killed_ns)}
 
 
 def wait_for_run(listener: Listener, run: subprocess.Popen[str]) -> None:
@@ -157,14 +157,14 @@ def wait_for_run(listener: Listener, run: subprocess.Popen[str]) -> None:
 def ended_run(
     place: Path, run: subprocess.Popen[str], log: dict[str, dict[int, bytes]], begun: int, killed: int
 ) -> dict[str, Any]:
-    """What a run says that lost one of its processes, and its file, which has an end."""
+    """The end of a run that lost one of its processes, and its file, which has an end."""
     (path,) = place.glob("*.mcap")
     recording = read_recording(path)
     reason = recording.metadata.get("end", {}).get("reason", "no end")
-    left = examine("finished", path.read_bytes(), log, begun, killed, place.parent)
+    examined = examine("finished", path.read_bytes(), log, begun, killed, place.parent)
     return {
         "end": f"exit {run.returncode}, complete {recording.complete}: {reason}",
-        "files": [left.to_json()],
+        "files": [examined.to_json()],
     }
 
 
@@ -199,11 +199,11 @@ def served(
 
 def kill_service(relay: Relay, folder: Path, chance: random.Random) -> dict[str, Any]:
     """A served lab; it begins a new recording each second, so that some moments are between two."""
-    place, found = folder / "lab", dict[str, Any]()
+    place, outcome = folder / "lab", dict[str, Any]()
     with served(relay, place, 1.5, "[]") as (service, listener):
         moment = chance.uniform(*COMING)
         time.sleep(moment)
-        killed_ns = kill(service.pid, family_of(service.pid), relay, found)
+        killed_ns = kill(service.pid, family_of(service.pid), relay, outcome)
         service.wait(5)
         time.sleep(0.2)
     gapless(listener.streams)
@@ -214,12 +214,12 @@ def kill_service(relay: Relay, folder: Path, chance: random.Random) -> dict[str,
     for path in place.glob("*.mcap*"):
         if path != newest:
             path.unlink()  # those before were ended; the one that was written to counts
-    return {"moment_s": moment, **found, "files": files_of(place, log, 0, killed_ns)}
+    return {"moment_s": moment, **outcome, "files": files_of(place, log, 0, killed_ns)}
 
 
 def kill_study(relay: Relay, folder: Path, chance: random.Random) -> dict[str, Any]:
     """A study of a lab's worker: the lab goes on, and files of results are whole or not there."""
-    place, found = folder / "lab", dict[str, Any]()
+    place, outcome = folder / "lab", dict[str, Any]()
     with served(relay, place, 1.5, '["fit"]') as (service, listener):
         moment = chance.uniform(*COMING)
         deadline = time.monotonic() + PATIENCE
@@ -232,19 +232,19 @@ def kill_study(relay: Relay, folder: Path, chance: random.Random) -> dict[str, A
                 if time.monotonic() > deadline:
                     raise
         time.sleep(moment)
-        family = [one for one in family_of(service.pid) if one.pid == victim]
-        kill(victim, family, None, found)
+        family = [child for child in family_of(service.pid) if child.pid == victim]
+        kill(victim, family, None, outcome)
         before = len(listener.streams[STATE])
         time.sleep(0.5)
         goes_on = service.poll() is None and len(listener.streams[STATE]) > before and not relay.safe
     for path in place.glob("*.json"):
         parse_json(path.read_text())  # whole
-    return {"moment_s": moment, **found, "end": f"the lab goes on, device active: {goes_on}"}
+    return {"moment_s": moment, **outcome, "end": f"the lab goes on, device active: {goes_on}"}
 
 
 def kill_screen(relay: Relay, folder: Path, chance: random.Random) -> dict[str, Any]:
     """A terminal UI beside a served lab: the lab goes on and misses nothing."""
-    place, found = folder / "lab", dict[str, Any]()
+    place, outcome = folder / "lab", dict[str, Any]()
     with served(relay, place, 600.0, "[]") as (service, listener):
         ours, theirs = pty.openpty()
         command = [sys.executable, "-P", "-m", "labhil", "tui", "--connect", listener.bus.endpoint]
@@ -264,20 +264,20 @@ def kill_screen(relay: Relay, folder: Path, chance: random.Random) -> dict[str, 
         moment = chance.uniform(0.5, 4.0)
         time.sleep(moment)
         family = family_of(screen.pid)
-        kill(screen.pid, family, None, found)
+        kill(screen.pid, family, None, outcome)
         screen.wait(5)
         reader.join()
         time.sleep(0.5)
         goes_on = service.poll() is None and not relay.safe
-        found["processes_left"] = found["processes_left"] if family else []
+        outcome["processes_left"] = outcome["processes_left"] if family else []
     gapless(listener.streams)
     (path,) = place.glob("*.mcap")
     recording = read_recording(path)
     lost = sum(data.lost for data in recording.streams)
-    end = (
+    ending = (
         f"the lab goes on, device active: {goes_on}; its recording complete {recording.complete}, lost {lost}"
     )
-    return {"moment_s": moment, **found, "end": end}
+    return {"moment_s": moment, **outcome, "end": ending}
 
 
 def read_all(terminal: int) -> None:

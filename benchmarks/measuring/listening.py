@@ -17,15 +17,15 @@ from labhil.experiment.lab_service import LabService
 
 
 @dataclass(frozen=True, slots=True)
-class Listened:
-    """What came of it; ``reason`` is why it ended, ``exit_status`` 0 where the time was over."""
+class ListeningResult:
+    """The outcome; ``reason`` is why it ended, ``exit_status`` 0 where the time was over."""
 
     path: Path | None
     exit_status: int
     reason: str
 
 
-def listened(devices: str, seconds: float, folder: Path) -> Listened:
+def record_listening(devices: str, seconds: float, folder: Path) -> ListeningResult:
     """Record these devices (sections of a lab file) for so long after the last of them is up."""
     text = f'[lab]\nname = "measured"\nroll = {10.0 * seconds + 600.0!r}\nanalyse = []\n{devices}'
     lab = parse_devices(text, folder / "lab.toml", Lab)
@@ -40,4 +40,4 @@ def listened(devices: str, seconds: float, folder: Path) -> Listened:
         service.run(lambda: "since" in up and time.monotonic() - up["since"] > seconds)
     path = next(iter(folder.glob("*.mcap")), None)
     failed = "; ".join(f"{name}: {error}" for name, error in service.failed.items())
-    return Listened(path, 1 if failed else 0, failed or "the time is over")
+    return ListeningResult(path, 1 if failed else 0, failed or "the time is over")

@@ -81,14 +81,14 @@ VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
     "held-out data not asked": (
         search.Options(),
         (
-            (stages, "borne_out", lambda stage, found: found),
+            (stages, "validate_claims", lambda stage, result: result),
             (stages, "predicts_better", lambda before, after: True),
         ),
     ),
     "short windows only": (search.Options(horizons=(0.375,)), ()),
     "no curves": (
         search.Options(),
-        ((stages, "_with_curve", lambda data, found, *rest: found),),
+        ((stages, "_with_curve", lambda data, result, *rest: result),),
     ),
 }
 """Each with its options, and what stands in the place of what: of an object, an attribute, by another."""
@@ -107,15 +107,15 @@ class Count:
 
 @contextmanager
 def without(parts: tuple[Part, ...]) -> Iterator[None]:
-    """Put something else in the place of parts, and them back."""
+    """Replace these parts for the context."""
     with ExitStack() as stack:
-        for owner, name, other in parts:
+        for owner, name, replacement in parts:
             stack.callback(partial(setattr, owner, name, owner.__dict__[name]))
-            setattr(owner, name, other)
+            setattr(owner, name, replacement)
         yield
 
 
-def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> SearchResult:
+def run_search(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> SearchResult:
     """What the search finds in one trial."""
     material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
     data = data_of(material.model, material.learn, material.judge)
@@ -123,45 +123,45 @@ def searched(folder: Path, name: str, baseline: tuple[str, ...], options: search
     return stages.search_structures(data, base, lambda text: None, options)
 
 
-def is_right(found: SearchResult, answer: Answer) -> bool:
-    """Whether all that has to be found is named and nothing else is."""
-    named = {step.terms[0] for step in found.missing}
+def is_right(result: SearchResult, answer: Answer) -> bool:
+    """Whether all sure effects are named and nothing else is."""
+    named = {step.terms[0] for step in result.missing}
     listed = {effect.key for effect in answer.effects if effect.catalogue}
     sure = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= SURE_GAIN}
     hidden = any(not e.catalogue and e.oracle_gain >= SURE_GAIN for e in answer.effects)
-    return sure <= named <= listed and (found.curve is not None) == hidden
+    return sure <= named <= listed and (result.curve is not None) == hidden
 
 
-def opened(path: Path) -> Answer:
+def read_answer(path: Path) -> Answer:
     """The truth that an answer's file holds."""
     return Answer.from_json(json.loads(path.read_text(encoding="utf-8"))["answer"])
 
 
-def measured(rig: str, trials: int, seed: int, say: Callable[[str], None]) -> dict[str, Any]:
+def measure_rig(rig: str, trials: int, seed: int, say: Callable[[str], None]) -> dict[str, Any]:
     """Every variant's counts for one rig."""
     with tempfile.TemporaryDirectory() as kept:
         sets = []
         for sort in ("some", "0"):
             out, answers = Path(kept) / sort, Path(kept) / f"{sort}-answers"
             make_trials(Order(rig, trials, sort, out, answers, seed), 1, lambda text: None)
-            sets += [(out, path.stem, opened(path)) for path in sorted(answers.glob("*.json"))]
-        found = {}
+            sets += [(out, path.stem, read_answer(path)) for path in sorted(answers.glob("*.json"))]
+        counts = {}
         for variant, (options, parts) in VARIANTS.items():
             count = Count()
             for folder, name, answer in sets:
                 began = time.process_time()
                 with without(parts):
-                    got = searched(folder, name, answer.baseline, options)
+                    result = run_search(folder, name, answer.baseline, options)
                 count.seconds += time.process_time() - began
                 if answer.effects:
                     count.trials += 1
-                    count.right += is_right(got, answer)
+                    count.right += is_right(result, answer)
                 else:
                     count.nulls += 1
-                    count.alarms += bool(got.missing or got.curve)
+                    count.alarms += bool(result.missing or result.curve)
             say(f"{rig}: {variant}: {count}")
-            found[variant] = {**vars(count), "seconds": round(count.seconds, 1)}
-        return found
+            counts[variant] = {**vars(count), "seconds": round(count.seconds, 1)}
+        return counts
 
 
 def main() -> None:
@@ -172,7 +172,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("-o", "--out", type=Path)
     given = parser.parse_args()
-    rigs = {rig: measured(rig, given.trials, given.seed, print) for rig in given.rigs}
+    rigs = {rig: measure_rig(rig, given.trials, given.seed, print) for rig in given.rigs}
     tell({"seed": given.seed, "trials": given.trials, "rigs": rigs}, given.out)
 
 

@@ -25,7 +25,7 @@ from typing import Any
 from labhil_benchmarks.bad_files.harm import harmful_cases
 from labhil_benchmarks.bad_files.kinds import Case, make_cases
 from labhil_benchmarks.bad_files.reader import Reader
-from labhil_benchmarks.bad_files.verdict import Tally, tried
+from labhil_benchmarks.bad_files.verdict import Tally, try_case
 from measured import tell
 
 
@@ -44,7 +44,7 @@ def main() -> None:
         for case in cases(options.cases, options.seed):
             if options.only and not any(part in case.kind for part in options.only.split(",")):
                 continue
-            outcome, faults = tried(case, reader, place)
+            outcome, faults = try_case(case, reader, place)
             tallies.setdefault(case.kind, Tally()).add(case, outcome, faults)
             if faults:
                 print(f"{case.kind}: {tallies[case.kind].faults[-1]}", file=sys.stderr, flush=True)
@@ -64,12 +64,12 @@ def summary(tallies: dict[str, Tally], seed: int, seconds: float) -> dict[str, A
     return {
         "schema": "labhil.bad_files/1",
         "seed": seed,
-        "cases": sum(one.cases for one in tallies.values()),
-        "faults": sum(len(one.faults) for one in tallies.values()),
-        "worst_seconds": max(one.worst_seconds for one in tallies.values()),
-        "worst_megabytes": max(one.worst_megabytes for one in tallies.values()),
+        "cases": sum(tally.cases for tally in tallies.values()),
+        "faults": sum(len(tally.faults) for tally in tallies.values()),
+        "worst_seconds": max(tally.worst_seconds for tally in tallies.values()),
+        "worst_megabytes": max(tally.worst_megabytes for tally in tallies.values()),
         "seconds": round(seconds, 1),
-        "kinds": {kind: asdict(one) for kind, one in tallies.items()},
+        "kinds": {kind: asdict(tally) for kind, tally in tallies.items()},
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
     }
 

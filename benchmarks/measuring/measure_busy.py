@@ -113,9 +113,13 @@ def record(seed: int, options: argparse.Namespace, folder: Path) -> None:
 def examine(path: Path, device: str) -> dict[str, Any]:
     """Say what the clocks of one device's samples show, and what a diagnosis names."""
     recording = read_recording(path)
-    data = next(each for each in recording.streams if each.device == device and each.stream.name == "state")
+    data = next(
+        candidate
+        for candidate in recording.streams
+        if candidate.device == device and candidate.stream.name == "state"
+    )
     clock = data.clock
-    found: dict[str, Any] = {
+    figures: dict[str, Any] = {
         "recording": path.name,
         "run": how_it_ended(recording),
         "rig": device,
@@ -130,13 +134,13 @@ def examine(path: Path, device: str) -> dict[str, Any]:
     try:
         material = load_dataset(path, device=device)
     except LabhilError as error:  # the run ended before there was enough to learn from
-        return {**found, "refused": str(error)}
+        return {**figures, "refused": str(error)}
     began = time.monotonic()
     result = diagnose_study(material, baseline=TERMS).json
     return {
-        **found,
+        **figures,
         "verdict": result["verdict"],
-        "missing": [one["term"] for one in result["missing"]],
+        "missing": [item["term"] for item in result["missing"]],
         "p_value": result["p_value"],
         "took_s": round(time.monotonic() - began, 1),
     }
@@ -164,17 +168,19 @@ def main() -> None:
         for seed in range(options.first, options.first + (0 if options.recordings else options.repeat)):
             record(seed, options, folder)
         for path in sorted(folder.glob("*.mcap")) if not options.record_only else ():
-            for device in dict.fromkeys(each.device for each in read_recording(path).streams):
+            for device in dict.fromkeys(entry.device for entry in read_recording(path).streams):
                 if device in STEPS:
-                    found = examine(path, device)
-                    print(found, file=sys.stderr, flush=True)
-                    (refused if "refused" in found else runs).append(found)
+                    figures = examine(path, device)
+                    print(figures, file=sys.stderr, flush=True)
+                    (refused if "refused" in figures else runs).append(figures)
     result = {
         "schema": "labhil.busy/3",
         "busy": options.busy,
         "seeds": [options.first, options.first + options.repeat - 1],
         "speed": options.speed,
-        "runs_ended_early": len({each["recording"] for each in (*runs, *refused) if each["run"] != "done"}),
+        "runs_ended_early": len(
+            {entry["recording"] for entry in (*runs, *refused) if entry["run"] != "done"}
+        ),
         "diagnosed": len(runs),
         "named_something": sum(bool(run["missing"]) for run in runs),
         "verdicts": sorted(run["verdict"] for run in runs),

@@ -6,7 +6,7 @@ Two twins run in real time, each on a TCP wire, both into one recording; one clo
 takes sample k at a moment of this machine's monotonic clock that it alone knows; what comes closest to it
 from outside is the lower envelope of the arrivals, for nothing arrives before it was sent. It is made of the
 frames as a relay receives them, by a linear program, and shares neither stamps nor method with the estimate.
-A twin that its machine keeps waiting for more than 50 ms lets its world pause: such a run tells of no clock
+A twin that its machine keeps waiting for more than 50 ms lets its world pause: such a run shows no clock
 and is counted apart, and so is one that ended because a setpoint came too late.
 """
 
@@ -31,7 +31,7 @@ from labhil.experiment.run import run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, Unwrapper
 from labhil.recording.reader import read_recording
-from measure_safety import _pass_on, _received
+from measure_safety import _pass_on, _receive
 from measured import tell
 
 DEVICE = """
@@ -68,7 +68,7 @@ class Tap:
         back = threading.Thread(target=self._back, args=(client, twin), daemon=True)
         back.start()
         decoder, clock = Decoder(), Unwrapper(32)
-        while data := _received(twin):
+        while data := _receive(twin):
             now = time.time_ns()
             _pass_on(client, data)
             for frame in decoder.feed(data):
@@ -78,7 +78,7 @@ class Tap:
 
     @staticmethod
     def _back(client: socket.socket, twin: socket.socket) -> None:
-        while data := _received(client):
+        while data := _receive(client):
             _pass_on(twin, data)
         twin.close()
 
@@ -89,13 +89,13 @@ def envelope(stamps: list[tuple[int, int]], at_ns: int) -> float:
     device = (seen[:, 1] - seen[0, 1]) * 1e-9
     delay = (seen[:, 0] - seen[0, 0]) * 1e-9 - device
     # the highest line level + slope·device that no arrival lies below
-    found = linprog(
+    solution = linprog(
         [-len(device), -device.sum()],
         A_ub=np.column_stack([np.ones(len(device)), device]),
         b_ub=delay,
         bounds=[(None, None), (None, None)],
     )
-    level, slope = found.x
+    level, slope = solution.x
     return float(((at_ns - seen[0, 0]) * 1e-9 - level) / (1 + slope))
 
 
@@ -109,8 +109,8 @@ def measure(seconds: float, fast_ppm: float, directory: Path) -> dict[str, float
             twin, address = start_twin(name, "ball_beam", section, answer, lambda: False)
             stack.enter_context(twin)
             taps[name] = Tap(address)
-            told = DEVICE.replace("NAME", name).replace("ADDRESS", taps[name].address)
-            text += told.replace("SECONDS", repr(seconds))
+            device = DEVICE.replace("NAME", name).replace("ADDRESS", taps[name].address)
+            text += device.replace("SECONDS", repr(seconds))
         result = run_experiment(parse_experiment(text, directory / "e.toml"), directory)
     if result.path is None or result.exit_status != 0:
         print(f"the run failed: {result.reason}", file=sys.stderr, flush=True)
@@ -145,12 +145,12 @@ def main() -> None:
     for _ in range(options.repeat):
         with tempfile.TemporaryDirectory() as directory:
             os.environ["XDG_RUNTIME_DIR"] = directory
-            found = measure(options.seconds, 200.0, Path(directory))
-        print(found, file=sys.stderr, flush=True)
-        if found is None:
+            figures = measure(options.seconds, 200.0, Path(directory))
+        print(figures, file=sys.stderr, flush=True)
+        if figures is None:
             unusable += 1
         else:
-            runs.append(found)
+            runs.append(figures)
     result = {
         "schema": "labhil.clocks/1",
         "seconds": options.seconds,

@@ -6,7 +6,7 @@ A run drives a twin behind a relay that sees when the device is safe (as in ``me
 is pressed while the run starts, runs, is paused, or ends; and while it runs on a machine with twice as many
 busy processes as cores, or with a full disk. It is pressed by its file, by a question on the bus, by
 ``labhil estop``, and by the key in a terminal UI. Each time the stop has to stand afterwards, the device has
-to be safe, and the run's exit status (1) and its recording have to say that it was an emergency stop.
+to be safe, and the run's exit status (1) and its recording have to report an emergency stop.
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ TOO_LATE = {"starting": ("key",), "stopping": ("command", "key")}
 """Ways that take seconds themselves: the run is in another state by then."""
 
 
-def pressed(relay: Relay, state: str, way: str) -> dict[str, Any]:
-    """Press the stop once, and return what came of it."""
+def press(relay: Relay, state: str, way: str) -> dict[str, Any]:
+    """Press the stop once, and return the outcome."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         run = Run(relay, folder, stack)
@@ -167,28 +167,28 @@ def pressed(relay: Relay, state: str, way: str) -> dict[str, Any]:
         was_active, began = not relay.safe, time.monotonic()
         WAYS[way](run)
         run.process.wait(60)
-        found: dict[str, Any] = {"exit_status": run.process.returncode}
-        found["latched"] = latch.read_latch() is not None
-        found["device_safe"] = relay.safe
+        outcome: dict[str, Any] = {"exit_status": run.process.returncode}
+        outcome["latched"] = latch.read_latch() is not None
+        outcome["device_safe"] = relay.safe
         if was_active and way in ("file", "bus") and relay.safe:
-            found["safe_after_ms"] = round(1e3 * (relay.safe_since - began), 1)
-        found["said"] = (folder / "said.txt").read_text()[-160:]
+            outcome["safe_after_ms"] = round(1e3 * (relay.safe_since - began), 1)
+        outcome["said"] = (folder / "said.txt").read_text()[-160:]
         paths = list(folder.glob("*.mcap*"))
         recording = read_recording(paths[0]) if paths else None
         end = {} if recording is None else recording.metadata.get("end", {})
-        found["recorded_reason"] = end.get("reason", "no end")
-        if "commands stopped" in found["recorded_reason"]:
+        outcome["recorded_reason"] = end.get("reason", "no end")
+        if "commands stopped" in outcome["recorded_reason"]:
             raise ValueError("the machine was too busy: the watchdog had ended the run before")
-        found["recorded"] = recording is not None and any(
+        outcome["recorded"] = recording is not None and any(
             "emergency stop" in str(event.body.get("message", "")) for event in recording.events
         )
-    return found
+    return outcome
 
 
-def right(trial: dict[str, Any]) -> bool:
-    """Whether the stop stands, the device is safe, and exit status and recording say why."""
-    said = "emergency stop" in trial["recorded_reason"] or trial["recorded"]
-    return bool(trial["latched"] and trial["device_safe"] and trial["exit_status"] == 1 and said)
+def is_right(trial: dict[str, Any]) -> bool:
+    """Whether the stop stands, the device is safe, and exit status and recording state the reason."""
+    is_reported = "emergency stop" in trial["recorded_reason"] or trial["recorded"]
+    return bool(trial["latched"] and trial["device_safe"] and trial["exit_status"] == 1 and is_reported)
 
 
 def main() -> None:
@@ -211,14 +211,14 @@ def main() -> None:
                 trials = []
                 for _ in range(options.repeat):
                     try:
-                        trials.append(pressed(relay, state, way))
+                        trials.append(press(relay, state, way))
                     except (LabhilError, TimeoutError, ValueError, subprocess.TimeoutExpired) as error:
                         trials.append({"not_set_up": str(error)})
                     latch.release()
                     wait_until(lambda: relay.safe, "the device is safe")
                     print(f"{name}: {trials[-1]}", file=sys.stderr, flush=True)
                 valid = [trial for trial in trials if "not_set_up" not in trial]
-                cell = {"pressed": len(valid), "right": sum(map(right, valid)), "trials": trials}
+                cell = {"pressed": len(valid), "right": sum(map(is_right, valid)), "trials": trials}
                 result["cells"][name] = {**cell, "load_average": round(os.getloadavg()[0], 1)}
                 if options.out is not None:
                     tell(result, options.out)

@@ -111,13 +111,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     settings = dict(define.split("=", 1) for define in options.define)
-    found = []
+    benches = []
     with tempfile.TemporaryDirectory() as directory:
         build_harness(Path(directory))
         for rig in options.rig:
-            found.append(measure(rig, options.seconds, settings, Path(directory)))
-            print(found[-1], file=sys.stderr, flush=True)
-    text = json.dumps({"schema": "labhil.firmware/1", "benches": found}, indent=1)
+            benches.append(measure(rig, options.seconds, settings, Path(directory)))
+            print(benches[-1], file=sys.stderr, flush=True)
+    text = json.dumps({"schema": "labhil.firmware/1", "benches": benches}, indent=1)
     if options.out is None:
         print(text)
     else:

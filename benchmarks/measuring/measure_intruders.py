@@ -82,7 +82,7 @@ def count_of(process: subprocess.Popen[str]) -> int:
 
 
 class Attacked:
-    """A run of its own, its bus, and what it says that it refuses."""
+    """A run of its own, its bus, and the messages that it reports as refused."""
 
     def __init__(self, relay: Relay, directory: Path, stack: ExitStack) -> None:
         (directory / "e.toml").write_text(EXPERIMENT.replace("ADDRESS", relay.address))
@@ -114,21 +114,24 @@ class Attacked:
         self.process.communicate(timeout=30)
         return self.process.returncode
 
-    def recorded(self) -> dict[str, Any]:
-        """Why it ended, and what its recording says was refused, by its first words."""
+    def read_outcome(self) -> dict[str, Any]:
+        """Why it ended, and what its recording lists as refused, by its first words."""
         (path,) = self._directory.glob("*.mcap")
         recording = read_recording(path)
-        found = Counter(
+        rejections = Counter(
             str(event.body.get("message")).split(" (")[0][:140]
             for event in recording.events
             if event.body.get("kind") == "rejected"
         )
-        return {"reason": recording.metadata["end"].get("reason"), "reported": dict(found.most_common(8))}
+        return {
+            "reason": recording.metadata["end"].get("reason"),
+            "reported": dict(rejections.most_common(8)),
+        }
 
 
-def attacked(relay: Relay, key: str, how: str) -> dict[str, Any]:
-    """Attack one key of a new run, and return what came of it."""
-    found: dict[str, Any] = {"sent": {}, "moved_by": []}
+def attack_key(relay: Relay, key: str, how: str) -> dict[str, Any]:
+    """Attack one key of a new run, and return the outcome."""
+    outcome: dict[str, Any] = {"sent": {}, "moved_by": []}
     with ExitStack() as stack:
         directory = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         run = Attacked(relay, directory, stack)
@@ -137,38 +140,38 @@ def attacked(relay: Relay, key: str, how: str) -> dict[str, Any]:
                 time.sleep(2.5)
             else:
                 process = intrusion(run.endpoint, key, how, attack, 1.5, rate)
-                found["sent"][f"{attack}, {rate:g}/s"] = count_of(process)
+                outcome["sent"][f"{attack}, {rate:g}/s"] = count_of(process)
             if relay.safe or run.process.poll() is not None:
-                found["moved_by"].append(f"{attack}, {rate:g}/s")
+                outcome["moved_by"].append(f"{attack}, {rate:g}/s")
                 break
         else:
-            found["refused"] = run.status()["refused"]
-            found |= pressed_in_a_flood(relay, run, key, how) if how != "nobody" else stopped(run)
-        found["exit_status"] = run.finish()
-        found |= run.recorded()
-    found["load_average"] = round(os.getloadavg()[0], 1)
-    return found
+            outcome["refused"] = run.status()["refused"]
+            outcome |= press_in_a_flood(relay, run, key, how) if how != "nobody" else stop(run)
+        outcome["exit_status"] = run.finish()
+        outcome |= run.read_outcome()
+    outcome["load_average"] = round(os.getloadavg()[0], 1)
+    return outcome
 
 
-def stopped(run: Attacked) -> dict[str, Any]:
+def stop(run: Attacked) -> dict[str, Any]:
     ask(run.bus, command_key("@run", "stop"), {"reason": "enough"}, 10.0, patience=10.0)
     return {}
 
 
-def pressed_in_a_flood(relay: Relay, run: Attacked, key: str, how: str) -> dict[str, Any]:
+def press_in_a_flood(relay: Relay, run: Attacked, key: str, how: str) -> dict[str, Any]:
     """Press the emergency stop while as many messages come as an intruder can send."""
     process = intrusion(run.endpoint, key, how, "flood", FLOOD, 0.0)
     time.sleep(PRESSED_AFTER)
-    found: dict[str, Any] = {"safe_before_the_stop": relay.safe}
+    outcome: dict[str, Any] = {"safe_before_the_stop": relay.safe}
     began = time.monotonic()
     try:
         ask(run.bus, command_key("bench", "estop"), {"by": "a second operator"}, 3.0)
     except BusError as error:
-        found["answer"] = str(error)
-    if not found["safe_before_the_stop"]:
-        found["safe_after_ms"] = round(1e3 * (relay.wait(safe=True, after=began) - began), 1)
-    found["flood"] = count_of(process)
-    return found
+        outcome["answer"] = str(error)
+    if not outcome["safe_before_the_stop"]:
+        outcome["safe_after_ms"] = round(1e3 * (relay.wait(safe=True, after=began) - began), 1)
+    outcome["flood"] = count_of(process)
+    return outcome
 
 
 def main() -> None:
@@ -185,7 +188,7 @@ def main() -> None:
             trials = result["keys"].setdefault(f"{how} {key}".strip(), [])
             for _ in range(options.repeat):
                 try:
-                    trials.append(attacked(relay, key, how))
+                    trials.append(attack_key(relay, key, how))
                 except (LabhilError, TimeoutError, ValueError) as error:
                     trials.append({"not_set_up": str(error)})
                 latch.release()

@@ -45,17 +45,17 @@ def main() -> None:
     with ProcessPoolExecutor(chosen.processes, get_context("spawn")) as pool:
         for done in as_completed([pool.submit(walk_all, share, chosen.length) for share in shares]):
             walks.extend(done.result())
-            tell(told(walks, time.monotonic() - began), chosen.out)
+            tell(summary(walks, time.monotonic() - began), chosen.out)
 
 
-def told(walks: Sequence[Walk], seconds: float) -> dict[str, object]:
+def summary(walks: Sequence[Walk], seconds: float) -> dict[str, object]:
     """What so many walks came to."""
-    crashed = sorted((one for one in walks if one.crash), key=lambda one: one.seed)
+    crashed = sorted((run for run in walks if run.crash), key=lambda run: run.seed)
     return {
         "walks": len(walks),
-        "keys": sum(len(one.keys) for one in walks),
+        "keys": sum(len(run.keys) for run in walks),
         "crashes": len(crashed),
-        "crashed": [asdict(one) for one in crashed],
+        "crashed": [asdict(run) for run in crashed],
         "seconds": round(seconds, 1),
     }
 

@@ -38,29 +38,29 @@ RECOVERED = 0.6
 """s; what may be lost."""
 
 
-def summed(trials: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Put the trials of one kind together."""
     valid = [trial for trial in trials if "not_set_up" not in trial]
-    found: dict[str, Any] = {"kills": len(valid), "not_set_up": len(trials) - len(valid)}
+    summary: dict[str, Any] = {"kills": len(valid), "not_set_up": len(trials) - len(valid)}
     reasons = Counter(trial["not_set_up"][:120] for trial in trials if "not_set_up" in trial)
     if reasons:
-        found["why_not_set_up"] = dict(reasons)
+        summary["why_not_set_up"] = dict(reasons)
     moments = [trial["moment_s"] for trial in valid]
-    found["moments_s"] = [round(min(moments, default=0.0), 2), round(max(moments, default=0.0), 2)]
-    found["processes_left"] = sum(len(trial.get("processes_left", [])) for trial in valid)
+    summary["moments_s"] = [round(min(moments, default=0.0), 2), round(max(moments, default=0.0), 2)]
+    summary["processes_left"] = sum(len(trial.get("processes_left", [])) for trial in valid)
     gone = [trial["all_gone_ms"] for trial in valid if trial.get("all_gone_ms") is not None]
-    found["all_gone_ms"] = described(gone)
-    found["safe_ms"] = described([trial["safe_ms"] for trial in valid if trial.get("safe_ms") is not None])
-    found["ends"] = dict(Counter(trial["end"] for trial in valid if "end" in trial).most_common(12))
+    summary["all_gone_ms"] = describe(gone)
+    summary["safe_ms"] = describe([trial["safe_ms"] for trial in valid if trial.get("safe_ms") is not None])
+    summary["ends"] = dict(Counter(trial["end"] for trial in valid if "end" in trial).most_common(12))
     variants: dict[str, list[dict[str, Any]]] = {}
     for trial in valid:
-        for left in trial.get("files", []):
-            variants.setdefault(left["variant"], []).append(left)
-    found["files"] = {variant: files_summed(files) for variant, files in variants.items()}
-    return found
+        for file in trial.get("files", []):
+            variants.setdefault(file["variant"], []).append(file)
+    summary["files"] = {variant: summarise_files(files) for variant, files in variants.items()}
+    return summary
 
 
-def files_summed(files: list[dict[str, Any]]) -> dict[str, Any]:
+def summarise_files(files: list[dict[str, Any]]) -> dict[str, Any]:
     """Put together what the files of one kind gave back."""
     lost = [file["lost"] for file in files if file["lost"] is not None]
     return {
@@ -71,12 +71,12 @@ def files_summed(files: list[dict[str, Any]]) -> dict[str, Any]:
         "samples_wrong": sum(file["wrong"] for file in files),
         "samples_before_the_log": sum(file["unheard"] for file in files),
         "holes": sum(file["holes"] for file in files),
-        "lost_s": described(lost, digits=3),
+        "lost_s": describe(lost, digits=3),
         "lost_more_than_0.6_s": sum(time_lost > RECOVERED for time_lost in lost),
     }
 
 
-def described(values: list[float], digits: int = 1) -> dict[str, float] | None:
+def describe(values: list[float], digits: int = 1) -> dict[str, float] | None:
     """The median, and the largest."""
     if not values:
         return None
@@ -117,7 +117,7 @@ def main() -> None:
                 if len(trials) > 2 * options.repeat + 5:
                     break
             load = [round(min(loads), 1), round(max(loads), 1)]
-            result["kinds"][kind] = {**summed(trials), "load_average": load}
+            result["kinds"][kind] = {**summarise(trials), "load_average": load}
             if options.out is not None:
                 tell(result, options.out)
             time.sleep(0.5)

@@ -36,16 +36,16 @@ COMMANDS = {
 }
 
 
-def watched(arguments: list[str], folder: Path, patience: float) -> dict[str, Any]:
+def watch(arguments: list[str], folder: Path, patience: float) -> dict[str, Any]:
     """Run a command; its time (s), its exit status and the largest memory (MB) of its process."""
     command = [sys.executable, "-P", "-m", "labhil", *arguments]
     began = time.monotonic()
     anonymous = resident = 0.0
-    with (folder / "said.txt").open("w") as said:
-        process = subprocess.Popen(command, cwd=folder, stdout=said, stderr=said)
+    with (folder / "said.txt").open("w") as output:
+        process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
         while process.poll() is None and time.monotonic() - began < patience:
-            found = memory_of(process.pid)
-            anonymous, resident = max(anonymous, found[0]), max(resident, found[1])
+            memory = memory_of(process.pid)
+            anonymous, resident = max(anonymous, memory[0]), max(resident, memory[1])
             time.sleep(LOOK)
     over = process.poll() is not None
     if not over:
@@ -75,26 +75,26 @@ def measure(
     samples: int, wanted: list[str], patience: float, folder: Path, made: Path | None
 ) -> dict[str, Any]:
     """All commands on a recording of so many samples; ``made`` is one that may be there already."""
-    whole = folder / "whole.mcap"
+    recording = folder / "whole.mcap"
     if made is not None and made.exists():
-        os.link(made, whole)
+        os.link(made, recording)
     else:
-        write_large(whole, samples)
+        write_large(recording, samples)
     if "verify" in wanted:
         (folder / "small").mkdir()
         model = write_large(folder / "small" / "model.mcap", 30_000, seed=2)
-        watched(["fit", str(model), "--json", str(folder / "FIT.json")], folder, 600.0)
+        watch(["fit", str(model), "--json", str(folder / "FIT.json")], folder, 600.0)
     if "recover" in wanted:
         cut = folder / "cut.mcap.part"
-        shutil.copyfile(whole, cut)
-        os.truncate(cut, whole.stat().st_size * 99 // 100)
-    found: dict[str, Any] = {"bytes": whole.stat().st_size, "commands": {}}
+        shutil.copyfile(recording, cut)
+        os.truncate(cut, recording.stat().st_size * 99 // 100)
+    result: dict[str, Any] = {"bytes": recording.stat().st_size, "commands": {}}
     for name in wanted:
-        found["commands"][name] = watched(list(COMMANDS[name]), folder, patience)
-        print(f"{samples} {name}: {found['commands'][name]}", file=sys.stderr, flush=True)
+        result["commands"][name] = watch(list(COMMANDS[name]), folder, patience)
+        print(f"{samples} {name}: {result['commands'][name]}", file=sys.stderr, flush=True)
         for out in folder.glob("out.*"):
             out.unlink()
-    return found
+    return result
 
 
 def main() -> None:
@@ -114,8 +114,8 @@ def main() -> None:
     for samples in options.samples:
         with tempfile.TemporaryDirectory(dir=options.folder) as folder:
             made = None if options.folder is None else options.folder / f"{int(samples)}.mcap"
-            found = measure(int(samples), wanted, options.patience, Path(folder), made)
-        result["samples"][str(int(samples))] = {**found, "load_average": round(os.getloadavg()[0], 1)}
+            figures = measure(int(samples), wanted, options.patience, Path(folder), made)
+        result["samples"][str(int(samples))] = {**figures, "load_average": round(os.getloadavg()[0], 1)}
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     tell(result, options.out)
 

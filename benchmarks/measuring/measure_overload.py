@@ -48,15 +48,15 @@ def publishers(endpoint: str, folder: Path) -> Iterator[None]:
         for name in DEVICES:
             script = str(HERE / "logged_publisher.py")
             command = [sys.executable, "-P", script, endpoint, name, str(EACH), f"{name}.log"]
-            one = subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE)
-            started.append(stack.enter_context(one))
+            publisher = subprocess.Popen(command, cwd=folder, stdin=subprocess.PIPE)
+            started.append(stack.enter_context(publisher))
         wait_until(lambda: all((folder / f"{name}.log").exists() for name in DEVICES), "publishers are up")
         yield
-        for one in started:
-            assert one.stdin is not None
-            one.stdin.close()
-        for one in started:
-            one.wait(60)
+        for publisher in started:
+            assert publisher.stdin is not None
+            publisher.stdin.close()
+        for publisher in started:
+            publisher.wait(60)
 
 
 def frozen(who: str, seconds: float, folder: Path, chance: random.Random) -> dict[str, Any]:
@@ -81,27 +81,27 @@ def frozen(who: str, seconds: float, folder: Path, chance: random.Random) -> dic
         assert recorder.stdin is not None
         recorder.stdin.close()
         recorder.wait(60)
-    return held_against_the_log(folder)
+    return compare_with_log(folder)
 
 
-def held_against_the_log(folder: Path) -> dict[str, Any]:
+def compare_with_log(folder: Path) -> dict[str, Any]:
     path = folder / "a.mcap"
     log = {f"/{name}/state": published_in(folder / f"{name}.log") for name in DEVICES}
     recording = read_recording(path)
-    left = examine("finished", path.read_bytes(), log, 0, 1 << 62, folder)
+    examined = examine("finished", path.read_bytes(), log, 0, 1 << 62, folder)
     published = sum(map(len, log.values()))
     return {
         "published": published,
-        "recorded": left.saved,
-        "lost": published - left.saved,
-        "wrong": left.wrong,
-        "holes": left.holes,
-        "gaps_in_its_last_status": gaps_told(recording),
+        "recorded": examined.saved,
+        "lost": published - examined.saved,
+        "wrong": examined.wrong,
+        "holes": examined.holes,
+        "gaps_in_its_last_status": reported_gaps(recording),
         "complete": recording.complete,
     }
 
 
-def gaps_told(recording: Recording) -> int:
+def reported_gaps(recording: Recording) -> int:
     """The gaps that the recorder's last status counts."""
     last = [event for event in recording.events if event.topic == "status"][-1]
     return sum(int(stream["gaps"]) for stream in last.body["streams"].values())

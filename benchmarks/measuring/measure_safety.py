@@ -98,9 +98,9 @@ class Relay:
         twin: socket.socket | None = None
         decoder = Decoder()
         while not self._over:
-            ends = [end for end in (self._door, client, twin) if end is not None]
-            for end in select.select(ends, [], [], 0.05)[0]:
-                if end is self._door:
+            peers = [peer for peer in (self._door, client, twin) if peer is not None]
+            for peer in select.select(peers, [], [], 0.05)[0]:
+                if peer is self._door:
                     for old in (client, twin):
                         if old is not None:
                             old.close()
@@ -112,8 +112,8 @@ class Relay:
                         new.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                     decoder, self.safe = Decoder(), True
                     break
-                data = _received(end)
-                if end is twin:
+                data = _receive(peer)
+                if peer is twin:
                     self._look(decoder, data)
                     _pass_on(client, b"" if self.unplugged else data)
                 elif data:
@@ -121,9 +121,9 @@ class Relay:
                 else:
                     client.close()
                     client = None
-        for end in (client, twin):
-            if end is not None:
-                end.close()
+        for peer in (client, twin):
+            if peer is not None:
+                peer.close()
 
     def _look(self, decoder: Decoder, data: bytes) -> None:
         now = time.monotonic()
@@ -135,17 +135,17 @@ class Relay:
                 self.safe = safe
 
 
-def _received(end: socket.socket) -> bytes:
+def _receive(end: socket.socket) -> bytes:
     try:
         return end.recv(4096)
     except OSError:
         return b""
 
 
-def _pass_on(end: socket.socket | None, data: bytes) -> None:
-    if end is not None and data:
+def _pass_on(peer: socket.socket | None, data: bytes) -> None:
+    if peer is not None and data:
         try:
-            end.sendall(data)
+            peer.sendall(data)
         except OSError:
             return
 
@@ -280,7 +280,7 @@ CASES: dict[str, tuple[Callable[[Relay, Fault], float], Fault, str]] = {
 }
 
 
-def described(times: list[float], by: str) -> dict[str, Any]:
+def describe(times: list[float], by: str) -> dict[str, Any]:
     ms = sorted(1e3 * t for t in times)
     return {
         "made_safe_by": by,
@@ -332,7 +332,7 @@ def main() -> None:
                     print(f"not set up: {error}", file=sys.stderr, flush=True)
                 loads.append(os.getloadavg()[0])
             result["cases"][name] = {
-                **described(times, by),
+                **describe(times, by),
                 "not_set_up": failed,
                 "load_average": [round(min(loads), 1), round(max(loads), 1)],
             }

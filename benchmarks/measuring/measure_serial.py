@@ -36,7 +36,7 @@ from labhil.recording.recording import Recording, StreamData
 from labhil.recording.writer import RecordingWriter
 from labhil.service import recorder
 from labhil.signals import Batch, FloatArray
-from listening import Listened, listened
+from listening import ListeningResult, record_listening
 from measured import tell
 
 PER_FRAME = {1000: 5, 10_000: 20}
@@ -118,9 +118,9 @@ def measure(rate: int, seconds: float, folder: Path, *, listen: bool) -> dict[st
     TimedWriter.ages = []
     meter = Meter()
     meter.start()
-    result: RunResult | Listened
+    result: RunResult | ListeningResult
     if listen:
-        result = listened(text, seconds, folder)
+        result = record_listening(text, seconds, folder)
     else:
         result = run_experiment(parse_experiment(text, folder / "e.toml"), folder)
     meter.over.set()
@@ -168,8 +168,8 @@ def lateness(state: StreamData) -> tuple[FloatArray, float]:
 
 def counters_of(recording: Recording) -> dict[str, int]:
     """What the driver had counted when its host ended."""
-    told = [event.body["counters"] for event in recording.events if "counters" in event.body]
-    return dict(told[-1])
+    counters = [event.body["counters"] for event in recording.events if "counters" in event.body]
+    return dict(counters[-1])
 
 
 def _quantiles(values: FloatArray) -> dict[str, float]:

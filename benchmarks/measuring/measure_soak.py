@@ -135,7 +135,9 @@ def role_of(command: str) -> str:
 
 
 @contextmanager
-def screen(folder: Path, endpoint: str, size: tuple[int, int], tab: str, said: list[bytes]) -> Iterator[int]:
+def screen(
+    folder: Path, endpoint: str, size: tuple[int, int], tab: str, output: list[bytes]
+) -> Iterator[int]:
     """``labhil tui`` in a terminal of that many columns and rows; what it draws is read and counted."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
@@ -145,11 +147,11 @@ def screen(folder: Path, endpoint: str, size: tuple[int, int], tab: str, said: l
         command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment, start_new_session=True
     )
     os.close(theirs)
-    reader = threading.Thread(target=drain, args=(ours, said))
+    reader = threading.Thread(target=drain, args=(ours, output))
     reader.start()
     try:
         deadline = time.monotonic() + PATIENCE
-        while len(re.findall(rb"of \d+ signals", b"".join(said[-50:]))) == 0 and tab == "2":
+        while len(re.findall(rb"of \d+ signals", b"".join(output[-50:]))) == 0 and tab == "2":
             if time.monotonic() > deadline:
                 raise TimeoutError("the screen shows no charts")
             os.write(ours, tab.encode())
@@ -165,7 +167,7 @@ def screen(folder: Path, endpoint: str, size: tuple[int, int], tab: str, said: l
         os.close(ours)
 
 
-def drain(terminal: int, said: list[bytes]) -> None:
+def drain(terminal: int, output: list[bytes]) -> None:
     """Read until the other side is closed; only lengths are kept of what is old."""
     while True:
         try:
@@ -174,9 +176,9 @@ def drain(terminal: int, said: list[bytes]) -> None:
             return
         if not data:
             return
-        said.append(data)
-        if len(said) > 200:
-            said[:100] = [b"".join(said[:100])[-1:]]
+        output.append(data)
+        if len(output) > 200:
+            output[:100] = [b"".join(output[:100])[-1:]]
 
 
 @contextmanager
@@ -184,9 +186,9 @@ def lab(folder: Path, roll: float) -> Iterator[tuple[int, str]]:
     """``labhil serve`` with its process id and the endpoint of its bus."""
     (folder / "lab.toml").write_text(LAB.replace("ROLL", repr(roll)), encoding="utf-8")
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    with (folder / "said.txt").open("w", encoding="utf-8") as said:
+    with (folder / "said.txt").open("w", encoding="utf-8") as log:
         command = [*LABHIL, "serve", "--config", "lab.toml"]
-        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=said)
+        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=log)
     assert service.stdout is not None
     try:
         yield service.pid, service.stdout.readline().strip()
@@ -227,7 +229,7 @@ class Mover:
 
 def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: Path) -> dict[str, Any]:
     """Let all of it run; returns what it used and what was recorded."""
-    said: list[bytes] = []
+    output: list[bytes] = []
     load = []
     with ExitStack() as stack:
         service, endpoint = stack.enter_context(lab(folder, roll))
@@ -235,7 +237,7 @@ def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: P
         bus = stack.enter_context(open_bus(endpoint))
         mover = Mover(bus)
         stack.callback(mover.close)
-        looks = stack.enter_context(screen(folder, endpoint, size, tab, said))
+        looks = stack.enter_context(screen(folder, endpoint, size, tab, output))
         meter = Meter([service, looks])
         meter.look()
         while time.monotonic() - meter.began < seconds:
@@ -244,8 +246,8 @@ def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: P
             load.append(os.getloadavg()[0])
         # numbers of processes that are gone would be missing, so results are counted while all is up
     return {
-        "processes": {role: used(usage, seconds) for role, usage in sorted(meter.usage.items())},
-        "recordings": recorded(folder),
+        "processes": {role: summarise_usage(usage, seconds) for role, usage in sorted(meter.usage.items())},
+        "recordings": summarise_recordings(folder),
         "results": {kind: len(list(folder.glob(f"*.{kind}.json"))) for kind in ("fit", "diagnosis")},
         "load_average": {"median": round(statistics.median(load), 1), "largest": round(max(load), 1)},
     }
@@ -259,7 +261,7 @@ def wait_for(folder: Path, words: str) -> None:
         time.sleep(0.1)
 
 
-def used(usage: Usage, seconds: float) -> dict[str, Any]:
+def summarise_usage(usage: Usage, seconds: float) -> dict[str, Any]:
     """What one role used: shares of a core in per cent, memory in MB, its slope once settled in MB/h."""
     at, memory = np.array(usage.at), np.array(usage.memory)
     later = at >= min(SETTLED, at[-1] / 2)
@@ -281,25 +283,25 @@ def used(usage: Usage, seconds: float) -> dict[str, Any]:
     }
 
 
-def recorded(folder: Path) -> dict[str, Any]:
+def summarise_recordings(folder: Path) -> dict[str, Any]:
     """What the recordings say: each by itself, and all of them as one row of numbers."""
-    found: list[StreamData] = []
+    streams: list[StreamData] = []
     gaps = 0
     for path in sorted(folder.glob("*.mcap")):
         recording = read_recording(path)
         if not recording.complete:
             raise SystemExit(f"{path}: {recording.damage}")
-        found += [data for data in recording.streams if data.stream.name == "state"]
+        streams += [data for data in recording.streams if data.stream.name == "state"]
         gaps += sum(data.lost for data in recording.streams)
-    seq, first = np.unique(np.concatenate([data.seq for data in found]), return_index=True)
-    t = np.concatenate([data.t_acq_ns for data in found])[first] * 1e-9
+    seq, first = np.unique(np.concatenate([data.seq for data in streams]), return_index=True)
+    t = np.concatenate([data.t_acq_ns for data in streams])[first] * 1e-9
     steps = np.diff(t)
     return {
-        "files": len(found),
+        "files": len(streams),
         "samples": len(seq),
         "gaps_within_files": gaps,
         "missing_over_all_files": int(seq[-1] - seq[0] + 1 - len(seq)),
-        "samples_in_two_files": int(sum(len(data) for data in found) - len(seq)),
+        "samples_in_two_files": int(sum(len(data) for data in streams) - len(seq)),
         "rate_hz": round((len(seq) - 1) / float(t[-1] - t[0]), 3),
         "step_ms": {
             "median": round(1e3 * float(np.median(steps)), 3),
@@ -322,14 +324,14 @@ def main() -> None:
         os.environ["XDG_RUNTIME_DIR"] = directory
         folder = Path(directory) / "lab"
         folder.mkdir()
-        found = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
+        figures = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
     result = {
         "schema": "labhil.soak/1",
         "minutes": options.minutes,
         "roll_s": options.roll,
         "terminal": options.size,
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},
-        **found,
+        **figures,
     }
     tell(result, options.out)
 

@@ -75,37 +75,37 @@ def measure(folder: Path, runs: int, kills: int, seed: int) -> dict[str, Any]:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(after)
             process.kill()  # SIGKILL; nothing where it has just ended
-        finished |= ended(folder / "out")
+        finished |= finished_recordings(folder / "out")
         killed.append({"after_s": round(after, 2), "finished": len(finished)})
     last = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     file = load_campaign(folder / "out" / "sweep.campaign.json")
-    whole = ended(folder / "out")
-    found = [level_of(folder / "out" / str(run.path)) for run in file.runs]
+    complete = finished_recordings(folder / "out")
+    recorded_levels = [level_of(folder / "out" / str(run.path)) for run in file.runs]
     return {
         "runs": runs,
         "kills": killed,
         "exit_status_of_the_last_start": last.returncode,
         "done": sum(run.status == "done" for run in file.runs),
-        "recordings_with_an_end": len(whole),
-        "finished_runs_lost_or_changed": sum(whole.get(name) != sha for name, sha in finished.items()),
-        "finished_runs_made_again": len(whole) - len({run.path for run in file.runs}),
-        "runs_with_the_value_of_another": sum(a != b for a, b in zip(found, levels, strict=True)),
+        "recordings_with_an_end": len(complete),
+        "finished_runs_lost_or_changed": sum(complete.get(name) != sha for name, sha in finished.items()),
+        "finished_runs_made_again": len(complete) - len({run.path for run in file.runs}),
+        "runs_with_the_value_of_another": sum(a != b for a, b in zip(recorded_levels, levels, strict=True)),
         "attempts_that_were_cut_off": sum(len(run.earlier) for run in file.runs),
         "seconds": round(time.monotonic() - began, 1),
     }
 
 
-def ended(folder: Path) -> dict[str, str]:
+def finished_recordings(folder: Path) -> dict[str, str]:
     """The recordings that carry their end, with exit status 0, by name with their SHA-256."""
-    found = {}
+    hashes = {}
     for path in sorted(folder.glob("*.mcap")):
         if read_recording(path).metadata.get("end", {}).get("exit_status") == "0":
-            found[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return found
+            hashes[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashes
 
 
 def level_of(path: Path) -> float:
-    """The level that the run of a recording asked for; what the device applies has steps of its own."""
+    """The level that the run of a recording commanded; what the device applies has steps of its own."""
     return float(read_recording(path).stream_with("voltage_requested")["voltage_requested"].max())
 
 

@@ -5,12 +5,12 @@
     python benchmarks/measuring/measure_ur5.py getters --seconds 60 -o benchmarks/results/ur5_getters.json
 
 Both use the simulated arm. ``record`` is a whole `labhil run` of a Fourier path on all six joints (whole
-periods of 20 s): what the controller sent is told by its timestamps, which go up by one period each. What the
-simulated controller itself had no time to send it counts and says at its end; that is taken off, the rest is
-ours. ``getters`` polls ur_rtde as its examples do, beside this project's reader on the same controller, first
-on the machine as it is, then with as many busy loops as it has cores. A sample that the reader got and no
-poll saw is lost. The controller would be a machine of its own: where that is allowed, the simulated one gets
-real-time priority, and nothing else does.
+periods of 20 s): the timestamps, which go up by one period each, show what the controller sent. The simulated
+controller counts the samples that it had no time to send and reports them at its end; these are subtracted,
+the rest is ours. ``getters`` polls ur_rtde as its examples do, beside this project's reader on the same
+controller, first on the machine as it is, then with as many busy loops as it has cores. A sample that the
+reader got and no poll saw is lost. The controller would be a machine of its own: where that is allowed, the
+simulated one gets real-time priority, and nothing else does.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.result import RunResult
 from labhil.experiment.run import run_experiment
 from labhil.recording.reader import read_recording
-from listening import Listened, listened
+from listening import ListeningResult, record_listening
 from measured import tell
 
 HOST = "127.77.0.1"
@@ -52,9 +52,9 @@ TOO_SLOW = re.compile(r"too slow: (\d+) ticks left out, (\d+) too late")
 
 
 @contextmanager
-def twin(said: Path) -> Iterator[str]:
-    """A simulated controller of the e-Series; what it says goes to a file."""
-    with said.open("w") as errors:
+def twin(log: Path) -> Iterator[str]:
+    """A simulated controller of the e-Series; its messages go to a file."""
+    with log.open("w") as errors:
         command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", HOST, "--seed", "1"]
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
@@ -62,7 +62,7 @@ def twin(said: Path) -> Iterator[str]:
         assert process.stdin is not None and process.stdout is not None
         try:
             if process.stdout.readline().strip() != HOST:
-                raise SystemExit(f"the twin did not start: {said.read_text()}")
+                raise SystemExit(f"the twin did not start: {log.read_text()}")
             with contextlib.suppress(PermissionError):
                 os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(1))
             yield HOST
@@ -72,10 +72,10 @@ def twin(said: Path) -> Iterator[str]:
             process.stdout.close()
 
 
-def not_sent(said: Path) -> tuple[int, int]:
-    """Cycles that the simulated controller left out of its clock, and those it did but told nobody of."""
-    found = TOO_SLOW.search(said.read_text())
-    return (int(found[1]), int(found[2])) if found else (0, 0)
+def not_sent(log: Path) -> tuple[int, int]:
+    """Cycles that the simulated controller left out of its clock, and those that it ran but did not send."""
+    match = TOO_SLOW.search(log.read_text())
+    return (int(match[1]), int(match[2])) if match else (0, 0)
 
 
 def percentiles(values: np.ndarray) -> dict[str, float]:
@@ -90,17 +90,17 @@ def percentiles(values: np.ndarray) -> dict[str, float]:
 
 def record(seconds: float, *, listen: bool = False) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        directory, said = Path(folder), Path(folder) / "said"
+        directory, log = Path(folder), Path(folder) / "said"
         text = EXAMPLE.read_text().replace("duration = 60.0", f"duration = {seconds!r}")
         text = re.sub(r"^twin = .*\n", "", text, flags=re.MULTILINE)
         text = text.replace('address = "twin"', f'address = "{HOST}"')
         text = text.replace('rig = "ur5.toml"\n', "")
         load, began = [round(x, 1) for x in os.getloadavg()], psutil.cpu_times()
-        with twin(said) as address:
+        with twin(log) as address:
             assert address in text
-            result: RunResult | Listened
+            result: RunResult | ListeningResult
             if listen:
-                result = listened(DEVICE.replace("HOST", address), seconds, directory)
+                result = record_listening(DEVICE.replace("HOST", address), seconds, directory)
             else:
                 result = run_experiment(parse_experiment(text, directory / "e.toml"), directory)
         ended = psutil.cpu_times()
@@ -108,8 +108,8 @@ def record(seconds: float, *, listen: bool = False) -> dict[str, Any]:
             raise SystemExit(f"the run failed: {result.reason}")
         recording = read_recording(result.path)
         stream = recording.stream_with("actual_q")
-        found = arrivals(stream.seq, stream.t_hw_ns, stream.t_acq_ns)
-        left_out, untold = not_sent(said)
+        figures = arrivals(stream.seq, stream.t_hw_ns, stream.t_acq_ns)
+        left_out, untold = not_sent(log)
         return {
             "schema": "labhil.ur5_record/1",
             "seconds": seconds,
@@ -117,10 +117,10 @@ def record(seconds: float, *, listen: bool = False) -> dict[str, Any]:
             "exit_status": result.exit_status,
             "reason": result.reason,
             "columns": int(stream.values.shape[1]),
-            **found,
+            **figures,
             "not_sent_by_the_twin": untold,
             "cycles_the_twin_left_out": left_out,
-            "lost_on_the_way": found["missed_by_timestamp"] - untold,
+            "lost_on_the_way": figures["missed_by_timestamp"] - untold,
             "file_megabytes": round(result.path.stat().st_size / 1e6, 1),
             "machine_idle_share": round((ended.idle - began.idle) / (sum(ended) - sum(began)), 3),
             "load_average": [load[0], round(os.getloadavg()[0], 1), round(os.getloadavg()[1], 1)],
@@ -252,10 +252,10 @@ def main() -> None:
         watch(options.way, options.host, options.seconds, options.out)
         return
     if options.what == "record":
-        found = record(options.seconds, listen=options.listen)
+        figures = record(options.seconds, listen=options.listen)
     else:
-        found = getters(options.seconds)
-    tell(found, options.out)
+        figures = getters(options.seconds)
+    tell(figures, options.out)
 
 
 if __name__ == "__main__":

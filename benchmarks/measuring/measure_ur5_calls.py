@@ -48,19 +48,19 @@ def since() -> dict[str, tuple[int, int]]:
     """From which version on a check can be made; read, for without a controller it cannot be imported."""
     for node in ast.parse(CALLS.read_text()).body:
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SINCE":
-            found: dict[str, tuple[int, int]] = ast.literal_eval(node.value)
-            return found
+            versions: dict[str, tuple[int, int]] = ast.literal_eval(node.value)
+            return versions
     raise SystemExit(f"{CALLS}: expected a dictionary SINCE, found none")
 
 
 def coverage() -> dict[str, Any]:
     """The public methods of each interface, by whether the checks name them."""
     named = {node.attr for node in ast.walk(ast.parse(CALLS.read_text())) if isinstance(node, ast.Attribute)}
-    found = {}
+    by_interface = {}
     for module, name in INTERFACES.items():
         methods = {method for method in dir(getattr(__import__(module), name)) if method[0].islower()}
-        found[name] = {"called": sorted(methods & named), "not_called": sorted(methods - named)}
-    return found
+        by_interface[name] = {"called": sorted(methods & named), "not_called": sorted(methods - named)}
+    return by_interface
 
 
 def outcome(check: str) -> tuple[str, float]:
@@ -72,10 +72,10 @@ def outcome(check: str) -> tuple[str, float]:
         )
     except subprocess.TimeoutExpired:
         return f"killed after {LIMIT:g} s", LIMIT
-    said = done.stdout.strip().removeprefix(f"{check}: ")
-    if done.returncode != 0 and said in {"", "ok"}:
-        said = f"{said} exit status {done.returncode} {done.stderr.strip()[-200:]}".strip()
-    return said, round(time.monotonic() - began, 1)
+    output = done.stdout.strip().removeprefix(f"{check}: ")
+    if done.returncode != 0 and output in {"", "ok"}:
+        output = f"{output} exit status {done.returncode} {done.stderr.strip()[-200:]}".strip()
+    return output, round(time.monotonic() - began, 1)
 
 
 def of_version(series: str) -> dict[str, Any]:
@@ -90,9 +90,9 @@ def of_version(series: str) -> dict[str, Any]:
             os.sched_setscheduler(twin.pid, os.SCHED_FIFO, os.sched_param(1))
         for check in checks():
             if numbers >= needs.get(check, (0, 0)):
-                said, seconds = outcome(check)
-                results[check] = {"outcome": said, "seconds": seconds}
-                print(f"{series} {check}: {said} ({seconds} s)", file=sys.stderr, flush=True)
+                verdict, seconds = outcome(check)
+                results[check] = {"outcome": verdict, "seconds": seconds}
+                print(f"{series} {check}: {verdict} ({seconds} s)", file=sys.stderr, flush=True)
     good = sum(result["outcome"] == "ok" for result in results.values())
     return {"ok": good, "of": len(results), "checks": results}
 
@@ -102,7 +102,7 @@ def main() -> None:
     parser.add_argument("--versions", nargs="+", default=["3.15.8", "5.11.1"])
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
-    told = {
+    report = {
         "schema": "labhil.ur5_calls/1",
         "client": version("ur_rtde"),
         "limit_s": LIMIT,
@@ -110,12 +110,12 @@ def main() -> None:
         "versions": {},
     }
     for series in options.versions:
-        told["versions"][series] = of_version(series)
-        told["load_average"] = round(os.getloadavg()[0], 1)
+        report["versions"][series] = of_version(series)
+        report["load_average"] = round(os.getloadavg()[0], 1)
         if options.out is not None:
-            options.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+            options.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     if options.out is None:
-        print(json.dumps(told, indent=1))
+        print(json.dumps(report, indent=1))
 
 
 if __name__ == "__main__":

@@ -181,15 +181,17 @@ def suffer(fault: str, host: str, series: str, reconnect: bool, folder: Path) ->
         scene.wait_until_it_moves()
         at_ns = time.time_ns()
         FAULTS[fault](scene)
-        said, complaint = scene.run.communicate(timeout=180.0)
+        output, complaint = scene.run.communicate(timeout=180.0)
     try:
-        result = json.loads(said)
+        result = json.loads(output)
     except ValueError:
-        raise RuntimeError(f"the run said {said!r}, {complaint!r}") from None
-    return seen(folder / result["path"], result["exit_status"], result["reason"], at_ns, RATES[series])
+        raise RuntimeError(f"the run said {output!r}, {complaint!r}") from None
+    return read_outcome(
+        folder / result["path"], result["exit_status"], result["reason"], at_ns, RATES[series]
+    )
 
 
-def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outcome:
+def read_outcome(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outcome:
     """Read from a recording what happened after a fault."""
     stream = read_recording(path).stream_with("actual_q")
     after = (stream.t_acq_ns - at_ns) * 1e-9
@@ -217,8 +219,8 @@ def seen(path: Path, status: int, reason: str, at_ns: int, rate: float) -> Outco
 
 def last_of(true: np.ndarray) -> int:
     """Where it is true for the last time, 0 for never."""
-    found = np.flatnonzero(true)
-    return int(found[-1]) if len(found) else 0
+    indices = np.flatnonzero(true)
+    return int(indices[-1]) if len(indices) else 0
 
 
 def first_rest(still: np.ndarray, count: int) -> int | None:
@@ -229,11 +231,11 @@ def first_rest(still: np.ndarray, count: int) -> int | None:
 
 def first(true: np.ndarray, start: int) -> int | None:
     """Where it is true for the first time, from ``start`` on."""
-    found = np.flatnonzero(true[start:])
-    return start + int(found[0]) if len(found) else None
+    indices = np.flatnonzero(true[start:])
+    return start + int(indices[0]) if len(indices) else None
 
 
-def together(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def summarise(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """The middle of several runs, and each by itself."""
     numbers: dict[str, Any] = {}
     for name in ("at_rest", "longest_hole", "samples_after", "path_goes_on"):
@@ -253,7 +255,7 @@ def main() -> None:
     parser.add_argument("--only", help="one fault by its name")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
-    told: dict[str, Any] = {"schema": "labhil.ur5_faults/1", "series": options.series, "faults": {}}
+    report: dict[str, Any] = {"schema": "labhil.ur5_faults/1", "series": options.series, "faults": {}}
     for reconnect in (False, True):
         for fault in [options.only] if options.only else FAULTS:
             outcomes = []
@@ -262,13 +264,13 @@ def main() -> None:
                     os.environ["XDG_RUNTIME_DIR"] = folder
                     outcomes.append(suffer(fault, "127.77.0.2", options.series, reconnect, Path(folder)))
             name = f"{fault}, reconnect" if reconnect else fault
-            result = together(outcomes) | {"load_average": round(os.getloadavg()[0], 1)}
-            told["faults"][name] = result
+            result = summarise(outcomes) | {"load_average": round(os.getloadavg()[0], 1)}
+            report["faults"][name] = result
             print(name, json.dumps(result), file=sys.stderr, flush=True)
             if options.out is not None:
-                options.out.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+                options.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     if options.out is None:
-        print(json.dumps(told, indent=1))
+        print(json.dumps(report, indent=1))
 
 
 if __name__ == "__main__":

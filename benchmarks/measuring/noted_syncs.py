@@ -17,10 +17,10 @@ def note_syncs(notes: Path) -> None:
     """Let ``os.fdatasync`` and ``os.fsync`` of this process note what they forced to the disk."""
     descriptor = os.open(notes, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     for name in ("fdatasync", "fsync"):
-        setattr(os, name, _noted(getattr(os, name), descriptor))
+        setattr(os, name, _note_calls(getattr(os, name), descriptor))
 
 
-def _noted(sync: Callable[[int], None], notes: int) -> Callable[[int], None]:
+def _note_calls(sync: Callable[[int], None], notes: int) -> Callable[[int], None]:
     def noted(file: int) -> None:
         stat = os.fstat(file)  # before: what comes in meanwhile is not certain
         sync(file)

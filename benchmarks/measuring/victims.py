@@ -80,9 +80,9 @@ class Commander:
 @contextmanager
 def process(command: list[str], folder: Path) -> Iterator[subprocess.Popen[str]]:
     """A process in a folder; ended in order, or killed, if it is still there."""
-    with (folder / "said.txt").open("w") as said:
+    with (folder / "said.txt").open("w") as log:
         started = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.PIPE, stdout=said, stderr=said, text=True
+            command, cwd=folder, stdin=subprocess.PIPE, stdout=log, stderr=log, text=True
         )
     try:
         yield started
@@ -120,26 +120,28 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.005)
 
 
-def kill(victim: int, family: list[psutil.Process], relay: Relay | None, found: dict[str, Any]) -> int:
+def kill(victim: int, family: list[psutil.Process], relay: Relay | None, outcome: dict[str, Any]) -> int:
     """Kill a process; note when the device is safe and its ``family`` gone. Returns the moment, Unix ns."""
     active = relay is not None and not relay.safe
     began, killed_ns = time.monotonic(), unix_ns()
     os.kill(victim, signal.SIGKILL)
     if relay is not None and active:
-        found["safe_ms"] = round(1e3 * (relay.wait(safe=True, after=began) - began), 1)
-    while (left := [one for one in family if is_at_work(one)]) and time.monotonic() < began + LEAVING:
+        outcome["safe_ms"] = round(1e3 * (relay.wait(safe=True, after=began) - began), 1)
+    while (
+        survivors := [member for member in family if is_at_work(member)]
+    ) and time.monotonic() < began + LEAVING:
         time.sleep(0.02)
-    found["all_gone_ms"] = round(1e3 * (time.monotonic() - began), 1) if family and not left else None
-    found["processes_left"] = [" ".join(one.cmdline())[-80:] for one in left]
-    for one in left:
-        one.kill()
+    outcome["all_gone_ms"] = round(1e3 * (time.monotonic() - began), 1) if family and not survivors else None
+    outcome["processes_left"] = [" ".join(member.cmdline())[-80:] for member in survivors]
+    for member in survivors:
+        member.kill()
     return killed_ns
 
 
-def is_at_work(one: psutil.Process) -> bool:
+def is_at_work(member: psutil.Process) -> bool:
     """Whether a process is there, and no zombie that nobody has waited for."""
     try:
-        return one.is_running() and one.status() != psutil.STATUS_ZOMBIE
+        return member.is_running() and member.status() != psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:
         return False
 

@@ -47,7 +47,7 @@ IDLE_PERIOD = 0.02
 
 
 class FaultError(Exception):
-    """The arm does not do what it was told; the process ends with it."""
+    """The arm does not carry out its command; the process ends with it."""
 
 
 class LostError(Exception):
@@ -68,7 +68,7 @@ class Client:
         self._control = RTDEControlInterface(host, rate)
         self._outputs: Any = None
         self._player: Player | None = None
-        self._heard_at = self._told_at = self._ticked_at = time.monotonic()
+        self._heard_at = self._reported_at = self._ticked_at = time.monotonic()
         self._seen_moving = False
         self._moved_at = 0.0
         self._rest = b""
@@ -89,7 +89,7 @@ class Client:
             self._act(now)
             period = IDLE_PERIOD if self.state == "idle" else self._dt
             due = max(due + period, now - period)
-            if now - self._told_at > TELL_EVERY:
+            if now - self._reported_at > TELL_EVERY:
                 self._tell(now)
 
     def end(self) -> None:
@@ -165,35 +165,34 @@ class Client:
         if self._player is not None:
             self._servo(self._player, now)
         else:
-            self._check(self._at_once(self._control.kickWatchdog), "kickWatchdog")
+            self._check(self._call_promptly(self._control.kickWatchdog), "kickWatchdog")
             if self.state != "idle":
-                self._look_whether_there(now)
+                self._check_arrival(now)
 
     def _servo(self, player: Player, now: float) -> None:
         elapsed, self._ticked_at = now - self._ticked_at, now
         q = list(player.tick(elapsed))
-        self._check(
-            self._at_once(lambda: self._control.servoJ(q, 0.0, 0.0, self._dt, LOOKAHEAD, GAIN)), "servoJ"
-        )
+        done = self._call_promptly(lambda: self._control.servoJ(q, 0.0, 0.0, self._dt, LOOKAHEAD, GAIN))
+        self._check(done, "servoJ")
         if player.at_rest:
             self._player = None
             self._check(self._control.servoStop(STOP_ACCELERATION), "servoStop")
             self._transition("idle")
 
-    def _look_whether_there(self, now: float) -> None:
+    def _check_arrival(self, now: float) -> None:
         running = self._control.getAsyncOperationProgressEx().isAsyncOperationRunning()
         self._seen_moving = self._seen_moving or running
         # a move to where the arm is already may be over before it is seen to run
         if not running and (self._seen_moving or now - self._moved_at > UNSEEN):
             self._transition("idle")
 
-    def _at_once(self, call: Callable[[], bool]) -> bool:
+    def _call_promptly(self, call: Callable[[], bool]) -> bool:
         began = time.monotonic()
-        done = call()
-        taken = time.monotonic() - began
-        if taken > LONGEST_CALL:
-            raise LostError(f"the connection to the controller broke: a call took {taken:.2f} s")
-        return done
+        success = call()
+        duration = time.monotonic() - began
+        if duration > LONGEST_CALL:
+            raise LostError(f"the connection to the controller broke: a call took {duration:.2f} s")
+        return success
 
     def _check(self, done: bool, what: str) -> None:
         if not done:
@@ -204,7 +203,7 @@ class Client:
         self._tell(time.monotonic())
 
     def _tell(self, now: float) -> None:
-        self._told_at = now
+        self._reported_at = now
         say({"state": self.state})
 
 
@@ -218,7 +217,7 @@ _answers = 1
 
 
 def main() -> int:
-    """Run the process; 0 when it was told to end, 3 after a fault, ``LOST``."""
+    """Run the process; 0 after an orderly end, 3 after a fault, ``LOST``."""
     global _answers  # noqa: PLW0603 - before anything else runs
     # the library prints on standard output
     _answers = os.dup(1)

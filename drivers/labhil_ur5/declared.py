@@ -12,7 +12,7 @@ _OF_THE_KIND = {signal.name: signal for signal in UR5.signals()}
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """One signal and the variable that it comes from; ``kept`` masks the bits of a word that are ours.
+    """One signal and the variable that it comes from; ``mask`` selects the bits of a word that are ours.
 
     A controller that does not know an ``optional`` one is used all the same; it is NaN then.
     """
@@ -20,16 +20,16 @@ class Reported:
     signal: Signal
     variable: str
     optional: bool = False
-    kept: int = 0
+    mask: int = 0
 
 
 def _as_is(name: str, optional: bool = False) -> Reported:
     return Reported(_OF_THE_KIND[name], name, optional)
 
 
-def _status(name: str, unit: str, description: str, variable: str = "", kept: int = 0) -> Reported:
+def _status(name: str, unit: str, description: str, variable: str = "", mask: int = 0) -> Reported:
     signal = Signal(name, unit, Direction.STATUS, hold=Hold.ZERO, description=description)
-    return Reported(signal, variable or name, optional=name not in NEEDED, kept=kept)
+    return Reported(signal, variable or name, optional=name not in NEEDED, mask=mask)
 
 
 COMMAND_TIMEOUT = 0.3

@@ -1,4 +1,4 @@
-"""A UR arm on the network: what it reports at every cycle of its controller, and what it is asked to do."""
+"""A UR arm on the network: what it reports at every cycle of its controller, and how it is commanded."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import math
 import select
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Iterable, Mapping, Sequence
 from types import TracebackType
 from typing import ClassVar, Self
 
@@ -28,13 +27,14 @@ from labhil_ur5.declared import (
     TARGET_COLUMNS,
     TIMESTAMP,
 )
-from labhil_ur5.fault import SAFETY_NORMAL, said_of
+from labhil_ur5.fault import SAFETY_NORMAL, fault_of
 from labhil_ur5.motion import Motion, MotionState
-from labhil_ur5.rtde import Receiver, Recipe
+from labhil_ur5.rtde import Receiver
+from labhil_ur5.stream_order import in_stream_order, variables
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
 WAYPOINT_RATE = 100.0
-"""How often the arm is told where to be, Hz; in between the client process interpolates."""
+"""How often the arm gets a waypoint, Hz; in between the client process interpolates."""
 LARGEST_ANGLE = math.radians(363.0)
 """How far a joint turns, rad."""
 THERE = 1e-3
@@ -106,7 +106,7 @@ class Ur5Driver:
             self._closing = False
             self._listen()
             try:
-                return self._introduced()
+                return self._introduce()
             except BaseException:
                 self.close()
                 raise
@@ -115,12 +115,12 @@ class Ur5Driver:
         receiver = Receiver(self.address)
         try:
             self._check_version(*receiver.greet())
-            needed, optional = _variables()
+            needed, optional = variables()
             recipe = receiver.start(needed, optional, self.spec.stream.rate)
         except BaseException:
             receiver.close()
             raise
-        self._take_values = _in_order(recipe)
+        self._take_values = in_stream_order(recipe)
         self._recipe, self._receiver = recipe, receiver
 
     def _check_version(self, major: int, *_rest: int) -> None:
@@ -130,7 +130,7 @@ class Ur5Driver:
                 f" found {major}: use the plugin {'ur5_cb3' if major == 3 else 'ur5'!r}"
             )
 
-    def _introduced(self) -> DeviceInfo:
+    def _introduce(self) -> DeviceInfo:
         assert self._receiver is not None
         first = self.read(FIRST_SAMPLE)
         if not len(first):
@@ -155,12 +155,12 @@ class Ur5Driver:
             while not rows:
                 if self._receiver is None or self._closing:
                     raise ConnectError(f"{self.address}: not connected")
-                left = max(deadline - time.monotonic(), 0.0)
+                remaining = max(deadline - time.monotonic(), 0.0)
                 waiting = [self._receiver.fileno(), *self._motion.descriptors()]
-                select.select(waiting, [], [], min(left, PATIENCE))
-                self._look_after_client()
+                select.select(waiting, [], [], min(remaining, PATIENCE))
+                self._watch_client()
                 rows = self._rows(self._payloads())
-                if left <= 0.0:
+                if remaining <= 0.0:
                     break
         return Batch.of(rows, self.spec.stream.width)
 
@@ -191,9 +191,9 @@ class Ur5Driver:
                 rows.append((self._seq, 0, t_hw_ns, row))
         if rows:
             self._latest = dict(zip(self.spec.stream.columns(), rows[-1][3], strict=True))
-        return self._stamped(rows)
+        return self._stamp(rows)
 
-    def _stamped(self, rows: list[Row]) -> list[Row]:
+    def _stamp(self, rows: list[Row]) -> list[Row]:
         """Give samples that were waiting together the times at which they must have come in."""
         now = unix_ns()
         stamped = []
@@ -204,20 +204,20 @@ class Ur5Driver:
 
     def _is_new(self, t_hw_ns: int) -> bool:
         """Number a sample by the controller's clock; False for one that has been seen already."""
-        before, self._clock_ns = self._clock_ns, t_hw_ns
+        previous_ns, self._clock_ns = self._clock_ns, t_hw_ns
         self.counters.frames += 1
-        if before < 0:
+        if previous_ns < 0:
             return True
-        if t_hw_ns < before:
+        if t_hw_ns < previous_ns:
             self.counters.resets += 1
             raise DeviceResetError(
                 f"{self.address}: the controller started again in the middle of the run: its clock went"
-                f" from {before * 1e-9:.3f} to {t_hw_ns * 1e-9:.3f} s"
+                f" from {previous_ns * 1e-9:.3f} to {t_hw_ns * 1e-9:.3f} s"
             )
-        if t_hw_ns == before:
+        if t_hw_ns == previous_ns:
             self.counters.stale += 1
             return False
-        cycles = max(1, round((t_hw_ns - before) * 1e-9 * self.spec.stream.rate))
+        cycles = max(1, round((t_hw_ns - previous_ns) * 1e-9 * self.spec.stream.rate))
         self.counters.lost += cycles - 1
         self._seq += cycles
         return True
@@ -226,7 +226,7 @@ class Ur5Driver:
         """Return why the arm cannot be commanded as it is, in words; empty when it can."""
         if self._lost_because:
             return f"the arm's client was lost ({self._lost_because}); it is started again"
-        return said_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
+        return fault_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
 
     def is_transient(self) -> bool:
         """Whether the trouble is a client process that died and is being replaced.
@@ -273,21 +273,21 @@ class Ur5Driver:
             self._motion.tell({"alive": True})
 
     def _steer(self, q: Sequence[float], t_hw_ns: int | None) -> None:
-        motion, here = self._motion, self._joints()
+        motion, joints = self._motion, self._joints()
         self._timed = t_hw_ns is not None
-        near = max(abs(a - b) for a, b in zip(q, here, strict=True)) <= THERE
+        at_target = max(abs(a - b) for a, b in zip(q, joints, strict=True)) <= THERE
         begins = time.monotonic() - self._begun_at < BEGINNING
         if motion.state is MotionState.NONE:
             if not self.fault():
                 motion.start()
-        elif motion.state is MotionState.IDLE and not near and not (begins and self._timed):
+        elif motion.state is MotionState.IDLE and not at_target and not (begins and self._timed):
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
         elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
             if not begins:
                 self._begun_at = time.monotonic() if motion.state is MotionState.IDLE else -math.inf
-            motion.waypoint(t_hw_ns * 1e-9, q, here)
+            motion.waypoint(t_hw_ns * 1e-9, q, joints)
         else:
             motion.tell({"alive": True})
 
@@ -308,7 +308,7 @@ class Ur5Driver:
     def _joints(self) -> list[float]:
         return [self._latest[column] for column in TARGET_COLUMNS]
 
-    def _look_after_client(self) -> None:
+    def _watch_client(self) -> None:
         why = self._motion.look()
         now = time.monotonic()
         if why:
@@ -360,33 +360,6 @@ class Ur5Cb3Driver(Ur5Driver):
     majors: ClassVar[tuple[int, ...]] = (3,)
 
 
-def _variables() -> tuple[list[str], list[str]]:
-    needed = [TIMESTAMP, *(item.variable for item in REPORTED if not item.optional)]
-    return needed, [item.variable for item in REPORTED if item.optional]
-
-
-def _in_order(recipe: Recipe) -> Callable[[tuple[float, ...]], list[float]]:
-    """Return what brings the numbers of a package into the order of the stream."""
-    places: list[int] = []
-    absent = sum(part.stop - part.start for part in recipe.slices.values())
-    masks: list[tuple[int, int]] = []
-    for item in REPORTED:
-        part = recipe.slices.get(item.variable)
-        if item.kept:
-            masks.append((len(places), item.kept))
-        places += [absent] * item.signal.width if part is None else range(part.start, part.stop)
-    pick = itemgetter(*places)
-
-    def take(values: tuple[float, ...]) -> list[float]:
-        row = list(pick((*values, math.nan)))
-        for place, mask in masks:
-            if row[place] == row[place]:
-                row[place] = int(row[place]) & mask
-        return row
-
-    return take
-
-
 def _refuse_unusable(values: Mapping[str, float]) -> None:
     ranges = dict.fromkeys(TARGET_COLUMNS, (-LARGEST_ANGLE, LARGEST_ANGLE))
     ranges |= {SPEED.name: (0.0, 1.0), OUTPUTS.name: (0.0, 2.0**DIGITAL_OUTPUTS - 1)}
@@ -401,10 +374,10 @@ def _refuse_unusable(values: Mapping[str, float]) -> None:
 
 
 def _serial(host: str) -> str:
-    """Ask the dashboard who this is; controllers that do not tell are unknown."""
+    """Ask the dashboard for the serial number; a controller that gives none is "unknown"."""
     try:
         with Dashboard(host) as dashboard:
-            said = dashboard.ask("get serial number")
+            number = dashboard.ask("get serial number")
     except DeviceError:
         return "unknown"
-    return said if said.isdigit() else "unknown"
+    return number if number.isdigit() else "unknown"

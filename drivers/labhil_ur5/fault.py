@@ -36,8 +36,8 @@ ROBOT_MODES = {
 }
 
 
-def said_of(latest: Mapping[str, float], commanded: bool) -> str:
-    """Return what is the matter with an arm that sent the ``latest`` values; empty when nothing is.
+def fault_of(latest: Mapping[str, float], commanded: bool) -> str:
+    """Return the fault of an arm that sent the ``latest`` values, in words; empty without one.
 
     An arm that nobody commands through us may be off, or moved by hand.
     """

@@ -1,4 +1,4 @@
-"""The driver's side of the client process: it is started, told what to do, watched, and replaced."""
+"""The driver's side of the client process: it is started, commanded, watched, and replaced."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ START_TIMEOUT = 15.0
 """How long it may take to connect and to start its program on the controller, s."""
 END_TIMEOUT = 3.0
 STOP_TIMEOUT = 1.5
-"""How long a dashboard that is told to stop the program may take, s."""
+"""How long a dashboard may take to stop the program, s."""
 
 
 class MotionState(StrEnum):
@@ -56,7 +56,7 @@ class Motion:
         self._stopping: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the process; :attr:`state` is IDLE once it may be told to move.
+        """Start the process; :attr:`state` is IDLE once it can be moved.
 
         MissingExtraError without the client library: listening to an arm needs none.
         """
@@ -92,7 +92,7 @@ class Motion:
         return [] if process is None or process.stdout is None else [process.stdout.fileno()]
 
     def look(self) -> str:
-        """Take in what the client said; returns why it is gone, or an empty string while all is well."""
+        """Take in what the client sent; returns why it is gone, or an empty string while all is well."""
         with self._writing:
             if self._process is None:
                 return ""
@@ -101,15 +101,15 @@ class Motion:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(0.5)
                 self.died = not self._fault
-                return self._lost(self._fault or f"the client process died{self._how()}")
+                return self._give_up(self._fault or f"the client process died{self._exit_in_words()}")
             silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
             if time.monotonic() - self._heard_at > silence:
                 self.died = True
-                return self._lost(f"the client process said nothing for {silence:g} s{self._complaint()}")
+                return self._give_up(f"the client process said nothing for {silence:g} s{self._complaint()}")
             return ""
 
     def tell(self, order: Mapping[str, Any]) -> None:
-        """Send an order; a client that takes none is found out by :meth:`look`."""
+        """Send an order; :meth:`look` notices a client that takes none."""
         with self._writing:
             if self._process is None or self._process.stdin is None:
                 return
@@ -168,17 +168,17 @@ class Motion:
 
     def _take(self, line: bytes) -> None:
         try:
-            said = json.loads(line)
+            message = json.loads(line)
         except ValueError:
             return
-        self.state = MotionState(said.get("state", self.state.value))
-        self.refusal = str(said.get("refused", self.refusal))
-        # it is said before the output is closed, and perhaps read before that
-        self._fault = str(said.get("fault", self._fault))
+        self.state = MotionState(message.get("state", self.state.value))
+        self.refusal = str(message.get("refused", self.refusal))
+        # a fault is sent before the output is closed, and may be read before that
+        self._fault = str(message.get("fault", self._fault))
 
-    def _lost(self, why: str) -> str:
+    def _give_up(self, why: str) -> str:
         self._discard()
-        # whatever it commanded last is not to go on; the controller's watchdog has been at it as well
+        # the last command must not go on; the controller's watchdog stops it as well
         self._stop_by_dashboard()
         return why
 
@@ -200,12 +200,12 @@ class Motion:
                 pipe.close()
         self._errors.close()
 
-    def _how(self) -> str:
+    def _exit_in_words(self) -> str:
         status = self._process.poll() if self._process is not None else None
-        how = (
+        ending = (
             "" if status is None else f" by signal {-status}" if status < 0 else f" with exit status {status}"
         )
-        return how + self._complaint()
+        return ending + self._complaint()
 
     def _complaint(self) -> str:
         written = os.pread(self._errors.fileno(), 1 << 20, 0).decode(errors="replace").strip()

@@ -27,7 +27,7 @@ BLENDING_TIME = 0.5
 LONGEST_TICK = 0.02
 """What a tick may count for, s: after a stall the path goes on where it was."""
 FASTEST = 3.2
-"""What no joint may be asked for, rad/s: 180°/s is what a UR5 can do."""
+"""The speed that no joint may exceed, rad/s: a UR5 reaches 180°/s."""
 
 
 class TooFastError(Exception):
@@ -78,42 +78,42 @@ class Player:
         """Return where the joints are to be, ``elapsed`` s after the tick before."""
         dt = min(elapsed, LONGEST_TICK)
         # the slope at the newest waypoint is not known before the next: the path ends one earlier
-        end = self._points[-2 if len(self._points) > 1 else -1][0]
-        left = end - self._t
-        self._playing = self._playing or left >= DELAY
+        path_end = self._points[-2 if len(self._points) > 1 else -1][0]
+        remaining = path_end - self._t
+        self._playing = self._playing or remaining >= DELAY
         if self._playing:
-            self._rate = self._next_rate(left, dt)
-            self._t = min(self._t + self._rate * dt, end)
+            self._rate = self._next_rate(remaining, dt)
+            self._t = min(self._t + self._rate * dt, path_end)
         self._blended = min(self._blended + dt / BLENDING_TIME, 1.0)
         share = 1.0 - _smooth(self._blended)
         self._target = tuple(a + share * b for a, b in zip(self._path(), self._offset, strict=True))
         return self._target
 
-    def _next_rate(self, left: float, dt: float) -> float:
+    def _next_rate(self, remaining: float, dt: float) -> float:
         # the mean over a second, for waypoints come one by one
-        self._ahead += dt * (left - self._ahead)
-        wanted = 1.0 + max(-CATCHING_UP, min(CATCHING_UP, self._ahead - DELAY))
-        if left < SLOWING:
-            wanted = min(wanted, left / SLOWING)
+        self._ahead += dt * (remaining - self._ahead)
+        rate = 1.0 + max(-CATCHING_UP, min(CATCHING_UP, self._ahead - DELAY))
+        if remaining < SLOWING:
+            rate = min(rate, remaining / SLOWING)
         step = dt / STOPPING_TIME
         if self._stopping:
-            wanted = min(wanted, self._rate - step)
-        wanted = max(wanted, self._rate - 2.0 * dt / SLOWING)
-        return max(0.0, min(wanted, self._rate + step))
+            rate = min(rate, self._rate - step)
+        rate = max(rate, self._rate - 2.0 * dt / SLOWING)
+        return max(0.0, min(rate, self._rate + step))
 
     def _path(self) -> Joints:
         points = self._points
         while len(points) > 3 and points[2][0] <= self._t:
             points.popleft()
-        near = list(islice(points, 4))
-        at = 1 if len(near) > 2 and near[1][0] <= self._t else 0
-        if len(near) < 2:
-            return near[0][1]
-        (t0, q0), (t1, q1) = near[at], near[at + 1]
+        neighbours = list(islice(points, 4))
+        index = 1 if len(neighbours) > 2 and neighbours[1][0] <= self._t else 0
+        if len(neighbours) < 2:
+            return neighbours[0][1]
+        (t0, q0), (t1, q1) = neighbours[index], neighbours[index + 1]
         span = t1 - t0
         u = (self._t - t0) / span
-        slope0 = _slope(near, at)
-        slope1 = _slope(near, at + 1)
+        slope0 = _slope(neighbours, index)
+        slope1 = _slope(neighbours, index + 1)
         rise, bend = u * u * (3.0 - 2.0 * u), u * (1.0 - u) * span
         return tuple(
             a + rise * (b - a) + bend * ((1.0 - u) * da - u * db)
@@ -121,13 +121,13 @@ class Player:
         )
 
 
-def _slope(points: Sequence[tuple[float, Joints]], at: int) -> Joints:
+def _slope(points: Sequence[tuple[float, Joints]], index: int) -> Joints:
     """The slope of the parabola through a point and its neighbours; of the line where there is but one."""
-    if at in (0, len(points) - 1):
-        (ta, qa), (tb, qb) = points[:2] if at == 0 else points[-2:]
+    if index in (0, len(points) - 1):
+        (ta, qa), (tb, qb) = points[:2] if index == 0 else points[-2:]
         return tuple((b - a) / (tb - ta) for a, b in zip(qa, qb, strict=True))
-    t, q = points[at]
-    before, after = points[at - 1], points[at + 1]
+    t, q = points[index]
+    before, after = points[index - 1], points[index + 1]
     h0, h1 = t - before[0], after[0] - t
     return tuple(
         ((b - a) / h0 * h1 + (c - b) / h1 * h0) / (h0 + h1)

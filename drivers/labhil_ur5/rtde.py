@@ -52,24 +52,24 @@ class Packages:
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
         """Give (letter, payload) of every package that is whole now; ProtocolError for nonsense."""
-        rest = self._rest
-        rest += data
+        buffer = self._rest
+        buffer += data
         start = 0
         try:
-            while len(rest) - start >= HEADER.size:
-                size, letter = HEADER.unpack_from(rest, start)
+            while len(buffer) - start >= HEADER.size:
+                size, letter = HEADER.unpack_from(buffer, start)
                 if size < HEADER.size or letter not in LETTERS:
                     raise ProtocolError(
                         f"{self._who}: expected RTDE packages, found one of {size} bytes and kind {letter}: "
                         "is this a UR?"
                     )
-                if len(rest) - start < size:
+                if len(buffer) - start < size:
                     break
-                payload = bytes(rest[start + HEADER.size : start + size])
+                payload = bytes(buffer[start + HEADER.size : start + size])
                 start += size
                 yield letter, payload
         finally:
-            del rest[:start]
+            del buffer[:start]
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,12 +77,12 @@ def leaves(residual: FloatArray, band: float) -> int | None:
     """
     needed = min(RUN, max(SHORTEST_RUN, len(residual) // 5))
     known = np.nan_to_num(residual, nan=np.inf, posinf=np.inf, neginf=-np.inf)
-    found = [first for side in (known, -known) if (first := _run(side > band, needed)) is not None]
-    return min(found, default=None)
+    run_starts = [first for side in (known, -known) if (first := _first_run(side > band, needed)) is not None]
+    return min(run_starts, default=None)
 
 
-def _run(beyond: np.ndarray, needed: int) -> int | None:
-    """Where the first run of so many begins."""
+def _first_run(beyond: np.ndarray, needed: int) -> int | None:
+    """Index at which the first run of ``needed`` values begins; None without one."""
     if len(beyond) < needed:
         return None
     counts = np.convolve(beyond, np.ones(needed, dtype=np.int64), "valid")

@@ -11,7 +11,7 @@ import numpy as np
 
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Joint, Patch, difference, drafts, write
-from labhil.analysis.patch_source import Found
+from labhil.analysis.patch_source import PatchSource
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
@@ -20,8 +20,8 @@ from labhil.physics.terms import keyed
 from labhil.python_file import module_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.simulators.arm import TORQUE, ArmFileModel, ArmSimulator, arm_simulator
-from labhil.simulators.arm_companion import Beside
-from labhil.simulators.arm_patches import ROTOR, PatchedArm, patched_arm
+from labhil.simulators.arm_companion import CompanionValues
+from labhil.simulators.arm_patches import ROTOR, PatchedArm, patch_arm
 from labhil.simulators.arm_run import ArmFileRun, Companion
 from labhil.simulators.xml_text import XmlText
 
@@ -51,8 +51,8 @@ class ArmBench:
         return model.constants_at(theta)
 
 
-def patch_arm(
-    found: Found,
+def repair_arm(
+    source: PatchSource,
     into: Path,
     out: Path,
     rig_file: Path | None,
@@ -65,27 +65,27 @@ def patch_arm(
         UsageError: The files do not belong together, or the repaired file does not keep the promise.
     """
     bench = ArmBench.of(into, rig_file)
-    material = load_dataset(found.search, bench.rig, found.test or None, holdout)
+    material = load_dataset(source.search, bench.rig, source.test or None, holdout)
     model = material.model
     if not isinstance(model, ArmFileModel):
         raise UsageError("expected a diagnosis of one recording of an arm, found one of several recordings")
-    theta = _theta(model, found.values)
+    theta = _theta(model, source.values)
     progress("scoring the diagnosed model on the held-out data")
     promised = _score(model, theta, material)
-    _check_promise(into, found, promised)
+    _check_promise(into, source, promised)
     code = out.with_name(f"{out.stem}_effects.py")
-    before = _run(bench, model, into, _bare(bench, model, theta), material, into)
+    before = _run(bench, model, into, _bare_companion(bench, model, theta), material, into)
     attempts: list[Attempt] = []
-    for extra in ("", FIRM):
-        candidate, beside = _candidate(bench, model, theta, found.values, firm=bool(extra))
-        progress(f"running the repaired file on the held-out data{extra and ', '}{extra}")
-        after = _run(bench, model, out, beside, material, into, candidate)
-        attempts.append(Attempt(extra, after.rmse, after.rmse / promised.rmse))
+    for remedy in ("", FIRM):
+        candidate, companion = _candidate(bench, model, theta, source.values, firm=bool(remedy))
+        progress(f"running the repaired file on the held-out data{remedy and ', '}{remedy}")
+        after = _run(bench, model, out, companion, material, into, candidate)
+        attempts.append(Attempt(remedy, after.rmse, after.rmse / promised.rmse))
         if attempts[-1].ratio <= KEPT:
             break
     else:
-        raise UsageError(_refusal(into, attempts, promised.rmse, beside))
-    write(candidate.text, beside.text(out.name), out, code)
+        raise UsageError(_refusal(into, attempts, promised.rmse, companion))
+    write(candidate.text, companion.text(out.name), out, code)
     joints = tuple(
         Joint(name, c.unit, b.rmse, p.rmse, c.rmse)
         for name, b, p, c in zip(
@@ -94,13 +94,14 @@ def patch_arm(
     )
     return Patch(
         out, code, tuple(candidate.text.changes), tuple(candidate.left), difference(candidate.text, out),
-        found.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints, beside.unheld,
+        source.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints,
+        companion.unheld,
     )  # fmt: skip
 
 
-def _check_promise(into: Path, found: Found, promised: Score) -> None:
+def _check_promise(into: Path, source: PatchSource, promised: Score) -> None:
     """UsageError where the values do not make the error that the result states."""
-    for stated, channel in zip(found.channels, promised.channels, strict=False):
+    for stated, channel in zip(source.channels, promised.channels, strict=False):
         if channel.rmse > OTHERS * stated:
             raise UsageError(
                 f"the result promises an error of {stated:.4g} {channel.unit} in {channel.channel} of joint "
@@ -123,58 +124,62 @@ def _score(model: ArmFileModel, theta: np.ndarray, material: Dataset) -> Score:
 
 def _candidate(
     bench: ArmBench, model: ArmFileModel, theta: np.ndarray, values: Mapping[str, float], *, firm: bool
-) -> tuple[PatchedArm, Beside]:
-    """The file with the values, and what stands beside it."""
+) -> tuple[PatchedArm, CompanionValues]:
+    """The file with the values, and its companion."""
     inertial, payload = model.inertial_at(theta)
-    own = {key for key in values if key.startswith(("grouped_", "torque_constant["))}
-    effects = {key: v for key, v in values.items() if key not in own and not key.startswith(PAYLOAD)}
+    base_keys = {key for key in values if key.startswith(("grouped_", "torque_constant["))}
+    effects = {key: v for key, v in values.items() if key not in base_keys and not key.startswith(PAYLOAD)}
     text = XmlText.read(bench.path)
-    patched = patched_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
+    patched = patch_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
     dry = [effects.get(keyed("coulomb_friction.level", j), 0.0) for j in range(model.joints)]
     rotors = {key for key, v in patched.left.items() if key.startswith(ROTOR) and v > 0.0 and patched.urdf}
-    left = {key: v for key, v in patched.left.items() if key not in rotors}
-    armature = tuple(patched.left[k] if k in rotors else 0.0 for k in _by_joint(ROTOR, model.joints))
+    remaining = {key: v for key, v in patched.left.items() if key not in rotors}
+    armature = tuple(patched.left[k] if k in rotors else 0.0 for k in _joint_keys(ROTOR, model.joints))
     constants = bench.constants(model, theta)
-    return patched, Beside(left, constants, bench.simulator.joints, dry, patched.unsaid, armature)
+    return patched, CompanionValues(
+        remaining, constants, bench.simulator.joints, dry, patched.unsaid, armature
+    )
 
 
-def _by_joint(name: str, joints: int) -> list[str]:
+def _joint_keys(name: str, joints: int) -> list[str]:
     return [keyed(name, joint) for joint in range(joints)]
 
 
-def _bare(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> Beside:
-    """Beside the file as it was: torque constants alone."""
-    return Beside({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
+def _bare_companion(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> CompanionValues:
+    """The companion of the file as it was: torque constants alone."""
+    return CompanionValues({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
 
 
 def _run(
     bench: ArmBench,
     model: ArmFileModel,
     out: Path,
-    beside: Beside,
+    companion: CompanionValues,
     material: Dataset,
     into: Path,
     candidate: PatchedArm | None = None,
 ) -> Score:
-    """Score a file, loaded from where it shall stand under a name of its own, with what stands beside it."""
+    """Score a file with its companion, both loaded under temporary names from the folder of the new file."""
     with drafts(out) as (draft, code):
         content = XmlText.read(into).content if candidate is None else candidate.text.changed()
         draft.write_bytes(content)
-        code.write_text(beside.text(out.name), encoding="utf-8")
+        code.write_text(companion.text(out.name), encoding="utf-8")
         outputs = {bench.simulator.output: bench.simulator.measures}
         simulator = arm_simulator(draft, None, outputs, bench.simulator.name)
         functions: Companion = cast("Companion", module_of(code))
-        itself = ArmFileRun(simulator, bench.rig, material.judge, functions, model.cut_off, firm=beside.firm)
-        return _score(itself, start_values(itself.parameters), material)
+        file_run = ArmFileRun(
+            simulator, bench.rig, material.judge, functions, model.cut_off, firm=companion.firm
+        )
+        return _score(file_run, start_values(file_run.parameters), material)
 
 
-def _refusal(into: Path, attempts: list[Attempt], promised: float, beside: Beside) -> str:
+def _refusal(into: Path, attempts: list[Attempt], promised: float, companion: CompanionValues) -> str:
     tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.3f} times)" for a in attempts)
-    without = f"; run without {', '.join(beside.unheld)}, which neither holds" if beside.unheld else ""
+    without = f"; run without {', '.join(companion.unheld)}, which neither holds" if companion.unheld else ""
     return (
         f"{into}: expected the repaired file to make an error of {promised:.4g} noise floors on held-out "
         f"data, or up to {KEPT:g} times that, found {tried}{without}; nothing is written"
     )
 
 
-__all__ = ["patch_arm"]
+__all__ = ["repair_arm"]

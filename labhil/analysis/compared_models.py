@@ -1,4 +1,4 @@
-"""What is compared: results as models, and the recordings that all of them are held against."""
+"""What is compared: results as models, and the recordings that all of them are tested on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labhil.analysis.dataset import HOLDOUT
-from labhil.analysis.results import SavedModel
+from labhil.analysis.saved_model import SavedModel
 from labhil.analysis.schema import (
     DiagnosisPart,
     FitPart,
@@ -25,7 +25,7 @@ MOST_MODELS = 8
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A model that is compared; ``name`` tells it from the others."""
+    """A model that is compared, with a ``name`` of its own."""
 
     name: str
     saved: SavedModel
@@ -53,7 +53,7 @@ class Candidate:
 
     @property
     def stretches(self) -> list[Stretch]:
-        """What it was judged on: its test recordings, else what was held out of those it comes from."""
+        """What it was judged on: its test recordings, else the parts held out of its training recordings."""
         tests = [Stretch.whole(source) for source in self.part.recordings if source.role == "test"]
         if tests:
             return tests
@@ -70,16 +70,16 @@ class Candidate:
         learnt = [s for s in self.part.recordings if s.role != "test" and s.sha256 == sha256]
         if not learnt or not sha256:
             return False
-        own = [each for each in self.stretches if each.source.sha256 == sha256]
-        held = bool(own) and not (isinstance(self.part, FitPart) and self.part.test is None)
-        if not held or any(each.source.role == "test" for each in own):
+        stretches = [stretch for stretch in self.stretches if stretch.source.sha256 == sha256]
+        held_out = bool(stretches) and not (isinstance(self.part, FitPart) and self.part.test is None)
+        if not held_out or any(stretch.source.role == "test" for stretch in stretches):
             return True
-        return span is None or not any(each.holds(span) for each in own)
+        return span is None or not any(stretch.holds(span) for stretch in stretches)
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A recording that a result names, from ``begin`` to ``end`` s; ``supposed`` where nobody wrote that."""
+    """A recording that a result names, from ``begin`` to ``end`` s; ``supposed`` where no file states it."""
 
     source: Source
     begin: float
@@ -94,7 +94,7 @@ class Stretch:
 
     @classmethod
     def last(cls, source: Source) -> Stretch:
-        """The share that is held out where nobody says another."""
+        """The share that is held out by default."""
         begin, duration = source.start or 0.0, source.duration or 0.0
         return cls(source, begin + (1.0 - HOLDOUT) * duration, begin + duration, supposed=True)
 
@@ -104,25 +104,26 @@ class Stretch:
 
 
 def candidates_of(given: Sequence[Path | SavedModel]) -> list[Candidate]:
-    """The models of results: a fit's, a diagnosis' final one, and that which a verification held.
+    """The models of results: a fit's, a diagnosis' final one, the one that a verification tested.
 
-    Raises ModelFileError for a file that is none, UsageError where these are not two to eight of one rig.
+    Raises ModelFileError for a file without a model, UsageError unless these are two to eight of one rig.
     """
-    found = [_result_of(each) for each in given]
-    if len(found) < 2:
+    models = [_result_of(each) for each in given]
+    if len(models) < 2:
         raise UsageError(
             f"compare: expected two results or more (JSON of `labhil fit` or `labhil diagnose`), found "
-            f"{len(found)}"
+            f"{len(models)}"
         )
-    if len(found) > MOST_MODELS:
-        raise UsageError(f"compare: expected {MOST_MODELS} results at most, found {len(found)}")
-    names = _names([saved.name for saved, _ in found])
-    candidates = [Candidate(name, *each) for name, each in zip(names, found, strict=True)]
+    if len(models) > MOST_MODELS:
+        raise UsageError(f"compare: expected {MOST_MODELS} results at most, found {len(models)}")
+    names = _names([saved.name for saved, _ in models])
+    candidates = [Candidate(name, *each) for name, each in zip(names, models, strict=True)]
     first = candidates[0]
-    for other in candidates[1:]:
-        if other.rig != first.rig:
+    for candidate in candidates[1:]:
+        if candidate.rig != first.rig:
             raise ModelFileError(
-                f"{other.saved}: expected a model of {first.rig}, as {first.saved}, found one of {other.rig}"
+                f"{candidate.saved}: expected a model of {first.rig}, as {first.saved}, found one of "
+                f"{candidate.rig}"
             )
     return candidates
 

@@ -12,10 +12,12 @@ import numpy as np
 
 from labhil.analysis.compared_models import Candidate, Stretch, candidates_of
 from labhil.analysis.comparison_words import next_steps, statement
-from labhil.analysis.dataset import Taken, measured_of, naming, read_all, refuse_holes, rig_of
+from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
 from labhil.analysis.paired import block_squares, paired_p_value
-from labhil.analysis.results import SavedModel, Source, finite
-from labhil.analysis.schema import ComparisonPart, checked
+from labhil.analysis.results import Source, finite
+from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.saved_model import SavedModel
+from labhil.analysis.schema import ComparisonPart, validate
 from labhil.analysis.shared_parameters import ALPHA, shared_parameters
 from labhil.analysis.simulate import model_on
 from labhil.errors import OptionError, RecordingError, UsageError
@@ -28,8 +30,8 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
 Span = tuple[float, float]
-HAIR = 1e-9
-"""Of a stretch's ends, s."""
+SLACK = 1e-9
+"""Added at both ends of a stretch, whose times were calculated, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,12 @@ class ComparisonResult:
     @property
     def part(self) -> ComparisonPart:
         """What the JSON says, as it is printed."""
-        return checked(ComparisonPart, self.json, "the comparison")
+        return validate(ComparisonPart, self.json, "the comparison")
 
 
 def compare_study(
     results: Sequence[Path | SavedModel],
-    recordings: Sequence[Taken] = (),
+    recordings: Sequence[RecordingLike] = (),
     rig_file: Path | RigFile | None = None,
     *,
     horizon: float | None = None,
@@ -75,23 +77,28 @@ def compare_study(
         raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
     began = time.perf_counter()
     candidates = candidates_of(results)
-    taken, spans, notes = _what_on(candidates, recordings)
-    read = [each.of_device(device) for each in _read(taken, run, candidates[0], given=bool(recordings))]
-    found = []
-    for recording, span in zip(read, spans, strict=True):
+    selected, spans, notes = _choose_recordings(candidates, recordings)
+    loaded = [
+        recording.of_device(device)
+        for recording in _read_recordings(selected, run, candidates[0], explicit=bool(recordings))
+    ]
+    compared = []
+    for recording, span in zip(loaded, spans, strict=True):
         progress(f"simulating {len(candidates)} models on {recording.path.name}")
-        found.append(_compared(recording, span, candidates, rig_file, horizon))
-    notes += _seen(candidates, found)
-    data = _json(candidates, found, notes)
+        compared.append(_compare_on(recording, span, candidates, rig_file, horizon))
+    notes += _fitted_note(candidates, compared)
+    data = _comparison_json(candidates, compared, notes)
     data["seconds"] = time.perf_counter() - began
-    losses = tuple(line for recording in read for line in recording.losses())
-    return ComparisonResult(tuple(each.name for each in candidates), tuple(found), losses, finite(data))
+    losses = tuple(line for recording in loaded for line in recording.losses())
+    return ComparisonResult(
+        tuple(candidate.name for candidate in candidates), tuple(compared), losses, finite(data)
+    )
 
 
-def _what_on(
-    candidates: Sequence[Candidate], recordings: Sequence[Taken]
-) -> tuple[list[Taken], list[Span | None], list[str]]:
-    """The recordings to compare on, which span of each, and what has to be said of the choice."""
+def _choose_recordings(
+    candidates: Sequence[Candidate], recordings: Sequence[RecordingLike]
+) -> tuple[list[RecordingLike], list[Span | None], list[str]]:
+    """The recordings to compare on, the span of each, and notes on the choice."""
     if recordings:
         return list(recordings), [None] * len(recordings), []
     first, *others = candidates
@@ -108,7 +115,11 @@ def _what_on(
             f"{first.name} does not say what was held out of its recording: its last 30 % are taken, the "
             "default."
         )
-    return [Path(each.source.path) for each in stretches], [_span(each) for each in stretches], notes
+    return (
+        [Path(stretch.source.path) for stretch in stretches],
+        [_span(stretch) for stretch in stretches],
+        notes,
+    )
 
 
 def _places(candidate: Candidate) -> list[tuple[str, float, float]]:
@@ -116,24 +127,26 @@ def _places(candidate: Candidate) -> list[tuple[str, float, float]]:
 
 
 def _span(stretch: Stretch) -> Span:
-    """The stretch with a hair at both ends, since its times were calculated."""
-    return stretch.begin - HAIR, stretch.end + HAIR
+    """The stretch, widened by the slack at both ends."""
+    return stretch.begin - SLACK, stretch.end + SLACK
 
 
-def _read(taken: list[Taken], run: int | None, first: Candidate, *, given: bool) -> list[Recording]:
-    missing = [each for each in taken if isinstance(each, Path) and not each.is_file()]
-    if missing and not given:
+def _read_recordings(
+    selected: list[RecordingLike], run: int | None, first: Candidate, *, explicit: bool
+) -> list[Recording]:
+    missing = [path for path in selected if isinstance(path, Path) and not path.is_file()]
+    if missing and not explicit:
         raise RecordingError(
             f"{missing[0]}: expected the recording that {first.name} was judged on, found no such file; "
             "--recording names where it is now, or another"
         )
-    read = read_all(taken, run)
-    if not read:
+    recordings = read_all(selected, run)
+    if not recordings:
         raise UsageError(f"{first.name}: expected a recording that it was judged on, found none named")
-    return read
+    return recordings
 
 
-def _compared(
+def _compare_on(
     recording: Recording,
     span: Span | None,
     candidates: Sequence[Candidate],
@@ -150,7 +163,7 @@ def _compared(
     with naming([recording]):
         records, measured = measured_of([recording], rig, span)
         refuse_holes(recording.path, records[0])
-        ready = [model_on(measured, rig, each.saved) for each in candidates]
+        ready = [model_on(measured, rig, candidate.saved) for candidate in candidates]
         stated = horizon or rig.metric.horizon
         # one length for all: the longest that a model asks for
         length = stated or max(scored_horizon(model, theta, record) for model, record, theta in ready)
@@ -167,9 +180,9 @@ def _compared(
     return ComparedRecording(source, ready[0][1], tuple(scores))
 
 
-def _seen(candidates: Sequence[Candidate], found: Sequence[ComparedRecording]) -> list[str]:
+def _fitted_note(candidates: Sequence[Candidate], compared: Sequence[ComparedRecording]) -> list[str]:
     """A warning of models that have learnt from what they are compared on."""
-    names = [each.name for each in candidates if _was_fitted(each, found)]
+    names = [candidate.name for candidate in candidates if _was_fitted(candidate, compared)]
     if not names:
         return []
     return [
@@ -178,55 +191,55 @@ def _seen(candidates: Sequence[Candidate], found: Sequence[ComparedRecording]) -
     ]
 
 
-def _was_fitted(candidate: Candidate, found: Sequence[ComparedRecording]) -> bool:
-    sources = [each.source for each in found]
+def _was_fitted(candidate: Candidate, compared: Sequence[ComparedRecording]) -> bool:
+    sources = [recording.source for recording in compared]
     return any(candidate.was_fitted_to(s.sha256, (s.start, s.start + s.duration)) for s in sources)
 
 
-def _json(
-    candidates: Sequence[Candidate], found: Sequence[ComparedRecording], notes: Sequence[str]
+def _comparison_json(
+    candidates: Sequence[Candidate], compared: Sequence[ComparedRecording], notes: Sequence[str]
 ) -> dict[str, Any]:
     """The whole answer as plain data (`labhil.comparison/1`)."""
-    errors = [[each.scores[i].errors for each in found] for i in range(len(candidates))]
-    squares = np.array([np.mean(np.vstack(own) ** 2, axis=0) for own in errors])
-    levels = _levels(squares, found)
-    sizes = np.sqrt(np.mean(squares / levels**2, axis=1))
-    best = int(np.argmin(np.where(np.isfinite(sizes), sizes, np.inf)))
-    windows = [each.scores[best].window for each in found]
-    blocks = [block_squares(own, windows, levels) for own in errors]
-    looks = len(candidates) - 1
-    chances = [
-        1.0 if i == best else min(1.0, looks * paired_p_value(blocks[best], blocks[i]))
+    errors = [[recording.scores[i].errors for recording in compared] for i in range(len(candidates))]
+    squares = np.array([np.mean(np.vstack(model_errors) ** 2, axis=0) for model_errors in errors])
+    levels = _levels(squares, compared)
+    rmse_over_noise = np.sqrt(np.mean(squares / levels**2, axis=1))
+    best = int(np.argmin(np.where(np.isfinite(rmse_over_noise), rmse_over_noise, np.inf)))
+    windows = [recording.scores[best].window for recording in compared]
+    blocks = [block_squares(model_errors, windows, levels) for model_errors in errors]
+    tests = len(candidates) - 1
+    p_values = [
+        1.0 if i == best else min(1.0, tests * paired_p_value(blocks[best], blocks[i]))
         for i in range(len(candidates))
     ]
     rows = [
         {
-            "name": each.name,
-            "path": each.saved.name,
-            "made_by": each.made_by,
-            "terms": list(each.terms),
-            "n_parameters": sum(not row.held for row in each.parameters),
-            "adequacy": adequacy_of([one.scores[i] for one in found]).verdict.value,
-            "rmse_over_noise": float(sizes[i]),
+            "name": candidate.name,
+            "path": candidate.saved.name,
+            "made_by": candidate.made_by,
+            "terms": list(candidate.terms),
+            "n_parameters": sum(not row.held for row in candidate.parameters),
+            "adequacy": adequacy_of([recording.scores[i] for recording in compared]).verdict.value,
+            "rmse_over_noise": float(rmse_over_noise[i]),
             "per_channel": [
                 {**asdict(row), "rmse_over_noise": row.rmse / row.noise_floor}
-                for row in pooled([one.scores[i] for one in found])
+                for row in pool_scores([recording.scores[i] for recording in compared])
             ],
-            "times_best": float(sizes[i] / sizes[best]),
-            "p_value": chances[i],
-            "worse_than_best": i != best and chances[i] < ALPHA,
-            "fitted_to_it": _was_fitted(each, found),
+            "times_best": float(rmse_over_noise[i] / rmse_over_noise[best]),
+            "p_value": p_values[i],
+            "worse_than_best": i != best and p_values[i] < ALPHA,
+            "fitted_to_it": _was_fitted(candidate, compared),
         }
-        for i, each in enumerate(candidates)
+        for i, candidate in enumerate(candidates)
     ]
     equals = [row for row in rows if not row["worse_than_best"]]
-    metric = found[0].scores[0].metric
+    metric = compared[0].scores[0].metric
     data = {
         "schema": "labhil.comparison/1",
-        "recordings": [asdict(each.source) for each in found],
+        "recordings": [asdict(recording.source) for recording in compared],
         "rig": candidates[0].rig,
         "metric": metric.value,
-        "horizon": found[0].scores[0].horizon if metric is not Metric.INVERSE_DYNAMICS else None,
+        "horizon": compared[0].scores[0].horizon if metric is not Metric.INVERSE_DYNAMICS else None,
         "verdict": "one_best" if len(equals) == 1 else "alike",
         "statement": "",
         "best": candidates[best].name,
@@ -237,7 +250,7 @@ def _json(
         "next_steps": [],
         "notes": list(notes),
     }
-    part = checked(ComparisonPart, finite(data), "the comparison")
+    part = validate(ComparisonPart, finite(data), "the comparison")
     return data | {"statement": statement(part), "next_steps": next_steps(part)}
 
 
@@ -246,23 +259,26 @@ def _simplicity(row: Mapping[str, Any]) -> tuple[int, bool, float]:
     return row["n_parameters"], row["fitted_to_it"], row["rmse_over_noise"]
 
 
-def _levels(squares: FloatArray, found: Sequence[ComparedRecording]) -> FloatArray:
+def _levels(squares: FloatArray, compared: Sequence[ComparedRecording]) -> FloatArray:
     """The noise level of each output, (c,): its floor under the model that simulates it best."""
-    rows = [pooled([one.scores[i] for one in found]) for i in range(len(squares))]
+    rows = [pool_scores([recording.scores[i] for recording in compared]) for i in range(len(squares))]
     floors = np.array([[channel.noise_floor for channel in row] for row in rows])
     finite_squares = np.where(np.isfinite(squares), squares, np.inf)
     return np.asarray(floors[np.argmin(finite_squares, axis=0), np.arange(floors.shape[1])])
 
 
-def pooled(scores: Sequence[Score]) -> tuple[ChannelScore, ...]:
+def pool_scores(scores: Sequence[Score]) -> tuple[ChannelScore, ...]:
     """The figures of a model's outputs over several recordings, every sample with the same weight."""
     if len(scores) == 1:
         return scores[0].channels
-    counts = [len(each.rows) for each in scores]
-    return tuple(_pooled(rows, counts) for rows in zip(*(each.channels for each in scores), strict=True))
+    counts = [len(recording_score.rows) for recording_score in scores]
+    return tuple(
+        _pool_channel(rows, counts)
+        for rows in zip(*(recording_score.channels for recording_score in scores), strict=True)
+    )
 
 
-def _pooled(rows: Sequence[ChannelScore], counts: Sequence[int]) -> ChannelScore:
+def _pool_channel(rows: Sequence[ChannelScore], counts: Sequence[int]) -> ChannelScore:
     mse = float(np.average([row.mse for row in rows], weights=counts))
     spread = float(np.average([row.mse / (1.0 - row.r2) for row in rows], weights=counts))
     floor = float(np.sqrt(np.average([row.noise_floor**2 for row in rows], weights=counts)))

@@ -6,33 +6,33 @@ from labhil.analysis.schema import ComparedModel, ComparisonPart
 from labhil.physics.terms import enumerated, keyed
 
 
-def statement(found: ComparisonPart) -> str:
+def statement(comparison: ComparisonPart) -> str:
     """Which model explains the recording best, by how much, and whether that is more than noise."""
-    best = found.best_model
+    best = comparison.best_model
     others = sorted(
-        (model for model in found.models if model.name != best.name),
+        (model for model in comparison.models if model.name != best.name),
         key=lambda model: model.times_best or 1e300,
     )
     equals = [model for model in others if not model.worse_than_best]
-    what = "recordings" if len(found.recordings) > 1 else "recording"
+    what = "recordings" if len(comparison.recordings) > 1 else "recording"
     if not equals:
         return (
-            f"{best.name} explains the {what} best, {_how_well(best)}; next is {others[0].name} with "
-            f"{_times(others[0])} its error, more than noise ({_p(others[0])})."
+            f"{best.name} explains the {what} best, {_error_phrase(best)}; next is {others[0].name} with "
+            f"{_ratio_phrase(others[0])} its error, more than noise ({_p_phrase(others[0])})."
         )
-    names = [model.name for model in found.models if model is best or model in equals]
+    names = [model.name for model in comparison.models if model is best or model in equals]
     worse = [model for model in others if model.worse_than_best]
     least = min(worse, key=lambda model: model.times_best or 1e300, default=None)
-    rest = "" if least is None else f"; {least.name} has {_times(least)} their error"
+    rest = "" if least is None else f"; {least.name} has {_ratio_phrase(least)} their error"
     differ = max((model.times_best or 1.0) - 1.0 for model in equals)
     nearest = min(equals, key=lambda model: model.p_value or 0.0)
     return (
-        f"{enumerated(names)} explain the {what} alike, {_how_well(best)}: their errors differ by "
-        f"{100 * differ:.2g} %, no more than noise ({_p(nearest)}){rest}."
+        f"{enumerated(names)} explain the {what} alike, {_error_phrase(best)}: their errors differ by "
+        f"{100 * differ:.2g} %, no more than noise ({_p_phrase(nearest)}){rest}."
     )
 
 
-def _how_well(model: ComparedModel) -> str:
+def _error_phrase(model: ComparedModel) -> str:
     size = "–" if model.rmse_over_noise is None else f"{model.rmse_over_noise:.3g}"
     if model.adequacy == "explained":
         return f"to the noise (error {size} noise levels)"
@@ -46,33 +46,33 @@ def _file(model: ComparedModel) -> str:
     return model.path if model.path.endswith(".json") else "MODEL.json"
 
 
-def _times(model: ComparedModel) -> str:
+def _ratio_phrase(model: ComparedModel) -> str:
     return "far more than" if model.times_best is None else f"{model.times_best:.3g} times"
 
 
-def _p(model: ComparedModel) -> str:
+def _p_phrase(model: ComparedModel) -> str:
     value = model.p_value or 0.0
     return "p < 1e-99" if value < 1e-99 else f"p = {value:.2g}"
 
 
-def next_steps(found: ComparisonPart) -> list[str]:
+def next_steps(comparison: ComparisonPart) -> list[str]:
     """What to do next, the most useful first."""
-    best, steps = found.best_model, list[str]()
-    path = found.recordings[0].path
-    preferred = next(model for model in found.models if model.name == found.preferred)
+    best, steps = comparison.best_model, list[str]()
+    path = comparison.recordings[0].path
+    preferred = next(model for model in comparison.models if model.name == comparison.preferred)
     if best.adequacy != "explained":
         steps.append(
             f"No model explains the data to the noise: `labhil diagnose {path} --model {_file(best)}` names "
             "what the best one lacks."
         )
-    if found.verdict == "alike":
+    if comparison.verdict == "alike":
         steps.append(
-            f"Take {found.preferred}: it has {preferred.n_parameters} parameters, no model that explains the "
-            "data as well has fewer. A longer recording, or one with other amplitudes and frequencies, may "
-            "tell them apart."
+            f"Take {comparison.preferred}: it has {preferred.n_parameters} parameters, no model that "
+            "explains the data as well has fewer. A longer recording, or one with other amplitudes and "
+            "frequencies, may tell them apart."
         )
-    seen = [model.name for model in found.models if model.fitted_to_it]
-    if seen:
+    fitted = [model.name for model in comparison.models if model.fitted_to_it]
+    if fitted:
         steps.append(
             "Compare on a recording that none of them was fitted to: `labhil compare … --recording NEW.mcap`."
         )
@@ -80,11 +80,11 @@ def next_steps(found: ComparisonPart) -> list[str]:
         steps.append(
             f"Hold the next recording against it: `labhil verify NEW.mcap --model {_file(preferred)}`."
         )
-    apart = [keyed(row.name, row.joint) for row in found.parameters if row.agree is False]
-    if apart:
+    disagreeing = [keyed(row.name, row.joint) for row in comparison.parameters if row.agree is False]
+    if disagreeing:
         steps.append(
-            f"The models disagree about {', '.join(apart)}: where they have different terms, one takes up "
-            "what the other lacks; where they have the same terms, the rig has changed between their "
+            f"The models disagree about {', '.join(disagreeing)}: where they have different terms, one takes "
+            "up what the other lacks; where they have the same terms, the rig has changed between their "
             "recordings."
         )
     return steps

@@ -16,64 +16,64 @@ UNNAMED = "unmodelled_force"
 Steps = Iterator[str]
 
 
-def next_steps(found: DiagnosisPart) -> tuple[str, ...]:
+def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
     """What to do next, the most useful first: a sentence or two each."""
-    return tuple(_STEPS[found.verdict](found))
+    return tuple(_STEPS[diagnosis.verdict](diagnosis))
 
 
-def _path(found: DiagnosisPart) -> str:
-    return found.recordings[0].path if found.recordings else "REC.mcap"
+def _path(diagnosis: DiagnosisPart) -> str:
+    return diagnosis.recordings[0].path if diagnosis.recordings else "REC.mcap"
 
 
-def _baseline(found: DiagnosisPart) -> str:
-    return ",".join(listed(found.baseline.terms)) or "none"
+def _baseline(diagnosis: DiagnosisPart) -> str:
+    return ",".join(listed(diagnosis.baseline.terms)) or "none"
 
 
-def _ended_early(found: DiagnosisPart) -> Steps:
-    if not found.complete:
+def _early_end_step(diagnosis: DiagnosisPart) -> Steps:
+    if not diagnosis.complete:
         yield "The search was ended early: let it run to its end, the answer may change."
 
 
-def _of_missing_physics(found: DiagnosisPart) -> Steps:
-    yield from _ended_early(found)
-    for rival in found.rivals:
+def _of_missing_physics(diagnosis: DiagnosisPart) -> Steps:
+    yield from _early_end_step(diagnosis)
+    for rival in diagnosis.rivals:
         yield (
             f"To tell {keyed(rival.term, rival.joint)} from {rival.instead_of}, {rival.experiment}, record"
             " that, and diagnose both recordings together."
         )
-    named = [item for item in found.missing if item.term != UNNAMED]
+    named = [item for item in diagnosis.missing if item.term != UNNAMED]
     sized = [item for item in named if _has_size(item)]
     if sized:
         yield (
-            f"Put {_names(sized)} into your simulation, with the equations and values given here."
+            f"Put {_effect_names(sized)} into your simulation, with the equations and values given here."
             " `labhil patch` writes them into a MuJoCo or URDF file."
         )
     if len(sized) < len(named):
-        sizeless = _names(item for item in named if not _has_size(item))
+        sizeless = _effect_names(item for item in named if not _has_size(item))
         yield (
             f"Of {sizeless} these data know the kind and not the size: state in `[known]` what you know of"
             " the rig, or record a motion that shows it."
         )
-    if len(named) < len(found.missing):
+    if len(named) < len(diagnosis.missing):
         yield (
             "No law of the catalogue has the shape of the curve: use it as a table, or write the law that you"
             " think it is (docs/how-to/add-a-law.md) and diagnose again."
         )
-    if found.remainder is not None and not found.remainder.is_noise:
+    if diagnosis.remainder is not None and not diagnosis.remainder.is_noise:
         yield (
-            f"More than noise remains: `labhil fit {_path(found)} --terms"
-            f" {','.join(listed(found.final.terms))}` shows where in time."
+            f"More than noise remains: `labhil fit {_path(diagnosis)} --terms"
+            f" {','.join(listed(diagnosis.final.terms))}` shows where in time."
         )
-    yield from _judged_on(found)
+    yield from _validation_step(diagnosis)
 
 
 def _has_size(item: MissingEffect) -> bool:
     return not item.parameters or any(row.identifiable for row in item.parameters)
 
 
-def _judged_on(found: DiagnosisPart) -> Steps:
-    better = found.improvement
-    if better is not None and better.data == "test":
+def _validation_step(diagnosis: DiagnosisPart) -> Steps:
+    improvement = diagnosis.improvement
+    if improvement is not None and improvement.data == "test":
         yield "Hold the next recording against it: `labhil verify NEW.mcap --model DIAGNOSIS.json`."
     else:
         yield (
@@ -82,56 +82,56 @@ def _judged_on(found: DiagnosisPart) -> Steps:
         )
 
 
-def _of_parameter_change(found: DiagnosisPart) -> Steps:
-    yield from _ended_early(found)
-    changed = [keyed(each.name, each.joint, each.recording) for each in found.changed]
+def _of_parameter_change(diagnosis: DiagnosisPart) -> Steps:
+    yield from _early_end_step(diagnosis)
+    changed = [keyed(each.name, each.joint, each.recording) for each in diagnosis.changed]
     yield (
         f"Take the new value of {enumerated(changed)} into your simulation, or find out what changed at the"
         " rig. `labhil patch` writes it into a MuJoCo or URDF file."
     )
-    yield from _judged_on(found)
+    yield from _validation_step(diagnosis)
 
 
-def _of_no_mismatch(found: DiagnosisPart) -> Steps:
+def _of_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield (
         "Use the model where the recording went. Other amplitudes, speeds or frequencies may show what is"
         " only excluded up to a size here."
     )
-    yield from _judged_on(found)
+    yield from _validation_step(diagnosis)
 
 
-def _of_unexplained_mismatch(found: DiagnosisPart) -> Steps:
-    yield from _ended_early(found)
-    if found.location is not None and found.location.times:
+def _of_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
+    yield from _early_end_step(diagnosis)
+    if diagnosis.location is not None and diagnosis.location.times:
         yield "Look at the rig and its cables at the times that are named: what happened there?"
     yield (
         "Record what else may drive the rig (a load, a temperature, a supply) as a further channel, or"
         " repeat the run: what comes back at the same place is physics, what does not is a disturbance."
     )
-    yield f"`labhil linear {_path(found)}` tells how well any model without physics predicts these data."
+    yield f"`labhil linear {_path(diagnosis)}` tells how well any model without physics predicts these data."
 
 
-def _of_data_fault(found: DiagnosisPart) -> Steps:
+def _of_data_fault(diagnosis: DiagnosisPart) -> Steps:
     yield (
         "Mend the data first, as each fault says, or take a good stretch with `--span FROM TO`; nothing was"
         " searched."
     )
-    yield f"Then: `labhil diagnose {_path(found)} --baseline {_baseline(found)}`."
+    yield f"Then: `labhil diagnose {_path(diagnosis)} --baseline {_baseline(diagnosis)}`."
 
 
-def _of_not_decidable(found: DiagnosisPart) -> Steps:
-    yield from _ended_early(found)
-    needs = sorted({need for each in found.undecided for need in each.needs})
+def _of_not_decidable(diagnosis: DiagnosisPart) -> Steps:
+    yield from _early_end_step(diagnosis)
+    needs = sorted({need for each in diagnosis.undecided for need in each.needs})
     if needs:
         yield f"Record with {enumerated(needs)}."
-    elif found.complete:
+    elif diagnosis.complete:
         yield (
             "Record longer, and move the rig more: larger amplitudes, both directions, several speeds."
             " `labhil new` writes such an experiment."
         )
 
 
-def _names(effects: Iterable[MissingEffect]) -> str:
+def _effect_names(effects: Iterable[MissingEffect]) -> str:
     return enumerated([keyed(item.term, item.joint) for item in effects])
 
 

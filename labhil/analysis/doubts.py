@@ -9,12 +9,12 @@ from labhil.recording.recording import Recording
 
 
 def doubts_in(recording: Recording) -> list[str]:
-    """A sentence each; nothing of a recording that lacks a rig file, or what a model needs."""
+    """A sentence for each; none of a recording that lacks a rig file, or what a model needs."""
     if recording.rig is None:
         return []
     try:
         record = record_of(recording, recording.rig.kind)
-        found = doubts_of(record, recording.rig, time_column=recording.time_column)
-        return [doubt.statement for doubt in found]
+        doubts = doubts_of(record, recording.rig, time_column=recording.time_column)
+        return [doubt.statement for doubt in doubts]
     except LabhilError:
         return []

@@ -1,4 +1,4 @@
-"""What an import can see of its table at once: faults of the data, and how its inputs run between samples."""
+"""What an import checks in its table: faults of the data, and how its inputs run between samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labhil.signals import Hold
 WORDS = {Hold.ZERO: "held", Hold.LINEAR: "straight"}
 
 
-def checked(
+def check_table(
     table: ImportedTable, progress: Callable[[str], None] = lambda text: None
 ) -> tuple[ImportedTable, list[str]]:
     """Guess the holds that the rig file does not state, and look for faults.
@@ -44,14 +44,14 @@ def _with_holds(
         return table, record, []
     holds, lines = {}, []
     for place, name in enumerate(record.input_names):
-        holds[name], line = _hold_of(table, record, place, progress)
+        holds[name], line = _choose_hold(table, record, place, progress)
         lines.append(line)
     signals = tuple(replace(s, hold=holds.get(s.name, s.hold)) for s in table.stream.signals)
     changed = replace(table, stream=replace(table.stream, signals=signals))
     return changed, record.with_holds(holds), lines
 
 
-def _hold_of(
+def _choose_hold(
     table: ImportedTable, record: Record, place: int, progress: Callable[[str], None]
 ) -> tuple[Hold, str]:
     """How the input ``place`` runs between samples, and a line about it."""

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from labhil.analysis.results import Reference, SavedModel
+from labhil.analysis.saved_model import Reference, SavedModel
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.saved_curve import ModelUnderCurves, SavedCurve
-from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPart, placed
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPart, with_place
 from labhil.physics.model import Model, unit_of
 from labhil.signals import FloatArray
 
@@ -23,36 +23,36 @@ EVEN = 1e-6
 def under_kept_curve(model: Model, path: Reference | None) -> Model:
     """The model under the curves that a fit or diagnosis file has, or as it is where that has none.
 
-    Raises ModelFileError where one of the file's curves is none that this model takes.
+    Raises ModelFileError where this model cannot take one of the file's curves.
     """
-    stated = [] if path is None else _stated(path)
-    if path is None or not stated:
+    entries = [] if path is None else _curve_entries(path)
+    if path is None or not entries:
         return model
     if not isinstance(model, AcceptsExtraForce):
         raise ModelFileError(f"{path}: curve: a model of {model.kind} takes no force beside its terms")
-    return ModelUnderCurves(model, [_curve(path, each, model) for each in stated])
+    return ModelUnderCurves(model, [_parse_curve(path, entry, model) for entry in entries])
 
 
 def curve_note(path: Reference | None) -> list[str]:
-    """What to tell a person of the curves that a model file brings along; nothing where it has none."""
+    """A note on each curve that a model file brings along; empty where it has none."""
     return [
-        f"The model is under the force{_on_joint(stated)} that {path} has as a curve over "
-        f"{', '.join(stated['depends_on'])}."
-        for stated in ([] if path is None else _stated(path))
+        f"The model is under the force{_on_joint(entry)} that {path} has as a curve over "
+        f"{', '.join(entry['depends_on'])}."
+        for entry in ([] if path is None else _curve_entries(path))
     ]
 
 
-def _on_joint(stated: Mapping[str, Any]) -> str:
-    joint = stated.get("joint")
+def _on_joint(entry: Mapping[str, Any]) -> str:
+    joint = entry.get("joint")
     return "" if joint is None else f" on joint {joint}"
 
 
 def curves_json(model: Model) -> list[dict[str, Any]]:
     """The curves of a model under some, as a diagnosis states them; none of any other."""
-    return [_stating(curve) for curve in model.curves] if isinstance(model, ModelUnderCurves) else []
+    return [_curve_json(curve) for curve in model.curves] if isinstance(model, ModelUnderCurves) else []
 
 
-def _stating(curve: SavedCurve) -> dict[str, Any]:
+def _curve_json(curve: SavedCurve) -> dict[str, Any]:
     return {
         "depends_on": [curve.coordinate.name],
         "joint": curve.coordinate.part.joint,
@@ -65,23 +65,23 @@ def _stating(curve: SavedCurve) -> dict[str, Any]:
     }
 
 
-def _stated(path: Reference) -> list[Mapping[str, Any]]:
-    """The fields ``curve`` and ``further_curves`` of a file that was found to be a model's elsewhere."""
+def _curve_entries(path: Reference) -> list[Mapping[str, Any]]:
+    """The fields ``curve`` and ``further_curves`` of a model file; empty where it cannot be read as one."""
     try:
-        whole = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
-        stated = [whole.get("curve"), *(whole.get("further_curves") or ())]
+        document = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
+        entries = [document.get("curve"), *(document.get("further_curves") or ())]
     except (OSError, ValueError, AttributeError, TypeError):
         return []
-    if any(each is not None and not isinstance(each, dict) for each in stated):
-        raise ModelFileError(f"{path}: curve: expected an object or null, found {stated!r}"[:300])
-    return [each for each in stated if each is not None]
+    if any(entry is not None and not isinstance(entry, dict) for entry in entries):
+        raise ModelFileError(f"{path}: curve: expected an object or null, found {entries!r}"[:300])
+    return [entry for entry in entries if entry is not None]
 
 
-def _curve(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce) -> SavedCurve:
+def _parse_curve(path: Reference, entry: Mapping[str, Any], model: AcceptsExtraForce) -> SavedCurve:
     try:
-        name, acts = str(stated["depends_on"][0]), CurveArgument[str(stated["acts"]).upper()]
-        x, value = _numbers(stated["x"][0]), _numbers(stated["value"])
-        low, high = (_numbers(side) for side in stated.get("ci99") or (stated["value"], stated["value"]))
+        name, acts = str(entry["depends_on"][0]), CurveArgument[str(entry["acts"]).upper()]
+        x, value = _numbers(entry["x"][0]), _numbers(entry["value"])
+        low, high = (_numbers(side) for side in entry.get("ci99") or (entry["value"], entry["value"]))
     except (KeyError, IndexError, TypeError, ValueError) as error:
         known = ", ".join(argument.name.lower() for argument in CurveArgument)
         raise ModelFileError(
@@ -97,13 +97,13 @@ def _curve(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce)
     if unit is None:
         known = ", ".join(model.coordinate_units)
         raise ModelFileError(f"{path}: curve: depends_on: expected one of {known}, found {name!r}")
-    coordinate = Coordinate(name, unit, acts, _part(path, stated, placed(model, [name])))
-    return SavedCurve(coordinate, x, value, low, high, str(stated.get("unit", "")), stated.get("formula"))
+    coordinate = Coordinate(name, unit, acts, _moved_part(path, entry, with_place(model, [name])))
+    return SavedCurve(coordinate, x, value, low, high, str(entry.get("unit", "")), entry.get("formula"))
 
 
-def _part(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce) -> MovedPart:
+def _moved_part(path: Reference, entry: Mapping[str, Any], model: AcceptsExtraForce) -> MovedPart:
     """What the curve acts on, by the ``joint`` of an arm; of anything else there is one part."""
-    joint = stated.get("joint")
+    joint = entry.get("joint")
     for part in model.moved:
         if part.joint == joint:
             return part
@@ -112,7 +112,7 @@ def _part(path: Reference, stated: Mapping[str, Any], model: AcceptsExtraForce) 
 
 
 def _numbers(values: Any) -> FloatArray:
-    found = np.array(values, dtype=np.float64)
-    if found.ndim != 1 or not np.all(np.isfinite(found)):
+    numbers = np.array(values, dtype=np.float64)
+    if numbers.ndim != 1 or not np.all(np.isfinite(numbers)):
         raise ValueError(f"expected a list of finite numbers, found {values!r}"[:120])
-    return found
+    return numbers

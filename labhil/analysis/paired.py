@@ -31,15 +31,15 @@ def block_squares(
     """
     total = sum(len(np.unique(window)) for window in windows)
     parts = -(-FEWEST_BLOCKS // max(1, total))
-    found: list[float] = []
+    block_means: list[float] = []
     for error, window in zip(errors, windows, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.mean(np.square(error / levels), axis=1)
         squares = np.nan_to_num(squares, nan=LARGEST_SQUARE, posinf=LARGEST_SQUARE)
         for number in np.unique(window):
             pieces = np.array_split(np.minimum(squares[window == number], LARGEST_SQUARE), parts)
-            found += [float(np.mean(piece)) for piece in pieces if len(piece)]
-    return np.array(found)
+            block_means += [float(np.mean(piece)) for piece in pieces if len(piece)]
+    return np.array(block_means)
 
 
 def paired_p_value(better: FloatArray, worse: FloatArray) -> float:
@@ -53,7 +53,7 @@ def paired_p_value(better: FloatArray, worse: FloatArray) -> float:
         worse: The same of the other.
 
     Returns:
-        The p value; 1 where the blocks say the opposite of the whole, or are the same.
+        The p value; 1 where the blocks speak for the other model, or are the same.
     """
     tiny = np.finfo(np.float64).tiny
     ratios = np.log(np.maximum(worse, tiny)) - np.log(np.maximum(better, tiny))
@@ -71,10 +71,10 @@ def _independence(values: FloatArray) -> float:
 
     The estimate r of ρ about an estimated mean is too small by (1 + 4ρ)/n (Kendall, Biometrika 41, 1954).
     """
-    apart, n = values - values.mean(), len(values)
-    power = float(apart @ apart)
+    deviations, n = values - values.mean(), len(values)
+    power = float(deviations @ deviations)
     if power <= 0.0 or n <= 4:
         return 1.0
-    lag = float(apart[1:] @ apart[:-1]) / power
+    lag = float(deviations[1:] @ deviations[:-1]) / power
     corrected = min(max((n * lag + 1.0) / (n - 4.0), 0.0), 0.95)
     return (1.0 - corrected) / (1.0 + corrected)

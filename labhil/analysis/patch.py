@@ -1,4 +1,4 @@
-"""A repaired file and the one beside it: what was changed, how it does, and how both are written."""
+"""A repaired file and its companion: what was changed, which error is left, and how both are written."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ OTHERS = 1.25
 
 
 FIRM = "firm dry friction"
-"""What is done beside the values where a file's own dry friction is too soft."""
+"""The remedy beside the values where a file's own dry friction is too soft."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A repaired file that was tried: what was done beside the values, its error, that over the model's."""
+    """A repaired file as tried: its remedy ``beside`` the values, its error, ``ratio`` to the model's."""
 
     beside: str
     rmse: float
@@ -104,13 +104,13 @@ def drafts(out: Path) -> Iterator[tuple[Path, Path]]:
                 path.unlink(missing_ok=True)
 
 
-def write(text: XmlText, beside: str, out: Path, code: Path) -> None:
-    """Write the file, and the one beside it, whole or not at all."""
+def write(text: XmlText, companion: str, out: Path, code: Path) -> None:
+    """Write the file and its companion, whole or not at all."""
     with whole(out) as draft:
         draft.write_bytes(text.changed())
-    if beside:
+    if companion:
         with whole(code) as draft:
-            draft.write_text(beside, encoding="utf-8")
+            draft.write_text(companion, encoding="utf-8")
 
 
 def difference(text: XmlText, out: Path) -> str:

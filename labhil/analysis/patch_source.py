@@ -16,8 +16,8 @@ DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """Values by key, the error that is promised on held-out data, the recordings.
+class PatchSource:
+    """Values by key, the error that the result promises on held-out data, and its recordings.
 
     ``horizon`` (s) is None for inverse dynamics. ``channels`` are the promised errors of each channel.
     """
@@ -30,12 +30,12 @@ class Found:
     channels: tuple[float, ...] = ()
 
 
-def read_found(path: Path) -> Found:
+def read_patch_source(path: Path) -> PatchSource:
     """Read the JSON of a diagnosis or a fit.
 
     Raises:
-        ModelFileError: It is none, or has nothing that a file could be given.
-        UsageError: A recording is not there, or is another one than it was.
+        ModelFileError: It is neither, or has nothing that a file could hold.
+        UsageError: A recording is missing, or has changed.
     """
     try:
         data = parse_json(read_document(path))
@@ -50,14 +50,14 @@ def read_found(path: Path) -> Found:
             "that: diagnose again with what you know of it among the terms"
         )
     try:
-        return _found(data, path)
+        return _parse(data, path)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelFileError(
             f"{path}: expected values and an error on held-out data, found none ({error!r})"
         ) from error
 
 
-def _found(data: Mapping[str, Any], path: Path) -> Found:
+def _parse(data: Mapping[str, Any], path: Path) -> PatchSource:
     if data["schema"] == DIAGNOSIS:
         rows, scored = data["final"]["parameters"], data["improvement"]
         promised, name = scored["rmse_after"], "rmse_after"
@@ -66,7 +66,7 @@ def _found(data: Mapping[str, Any], path: Path) -> Found:
         promised, name = scored["rmse"], "rmse"
     tests = [row for row in data["recordings"] if row["role"] == "test"]
     others = [row for row in data["recordings"] if row["role"] != "test"]
-    return Found(
+    return PatchSource(
         {keyed(row["name"], row.get("joint")): float(row["value"]) for row in rows},
         float(promised),
         None if scored["horizon"] is None else float(scored["horizon"]),
@@ -78,17 +78,17 @@ def _found(data: Mapping[str, Any], path: Path) -> Found:
 
 def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ...]:
     """Paths of recordings, as they are stated or beside the result."""
-    found = []
+    files = []
     for row in rows:
         stated = Path(row["path"])
         places = (stated, path.parent / stated, path.parent / stated.name)
-        there = next((place for place in places if place.is_file()), None)
-        if there is None:
+        file = next((place for place in places if place.is_file()), None)
+        if file is None:
             raise UsageError(
                 f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "
                 "put it beside the result"
             )
-        if hashlib.sha256(there.read_bytes()).hexdigest() != row["sha256"]:
-            raise UsageError(f"{there}: expected the recording that {path} was made from, found another")
-        found.append(there)
-    return tuple(found)
+        if hashlib.sha256(file.read_bytes()).hexdigest() != row["sha256"]:
+            raise UsageError(f"{file}: expected the recording that {path} was made from, found another")
+        files.append(file)
+    return tuple(files)

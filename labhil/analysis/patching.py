@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from labhil.analysis.arm_patching import patch_arm
+from labhil.analysis.arm_patching import repair_arm
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Patch, difference, drafts, write
-from labhil.analysis.patch_source import Found, read_found
+from labhil.analysis.patch_source import read_patch_source
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
@@ -18,12 +18,12 @@ from labhil.physics.model import Model, index_of, start_values
 from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.rig_sections import ModelSection
-from labhil.simulators.companion import Left, companion, sorted_out
+from labhil.simulators.companion import SortedEffects, companion, sort_effects
 from labhil.simulators.mjcf import describe
 from labhil.simulators.mjcf_file import Described, load_model
-from labhil.simulators.patches import Patched, patched, shorten_step, stiffen_friction
+from labhil.simulators.patches import Patched, patch_mjcf, shorten_step, stiffen_friction
 from labhil.simulators.rolled_out import RolledOutModel
-from labhil.simulators.urdf_patches import firm_friction, patched_urdf, shorten_urdf_step
+from labhil.simulators.urdf_patches import firm_friction, patch_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
 
 FINER = (2, 4, 8)
@@ -62,39 +62,41 @@ def patch(
     for path in (out, code):
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
-    found = read_found(result)
+    source = read_patch_source(result)
     if load_model(into).njnt > 1:
-        return patch_arm(found, into, out, rig_file, holdout, progress)
-    if found.horizon is None:
+        return repair_arm(source, into, out, rig_file, holdout, progress)
+    if source.horizon is None:
         raise UsageError(f"{result}: expected a simulation of {into}, found inverse dynamics of another file")
     bench = Bench.of(into, rig_file)
-    material = load_dataset(found.search, bench.rig, found.test or None, holdout)
-    values = {**_known(bench.rig), **found.values}
+    material = load_dataset(source.search, bench.rig, source.test or None, holdout)
+    values = {**_known_values(bench.rig), **source.values}
     progress("scoring the diagnosed model on the held-out data")
-    model = _error(material.model, material, found.values, found.horizon)
-    if model.rmse > OTHERS * found.promised:
+    model = _error(material.model, material, source.values, source.horizon)
+    if model.rmse > OTHERS * source.promised:
         raise UsageError(
-            f"{result}: promises an error of {found.promised:.4g} on held-out data, and its values in {into} "
-            f"make one of {model.rmse:.4g}: was it made with another file, --rig or --holdout?"
+            f"{result}: promises an error of {source.promised:.4g} on held-out data, and its values in "
+            f"{into} make one of {model.rmse:.4g}: was it made with another file, --rig or --holdout?"
         )
-    before = bench.run(bench.described, material, {}, found.horizon)
+    before = bench.run(bench.described, material, {}, source.horizon)
     attempts: list[Attempt] = []
-    for beside, candidate in _candidates(bench.described, into, values):
-        progress(f"running the repaired file on the held-out data{beside and ', ' + beside}")
-        left = sorted_out(candidate.left)
-        text = companion(left, out.name, bench.signal, bench.at_rest(candidate), firm=candidate.unsaid)
-        rmse = _tried(bench, candidate, text, out, material, found.horizon)
-        attempts.append(Attempt(beside, rmse, rmse / model.rmse))
-        if attempts[-1].ratio <= KEPT and not left.unknown:
+    for remedy, candidate in _candidates(bench.described, into, values):
+        progress(f"running the repaired file on the held-out data{remedy and ', ' + remedy}")
+        remaining = sort_effects(candidate.left)
+        text = companion(
+            remaining, out.name, bench.signal, bench.rest_velocity(candidate), firm=candidate.unsaid
+        )
+        rmse = _run_candidate(bench, candidate, text, out, material, source.horizon)
+        attempts.append(Attempt(remedy, rmse, rmse / model.rmse))
+        if attempts[-1].ratio <= KEPT and not remaining.unknown:
             needed = bool(candidate.left) or candidate.unsaid
             write(candidate.text, text if needed else "", out, code)
             return Patch(
                 out, code if needed else None, tuple(candidate.text.changes),
-                tuple(candidate.left), difference(candidate.text, out), found.promised, model.rmse, before,
+                tuple(candidate.left), difference(candidate.text, out), source.promised, model.rmse, before,
                 tuple(attempts),
                 model.channels[0].unit if len(model.channels) == 1 else "noise floors",
             )  # fmt: skip
-    raise UsageError(_refusal(into, attempts, model.rmse, left))
+    raise UsageError(_refusal(into, attempts, model.rmse, remaining))
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Bench:
         """Read a file by the names that a rig file gives, or by its own."""
         rig = None if rig_file is None else load_rig(rig_file)
         section = None if rig is None else rig.model
-        described = _described(into, section, "" if rig is None else rig.kind.name)
+        described = _describe(into, section, "" if rig is None else rig.kind.name)
         return cls(described, rig or default_rig(described.simulator.name), section)
 
     @property
@@ -118,11 +120,11 @@ class Bench:
         """Name of the recorded input."""
         return next(iter(self.described.simulator.inputs))
 
-    def at_rest(self, candidate: Patched) -> float:
+    def rest_velocity(self, candidate: Patched) -> float:
         """Velocity over which dry friction of a companion sets in: what one step can settle."""
-        mechanism, left = self.described.mechanism, candidate.left
+        mechanism, remaining = self.described.mechanism, candidate.left
         inertia = mechanism.inertia([value.start for value in mechanism.values])
-        level = sum(abs(number) for name, number in left.items() if name.startswith(DRY))
+        level = sum(abs(number) for name, number in remaining.items() if name.startswith(DRY))
         return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
 
     def run(
@@ -134,12 +136,12 @@ class Bench:
         return _error(model, material, values, horizon).rmse
 
 
-def _described(file: Path, section: ModelSection | None, name: str) -> Described:
+def _describe(file: Path, section: ModelSection | None, name: str) -> Described:
     inputs, outputs = (None, None) if section is None else (section.inputs, section.outputs)
     return describe(file, inputs, outputs, name)
 
 
-def _known(rig: RigFile) -> dict[str, float]:
+def _known_values(rig: RigFile) -> dict[str, float]:
     return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
 
 
@@ -157,43 +159,43 @@ def _candidates(
 ) -> Iterator[tuple[str, Patched]]:
     """The file with the values; then, for what MuJoCo's own steps leave, with firmer friction and finer."""
     urdf = XmlText.read(into).elements[0].tag == "robot"
-    put, shorten = (patched_urdf, shorten_urdf_step) if urdf else (patched, shorten_step)
+    put, shorten = (patch_urdf, shorten_urdf_step) if urdf else (patch_mjcf, shorten_step)
     plain = put(described, XmlText.read(into), values)
     yield "", plain
-    rubs = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
-    for parts in (1, *FINER) if rubs else FINER:
+    has_friction = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
+    for parts in (1, *FINER) if has_friction else FINER:
         candidate = put(described, XmlText.read(into), values)
-        if rubs and urdf:
+        if has_friction and urdf:
             candidate = replace(candidate, unsaid=True)
-        elif rubs:
+        elif has_friction:
             stiffen_friction(described, candidate.text, parts)
         if parts > 1:
             shorten(described, candidate.text, parts)
             candidate = replace(candidate, parts=parts)
-        beside = [FIRM] * rubs + [f"steps of 1/{parts}"] * (parts > 1)
-        yield " and ".join(beside), candidate
+        remedies = [FIRM] * has_friction + [f"steps of 1/{parts}"] * (parts > 1)
+        yield " and ".join(remedies), candidate
 
 
-def _tried(
+def _run_candidate(
     bench: Bench, candidate: Patched, text: str, out: Path, material: Dataset, horizon: float
 ) -> float:
-    """Error of a candidate that is loaded from where it shall stand, under a name of its own."""
+    """Error of a candidate, loaded under a temporary name from the folder of the new file."""
     with drafts(out) as (draft, code):
         draft.write_bytes(candidate.text.changed())
-        described = _described(draft, bench.section, bench.described.simulator.name)
+        described = _describe(draft, bench.section, bench.described.simulator.name)
         if candidate.unsaid:
             firm_friction(described.model, described.mechanism.timestep)
-        if sorted_out(candidate.left).forces:
+        if sort_effects(candidate.left).forces:
             code.write_text(text, encoding="utf-8")
             push: Any = object_of(f"{code.name}:force", code.parent)
             described.mechanism.push = push
         return bench.run(described, material, candidate.left, horizon)
 
 
-def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> str:
-    if left.unknown:
+def _refusal(into: Path, attempts: list[Attempt], model: float, remaining: SortedEffects) -> str:
+    if remaining.unknown:
         return (
-            f"{into}: no way is known to write {', '.join(left.unknown)} of this size into a file (an "
+            f"{into}: no way is known to write {', '.join(remaining.unknown)} of this size into a file (an "
             "armature cannot be negative: correct the inertia of the body); nothing is written"
         )
     tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.2f} times)" for a in attempts)
@@ -203,4 +205,4 @@ def _refusal(into: Path, attempts: list[Attempt], model: float, left: Left) -> s
     )
 
 
-__all__ = ["Attempt", "Found", "Patch", "patch"]
+__all__ = ["Attempt", "Patch", "patch"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.analysis.agreement import Agreement
-from labhil.analysis.results import Reference
+from labhil.analysis.saved_model import Reference
 from labhil.analysis.simulate import model_on
 from labhil.diagnose.intake import with_censored
 from labhil.errors import RecordingError
@@ -125,17 +125,19 @@ class Shadow:
         t, values = t[kept], values[kept]
         if not len(t):
             return
-        every, samples = np.concatenate([self._t, t]), np.concatenate([self._values, values])
-        steps = np.diff(every)
+        times, samples = np.concatenate([self._t, t]), np.concatenate([self._values, values])
+        steps = np.diff(times)
         if len(steps):
             period = float(np.median(steps)) if self._stream.rate <= 0.0 else 1.0 / self._stream.rate
-            torn = np.flatnonzero(steps > LONGEST_STEP * max(period, float(np.median(steps))))
-            if len(torn):
-                self._tear(float(every[torn[-1] + 1]) - (self._next or float(every[torn[-1] + 1])))
-                every, samples = every[torn[-1] + 1 :], samples[torn[-1] + 1 :]
-        self._t, self._values = every, samples
+            gap_rows = np.flatnonzero(steps > LONGEST_STEP * max(period, float(np.median(steps))))
+            if len(gap_rows):
+                self._restart_after_gap(
+                    float(times[gap_rows[-1] + 1]) - (self._next or float(times[gap_rows[-1] + 1]))
+                )
+                times, samples = times[gap_rows[-1] + 1 :], samples[gap_rows[-1] + 1 :]
+        self._t, self._values = times, samples
 
-    def _tear(self, lost: float) -> None:
+    def _restart_after_gap(self, lost: float) -> None:
         self.gaps += 1
         self.dropped += max(0.0, lost)
         self._next = None
@@ -149,7 +151,7 @@ class Shadow:
         """
         if len(self._t) < 2 * FEWEST_SAMPLES:
             return None
-        horizon = self._of_metric()
+        horizon = self._metric_horizon()
         if horizon is None:
             self._forget(self._t[-1] - LONGEST_WAIT)
             return None
@@ -157,7 +159,7 @@ class Shadow:
         if self._next is None:
             self._next = float(self._t[0]) + lead
         late = self._next + MOST_BEHIND * length
-        if self._t[-1] > late + length:  # the newest that is whole, and what lies between is told
+        if self._t[-1] > late + length:  # skip to the newest complete stretch; the gap counts as dropped
             fresh = float(self._t[-1]) - length
             self.dropped += fresh - self._next
             self._next = fresh
@@ -167,10 +169,10 @@ class Shadow:
         self._next = end
         self.unjudged = ""
         used = (self._t >= begin - lead - PAST_IN_HORIZONS * horizon) & (self._t < end)
-        found = self._simulate(self._t[used], self._values[used], begin, lead)
+        stretch = self._simulate(self._t[used], self._values[used], begin, lead)
         self._forget(end - lead - PAST_IN_HORIZONS * horizon)
-        self._follow(found, max(CALM_IN_HORIZONS * horizon, SHORTEST_CALM))
-        return found
+        self._update_agreements(stretch, max(CALM_IN_HORIZONS * horizon, SHORTEST_CALM))
+        return stretch
 
     def _forget(self, before: float) -> None:
         kept = self._t >= before
@@ -182,7 +184,7 @@ class Shadow:
         length = max(STRETCH_IN_HORIZONS * horizon, 0.5 * FEWEST_SAMPLES * period)
         return length, max(LEAD_IN_HORIZONS * horizon, (FEWEST_SAMPLES + 1) * period)
 
-    def _of_metric(self) -> float | None:
+    def _metric_horizon(self) -> float | None:
         """The horizon of the rig's metric with the model's values, s; None while too little happens."""
         if self._horizon is None:
             measured, stated = self._record(self._t, self._values), self._rig.metric.horizon
@@ -191,8 +193,10 @@ class Shadow:
             except RecordingError as error:
                 self.unjudged = str(error)
                 return None
-            own = INVERSE_HORIZON if model.metric is Metric.INVERSE_DYNAMICS else model.horizon_at(theta)
-            self._horizon = stated or own
+            model_horizon = (
+                INVERSE_HORIZON if model.metric is Metric.INVERSE_DYNAMICS else model.horizon_at(theta)
+            )
+            self._horizon = stated or model_horizon
         return self._horizon
 
     def _record(self, t: FloatArray, values: FloatArray) -> Record:
@@ -208,14 +212,14 @@ class Shadow:
     def _simulate(self, t: FloatArray, values: FloatArray, begin: float, lead: float) -> Stretch:
         measured = self._record(t, values)
         try:
-            return self._scored(measured, begin, lead)
+            return self._score_stretch(measured, begin, lead)
         except RecordingError as error:  # too little happens to say anything of it
             self.unjudged = str(error)
             names = tuple(keyed(*measured.channel(j)) for j in range(len(measured.output_names)))
             nothing = np.empty((0, len(names)))
             return Stretch(np.empty(0), nothing, noise_of(measured), names, measured.output_units)
 
-    def _scored(self, measured: Record, begin: float, lead: float) -> Stretch:
+    def _score_stretch(self, measured: Record, begin: float, lead: float) -> Stretch:
         model, record, theta = model_on(measured, self._rig, self._saved)
         first, middle = (int(np.searchsorted(record.t, at)) for at in (begin - lead, begin))
         windows = ScoredWindows(
@@ -224,23 +228,24 @@ class Shadow:
             np.arange(first, len(record)) >= middle,
             float(record.t[-1] - begin),
         )
-        found = score(model, theta, record, noise_of(record), windows=windows)
-        new = record.t[found.rows] >= begin
-        noise = np.array([channel.noise_floor for channel in found.channels])
+        scored = score(model, theta, record, noise_of(record), windows=windows)
+        new = record.t[scored.rows] >= begin
+        noise = np.array([channel.noise_floor for channel in scored.channels])
         return Stretch(
-            t=record.t[found.rows][new],
-            residuals=-found.errors[new] / noise,
+            t=record.t[scored.rows][new],
+            residuals=-scored.errors[new] / noise,
             noise=noise,
-            names=tuple(keyed(channel.channel, channel.joint) for channel in found.channels),
-            units=tuple(channel.unit for channel in found.channels),
+            names=tuple(keyed(channel.channel, channel.joint) for channel in scored.channels),
+            units=tuple(channel.unit for channel in scored.channels),
         )
 
-    def _follow(self, found: Stretch, calm: float) -> None:
+    def _update_agreements(self, stretch: Stretch, calm: float) -> None:
         if not self.agreements:
-            bands = self._bands or (FLOOR_KNOWN_TO * NORMAL,) * len(found.names)
+            bands = self._bands or (FLOOR_KNOWN_TO * NORMAL,) * len(stretch.names)
             self.agreements = tuple(Agreement(band) for band in bands)
         self.agreements = tuple(
-            each.after(found.t, found.residuals[:, j], calm) for j, each in enumerate(self.agreements)
+            agreement.after(stretch.t, stretch.residuals[:, j], calm)
+            for j, agreement in enumerate(self.agreements)
         )
 
 
@@ -265,8 +270,8 @@ def validated_bands(
     sizes = []
     for rows in np.array_split(np.arange(len(t)), max(1, len(t) // 50)):
         shadow.take(t[rows], values[rows])
-        while (found := shadow.step()) is not None:
-            sizes.append(np.abs(found.residuals))
+        while (stretch := shadow.step()) is not None:
+            sizes.append(np.abs(stretch.residuals))
     if sum(map(len, sizes)) < FEWEST_SAMPLES:
         return None
     quantiles = np.quantile(np.nan_to_num(np.vstack(sizes), nan=np.inf), QUANTILE, axis=0, method="higher")

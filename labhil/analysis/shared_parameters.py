@@ -25,11 +25,11 @@ def shared_parameters(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     The errors of two fits are added as if they were independent. Two fits of one recording share its noise,
     so that their values differ by less than that: a disagreement is one all the more.
     """
-    found: dict[str, list[tuple[str, Parameter]]] = {}
-    for each in candidates:
-        for row in each.parameters:
-            found.setdefault(row.key, []).append((each.name, row))
-    return [_row(rows) for rows in found.values() if len(rows) > 1]
+    by_key: dict[str, list[tuple[str, Parameter]]] = {}
+    for candidate in candidates:
+        for row in candidate.parameters:
+            by_key.setdefault(row.key, []).append((candidate.name, row))
+    return [_row(rows) for rows in by_key.values() if len(rows) > 1]
 
 
 def _row(rows: Sequence[tuple[str, Parameter]]) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def _row(rows: Sequence[tuple[str, Parameter]]) -> dict[str, Any]:
 def agreement(rows: Sequence[Parameter]) -> tuple[float | None, float | None, bool | None]:
     """The largest z of two values, its p value for all pairs, and whether they agree; None where unknown."""
     pairs = list(combinations(rows, 2))
-    sizes = [z for z in (_z(one, other) for one, other in pairs) if z is not None]
+    sizes = [z for z in (_z(first, second) for first, second in pairs) if z is not None]
     if len(sizes) < len(pairs) or not sizes:
         return None, None, None
     largest = max(sizes)
@@ -67,14 +67,14 @@ def agreement(rows: Sequence[Parameter]) -> tuple[float | None, float | None, bo
     return (largest if math.isfinite(largest) else None), p_value, p_value >= ALPHA
 
 
-def _z(one: Parameter, other: Parameter) -> float | None:
+def _z(first: Parameter, second: Parameter) -> float | None:
     """How many standard errors two values are apart; None where the data do not know one of them."""
-    if one.value is None or other.value is None:
+    if first.value is None or second.value is None:
         return None
-    if not all(row.held or (row.identifiable and row.std_error is not None) for row in (one, other)):
+    if not all(row.held or (row.identifiable and row.std_error is not None) for row in (first, second)):
         return None
-    errors = [0.0 if row.held else row.std_error or 0.0 for row in (one, other)]
-    apart, spread = abs(one.value - other.value), math.hypot(*errors)
+    errors = [0.0 if row.held else row.std_error or 0.0 for row in (first, second)]
+    difference, spread = abs(first.value - second.value), math.hypot(*errors)
     if spread > 0.0:
-        return apart / spread
-    return 0.0 if apart <= SAME * max(abs(one.value), abs(other.value)) else float("inf")
+        return difference / spread
+    return 0.0 if difference <= SAME * max(abs(first.value), abs(second.value)) else float("inf")

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from labhil.analysis.dataset import Taken, measured_of, naming, read_all, refuse_holes, rig_of
+from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.results import Reference, SavedModel, finite, score_json, terms_of, values_of
+from labhil.analysis.results import finite, score_json
+from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.saved_model import Reference, SavedModel, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
-from labhil.analysis.schema import checked
+from labhil.analysis.schema import validate
 from labhil.diagnose.intake import without_spikes
 from labhil.errors import ModelFileError, OptionError, UnknownNameError
 from labhil.identify.fitted import start_theta, with_only
@@ -22,7 +24,7 @@ from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
+class SimulatedRecording:
     """The prepared record, the score of the model on it, and that score as JSON says it."""
 
     name: str
@@ -31,13 +33,13 @@ class Simulated:
     part: ScorePart
 
 
-def simulated(
-    taken: Taken,
+def simulate_recording(
+    path_or_recording: RecordingLike,
     saved: SavedModel,
     kind: str | None,
     horizon: float | None,
     without: Collection[str] = (),
-) -> Simulated:
+) -> SimulatedRecording:
     """Simulate the windows of a recording with the values of a result, ``without`` some of its terms.
 
     Raises ModelFileError where the result is of another rig ``kind``, RecordingError where the recording
@@ -49,7 +51,7 @@ def simulated(
     for name in without:
         if name not in terms:
             raise UnknownNameError("term", name, terms)
-    recording = read_all([taken], None)[0]
+    recording = read_all([path_or_recording], None)[0]
     rig = rig_of(recording, None)
     if kind is not None and kind != rig.kind.name:
         raise ModelFileError(
@@ -59,9 +61,9 @@ def simulated(
     refuse_holes(recording.path, records[0])
     with naming([recording]):
         model, record, theta = model_on(measured, rig, saved, without)
-        found = score(model, theta, record, noise_of(record), horizon)
-    part = checked(ScorePart, finite(score_json(found)), "the score")
-    return Simulated(str(recording.path), record, found, part)
+        scored = score(model, theta, record, noise_of(record), horizon)
+    part = validate(ScorePart, finite(score_json(scored)), "the score")
+    return SimulatedRecording(str(recording.path), record, scored, part)
 
 
 def model_on(

@@ -24,37 +24,38 @@ def refuse_other_names(recording: Recording, rig: RigFile) -> None:
     needed = {*kind.driven_by[0], *(signal.name for signal in kind.outputs)}
     if any(needed <= set(data.stream.names()) for data in recording.streams):
         return
-    has = names_of(load_model(rig.path.parent / section.mujoco))
+    available = names_of(load_model(rig.path.parent / section.mujoco))
     if kind.inputs[0].width > 1:
-        raise RecordingError(_of_arm(recording, section.mujoco, has, kind))
+        raise RecordingError(_arm_message(recording, section.mujoco, available, kind))
     signals = [signal for data in recording.streams for signal in data.stream.signals if signal.width == 1]
     inputs = [signal.name for signal in signals if signal.direction is Direction.INPUT]
     outputs = [signal.name for signal in signals if signal.direction is Direction.OUTPUT]
-    found = ", ".join(printable_name(signal.name) for signal in signals) or "none"
+    recorded = ", ".join(printable_name(signal.name) for signal in signals) or "none"
     raise RecordingError(
         f"{recording.path}: expected the signals {', '.join(sorted(needed))} of {section.mujoco}, found "
-        f"{found}; the file has {has.listed()}.{proposal(section.mujoco, has, inputs, outputs)}"
+        f"{recorded}; the file has {available.listing()}."
+        f"{proposal(section.mujoco, available, inputs, outputs)}"
     )
 
 
-def _of_arm(recording: Recording, file: str, has: Names, kind: RigKind) -> str:
-    """What is said of a recording that is none of an arm, with the lines that make it one."""
-    every = [signal.name for data in recording.streams for signal in data.stream.signals]
-    found = ", ".join(map(printable_name, every)) or "none"
-    n = len(has.joints)
+def _arm_message(recording: Recording, file: str, available: Names, kind: RigKind) -> str:
+    """The message about a recording without the signals of an arm, with the lines that map them."""
+    names = [signal.name for data in recording.streams for signal in data.stream.signals]
+    recorded = ", ".join(map(printable_name, names)) or "none"
+    n = len(available.joints)
     needed = (*(signal.name for signal in kind.inputs), kind.outputs[0].name)
     lines = "\n".join(f"{name} = {{ columns = [{', '.join(['…'] * n)}] }}" for name in needed)
     return (
         f"{recording.path}: expected the signals {', '.join(needed)} with {n} columns each "
-        f"({', '.join(has.joints)}) for {file}, found {found}. Import the table anew with a rig file "
-        f"that says which columns these are:\n[model]\nmujoco = {toml_value(file)}\n[channels]\n{lines}"
+        f"({', '.join(available.joints)}) for {file}, found {recorded}. Import the table anew with a rig "
+        f"file that says which columns these are:\n[model]\nmujoco = {toml_value(file)}\n[channels]\n{lines}"
     )
 
 
-def proposal(file: str, has: Names, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+def proposal(file: str, available: Names, inputs: Sequence[str], outputs: Sequence[str]) -> str:
     """A rig file that puts the most similar names together; empty where there is nothing to put together."""
-    measured = [name for name in has.sensors if name] or list(has.joints)
-    driven = _pairs(inputs, has.actuators or has.joints)
+    measured = [name for name in available.sensors if name] or list(available.joints)
+    driven = _pairs(inputs, available.actuators or available.joints)
     shown = _pairs(outputs, measured)
     if not driven or not shown:
         return ""
@@ -68,19 +69,23 @@ def proposal(file: str, has: Names, inputs: Sequence[str], outputs: Sequence[str
 def _pairs(signals: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Signals with names, the most similar first, each once."""
     likeness = sorted(
-        ((_alike(signal, name), -i, -j) for i, signal in enumerate(signals) for j, name in enumerate(names)),
+        (
+            (_similarity(signal, name), -i, -j)
+            for i, signal in enumerate(signals)
+            for j, name in enumerate(names)
+        ),
         reverse=True,
     )
-    found: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for _, i, j in likeness:
         signal, name = signals[-i], names[-j]
-        if signal not in found and name not in found.values():
-            found[signal] = name
-    return found
+        if signal not in pairs and name not in pairs.values():
+            pairs[signal] = name
+    return pairs
 
 
-def _alike(one: str, other: str) -> float:
-    return SequenceMatcher(None, one.lower(), other.lower()).ratio()
+def _similarity(first: str, second: str) -> float:
+    return SequenceMatcher(None, first.lower(), second.lower()).ratio()
 
 
 def _table(pairs: dict[str, str]) -> str:

@@ -1,4 +1,4 @@
-"""Recordings in which nothing happens: told before a fit, which would find numbers in them all the same."""
+"""Recordings in which nothing happens: refused before a fit, which would return numbers all the same."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def refuse_still(path: Path, record: Record, metric: Metric) -> None:
 
     That is: no output changes; one of several outputs is a constant, as of a sensor that is not connected;
     no input changes, and no output beyond its noise, or a motion is needed. A constant input alone is no
-    fault: a rig that coasts down, or rolls down, tells of itself.
+    fault: a rig that coasts down, or rolls down, moves by itself.
     """
     stuck = constant(record.outputs)
-    found = f"found {_told(record, stuck)} in all {len(record)} samples"
+    readings = f"found {_constant_readings(record, stuck)} in all {len(record)} samples"
     if stuck.all():
         raise RecordingError(
-            f"{path}: expected an output that moves, {found}: nothing can be fitted to that. See whether "
+            f"{path}: expected an output that moves, {readings}: nothing can be fitted to that. See whether "
             "the sensor is connected and the right column is mapped, and record the rig while it moves"
         )
     joints = [joint for joint in record.output_joints if joint is not None]
@@ -41,8 +41,8 @@ def refuse_still(path: Path, record: Record, metric: Metric) -> None:
         rests = not record.outputs[:, stuck].any()
         rest = ", and whether the part only stood still: then drive it beyond break-away" if rests else ""
         raise RecordingError(
-            f"{path}: expected readings of {which}, {found} while other outputs move. See whether its sensor "
-            f"is connected{rest}; to fit without it, import the table without the column {which}"
+            f"{path}: expected readings of {which}, {readings} while other outputs move. See whether its "
+            f"sensor is connected{rest}; to fit without it, import the table without the column {which}"
         )
     if constant(record.inputs).all():
         _refuse_unmoved(path, record, metric)
@@ -66,6 +66,6 @@ def constant(values: FloatArray) -> Flags:
     return np.asarray(np.ptp(values, axis=0) <= ROUNDING * np.abs(values).max(axis=0))
 
 
-def _told(record: Record, which: Flags) -> str:
+def _constant_readings(record: Record, which: Flags) -> str:
     columns = zip(record.output_names, record.outputs[0], record.output_units, which, strict=True)
     return ", ".join(f"{name} at {value:.4g} {unit}" for name, value, unit, dead in columns if dead)

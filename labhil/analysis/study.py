@@ -9,8 +9,9 @@ from typing import Any
 
 from labhil.analysis.dataset import Dataset
 from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
-from labhil.analysis.results import Reference, accepted_of, diagnosis_json, fit_json, terms_of, values_of
-from labhil.analysis.schema import DiagnosisPart, FitPart, checked
+from labhil.analysis.results import diagnosis_json, fit_json
+from labhil.analysis.saved_model import Reference, accepted_of, terms_of, values_of
+from labhil.analysis.schema import DiagnosisPart, FitPart, validate
 from labhil.analysis.still import refuse_still
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.answer import Diagnosis
@@ -39,7 +40,7 @@ class FitResult:
     @property
     def part(self) -> FitPart:
         """What the JSON says, as it is printed and drawn."""
-        return checked(FitPart, self.json, "the fit")
+        return validate(FitPart, self.json, "the fit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class DiagnosisResult:
     @property
     def part(self) -> DiagnosisPart:
         """What the JSON says, as it is printed and drawn."""
-        return checked(DiagnosisPart, self.json, "the diagnosis")
+        return validate(DiagnosisPart, self.json, "the diagnosis")
 
 
 @linear_algebra_in_one_thread()
@@ -66,52 +67,58 @@ def fit_study(
 ) -> FitResult:
     """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
 
-    RecordingError where there is nothing to fit: numbers that are none, or a rig that does not move.
+    RecordingError where there is nothing to fit: values that are not finite, or a rig that does not move.
     """
     material.refuse_holes()
     refuse_still(material.recordings[0][0].path, material.learn, material.model.metric)
     shortest = FEWEST_IN_WINDOW * material.learn.period
-    how = options or Options()
-    if how.window is not None and not 0.99 * shortest <= how.window < float("inf"):
+    settings = options or Options()
+    if settings.window is not None and not 0.99 * shortest <= settings.window < float("inf"):
         raise OptionError(
             "window",
-            f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {how.window:g}",
+            f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {settings.window:g}",
         )
     model = under_kept_curve(material.model, start)
     chosen = terms
     if chosen is None:
-        chosen = terms_of(start) if start is not None else _shown(model, rig_model(model.kind).general)
-    chosen = _with_own(model, chosen, stated=bool(terms))
+        chosen = (
+            terms_of(start) if start is not None else _observable_terms(model, rig_model(model.kind).general)
+        )
+    chosen = _with_per_recording_terms(model, chosen, stated=bool(terms))
     if not chosen and all(parameter.term is not None for parameter in model.parameters):
         raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
     began = time.perf_counter()
-    begin = for_every_recording(model, values_of(start)) if start is not None else None
+    initial = for_every_recording(model, values_of(start)) if start is not None else None
     test = material.judge if material.held_out else None
     with material.naming():
-        result = fit(model, material.learn, chosen, test=test, start=begin, options=how)
+        result = fit(model, material.learn, chosen, test=test, start=initial, options=settings)
     if result.criterion is model.metric:
         judged = with_help(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     sources = material.sources("train")
-    data = fit_json(result, sources, model.kind, how.estimator, how.seed, seconds, curves_json(model))
+    data = fit_json(
+        result, sources, model.kind, settings.estimator, settings.seed, seconds, curves_json(model)
+    )
     data["faults"] = [asdict(fault) for fault in material.faults()]
     data["doubts"] = material.doubts(misfit=not result.adequacy.explained)
     data["notes"] = [*material.notes(), *curve_note(start)]
     data["untimed"] = material.untimed()
-    data["held_out"] = _held_out(material)
+    data["held_out"] = _held_out_spans(material)
     return FitResult(result, material, data)
 
 
-def _with_own(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
+def _with_per_recording_terms(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
     """These terms, and those of which each recording has its own values.
 
     Raises UsageError when the terms were ``stated`` without them, UnknownNameError for a term that does not
     exist.
     """
     present = {term.key for term in terms_named(model, terms)}
-    own = dict.fromkeys(p.term for p in model.parameters if p.recording is not None and p.term is not None)
-    further = [term for term in own if term not in present]
+    per_recording = dict.fromkeys(
+        p.term for p in model.parameters if p.recording is not None and p.term is not None
+    )
+    further = [term for term in per_recording if term not in present]
     if further and stated:
         raise OptionError(
             "per-recording", f" {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
@@ -129,14 +136,16 @@ def diagnose_study(
 ) -> DiagnosisResult:
     """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
 
-    A curve that the file has is part of that simulation.
+    A curve in the file is part of that simulation.
     """
     model = under_kept_curve(material.model, reference)
     values = _reference_values(material, reference)
     chosen = baseline
     if chosen is None:
         chosen = (
-            terms_of(reference) if reference is not None else _shown(model, rig_model(model.kind).baseline)
+            terms_of(reference)
+            if reference is not None
+            else _observable_terms(model, rig_model(model.kind).baseline)
         )
     terms_named(model, chosen)
     with material.naming():
@@ -155,30 +164,32 @@ def diagnose_study(
     data["doubts"] = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
     data["notes"] = [*material.notes(), *curve_note(reference)]
     data["untimed"] = material.untimed()
-    data["held_out"] = _held_out(material)
+    data["held_out"] = _held_out_spans(material)
     return DiagnosisResult(diagnosis, material, data)
 
 
-def _shown(model: Model, names: Sequence[str]) -> tuple[str, ...]:
-    """Of terms that nobody asked for, those that this recording can show."""
-    there = {term.name for term in model.terms.values()}
-    return tuple(name for name in names if name in there or name not in model.unobservable_terms)
+def _observable_terms(model: Model, names: Sequence[str]) -> tuple[str, ...]:
+    """Of the default terms those that this recording can show."""
+    present = {term.name for term in model.terms.values()}
+    return tuple(name for name in names if name in present or name not in model.unobservable_terms)
 
 
-def _held_out(material: Dataset) -> list[list[float]]:
+def _held_out_spans(material: Dataset) -> list[list[float]]:
     """Which stretch of each recording was held out of it, s; none where whole recordings were."""
     if material.judge_is_test or not material.held_out:
         return []
-    return [[float(each.t[0]), float(each.t[-1])] for each in material.judge.recordings()]
+    return [[float(record.t[0]), float(record.t[-1])] for record in material.judge.recordings()]
 
 
 def _reference_values(material: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
     if reference is not None:
         return for_every_recording(material.model, values_of(reference))
     known = index_of(material.model.parameters)
-    own = material.model.nominal if isinstance(material.model, (ArmFileModel, SimulatorModel)) else {}
-    own = {name: value for name, value in own.items() if name in known}
-    nominal = for_every_recording(material.model, material.rig.nominal or own)
+    file_nominal = (
+        material.model.nominal if isinstance(material.model, (ArmFileModel, SimulatorModel)) else {}
+    )
+    file_nominal = {name: value for name, value in file_nominal.items() if name in known}
+    nominal = for_every_recording(material.model, material.rig.nominal or file_nominal)
     for name, value in nominal.items():
         if name not in known:
             raise UnknownNameError(f"{material.rig.path}: [nominal] parameter", name, known)

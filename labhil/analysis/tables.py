@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labhil.analysis.import_check import checked
+from labhil.analysis.import_check import check_table
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
@@ -18,7 +18,7 @@ from labhil.signals import FloatArray, Stream
 
 Progress = Callable[[str], None]
 Read = tuple[Recording, list[str], bytes]
-"""A recording, what is to be known of how it was made, and the bytes of its file."""
+"""A recording, notes on how it was made, and the bytes of its file."""
 
 
 def read_table(path: Path, rig: RigFile, progress: Progress = lambda text: None) -> Read:
@@ -27,8 +27,8 @@ def read_table(path: Path, rig: RigFile, progress: Progress = lambda text: None)
     Raises TableError with the column, what was expected and what was found.
     """
     table = import_table(path, rig)
-    table, seen = checked(table, progress)
-    return _as_recording(table, [*describe_import(table), *seen])
+    table, findings = check_table(table, progress)
+    return _as_recording(table, [*describe_import(table), *findings])
 
 
 def table_in_memory(
@@ -49,13 +49,13 @@ def table_in_memory(
         outside={},
         flagged=np.zeros(len(t), dtype=np.bool_),
     )
-    table, seen = checked(table)
-    return _as_recording(table, seen)
+    table, findings = check_table(table)
+    return _as_recording(table, findings)
 
 
 def _as_recording(table: ImportedTable, notes: list[str]) -> Read:
     """The recording as it is when it was written and read: there is one way from samples to a recording."""
     with tempfile.TemporaryDirectory(prefix="labhil-") as folder:
         path = write_import(table, Path(folder) / "recording.mcap")
-        content, found = path.read_bytes(), read_recording(path)
-    return replace(found, path=table.source, rig=table.rig), notes, content
+        content, recording = path.read_bytes(), read_recording(path)
+    return replace(recording, path=table.source, rig=table.rig), notes, content

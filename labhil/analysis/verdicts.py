@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from labhil.identify.adequacy import Adequacy
+    pass
 
 VERDICTS = {
     "no_mismatch": "No mismatch: the data do not contradict the baseline.",
@@ -42,11 +42,6 @@ def fit_verdict(verdict: str, residual_over_noise: Mapping[str, float | None], r
     if verdict == "worse_than_mean" and r2 is not None and math.isfinite(r2):
         line += f" (R² {100.0 * r2:.4g} %)"
     return line + "."
-
-
-def verdict_line(found: Adequacy) -> str:
-    """The same of the gate's answer."""
-    return fit_verdict(found.verdict.value, found.residual_over_noise, found.r2)
 
 
 DISAGREEING = 1.1

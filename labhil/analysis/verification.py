@@ -8,10 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.analysis.dataset import Taken, measured_of, refuse_holes, rig_of
+from labhil.analysis.dataset import RecordingLike, measured_of, refuse_holes
 from labhil.analysis.kept_curve import under_kept_curve
-from labhil.analysis.results import Reference, Source, accepted_of, finite, score_json
-from labhil.analysis.schema import VerificationPart, checked
+from labhil.analysis.results import Source, finite, score_json
+from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.saved_model import Reference, accepted_of
+from labhil.analysis.schema import VerificationPart, validate
 from labhil.diagnose.intake import without_spikes
 from labhil.diagnose.timing import all_faults
 from labhil.diagnose.verify import ALPHA, Verification, verify
@@ -35,11 +37,11 @@ class VerificationResult:
     @property
     def part(self) -> VerificationPart:
         """What the JSON says, as it is printed."""
-        return checked(VerificationPart, self.json, "the verification")
+        return validate(VerificationPart, self.json, "the verification")
 
 
 def verify_study(
-    taken: Taken,
+    path_or_recording: RecordingLike,
     model_file: Reference,
     rig_file: Path | RigFile | None = None,
     *,
@@ -48,7 +50,7 @@ def verify_study(
     run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> VerificationResult:
-    """Hold a recording, or what it holds of one ``device`` or ``run``, against a result's model.
+    """Test a recording, or one ``device`` or ``run`` of it, against a result's model.
 
     Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
     """
@@ -56,7 +58,9 @@ def verify_study(
         raise OptionError("alpha", f": expected a probability above 0 and below 0.5, found {alpha:g}")
     began = time.perf_counter()
     accepted = accepted_of(model_file)
-    recording = (read_recording(taken, run) if isinstance(taken, Path) else taken).of_device(device)
+    recording = (
+        read_recording(path_or_recording, run) if isinstance(path_or_recording, Path) else path_or_recording
+    ).of_device(device)
     path, rig = recording.path, rig_of(recording, rig_file)
     if accepted.rig not in (None, rig.kind.name):
         raise ModelFileError(
@@ -70,22 +74,26 @@ def verify_study(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
     model = under_kept_curve(model_for(rig, record), model_file)
-    found = verify(model, model.prepare(without_spikes(record)), accepted, alpha=alpha, progress=progress)
+    verification = verify(
+        model, model.prepare(without_spikes(record)), accepted, alpha=alpha, progress=progress
+    )
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began
-    data = verification_json(found, source, model_file, seconds)
+    data = verification_json(verification, source, model_file, seconds)
     # a recording may contradict a model because of what is wrong with the recording
     data["faults"] = finite([asdict(fault) for fault in all_faults(model, record)])
-    doubts = doubts_of(record, rig, misfit=not found.consistent, time_column=recording.time_column)
+    doubts = doubts_of(record, rig, misfit=not verification.consistent, time_column=recording.time_column)
     data["doubts"] = [doubt.statement for doubt in doubts]
-    return VerificationResult(found, tuple(recording.losses()), data)
+    return VerificationResult(verification, tuple(recording.losses()), data)
 
 
 def _duration(record: Record) -> float:
     return float(record.t[-1] - record.t[0])
 
 
-def verification_json(found: Verification, source: Source, model_file: Reference, seconds: float) -> Any:
+def verification_json(
+    verification: Verification, source: Source, model_file: Reference, seconds: float
+) -> Any:
     """The whole answer as plain JSON data (`labhil.verification/1`): no NaN, no infinity, null instead."""
     return finite(
         {
@@ -93,20 +101,20 @@ def verification_json(found: Verification, source: Source, model_file: Reference
             "recordings": [asdict(source)],
             "model": str(model_file),
             "rig": source.rig,
-            "terms": list(found.refit.terms),
-            "verdict": "consistent" if found.consistent else "contradicted",
-            "alpha": found.alpha,
-            "p_value": found.p_value,
-            "reasons": list(found.reasons),
-            "notes": list(found.notes),
-            "adequacy": found.adequacy.verdict.value,
-            "residual_over_noise": dict(found.adequacy.residual_over_noise),
-            "score": score_json(found.score),
-            "channels": [asdict(channel) for channel in found.channels],
-            "values_p": found.values_p,
-            "parameters": [asdict(change) for change in found.changes],
-            "worst_windows": [asdict(window) for window in found.worst],
-            "window": found.window,
+            "terms": list(verification.refit.terms),
+            "verdict": "consistent" if verification.consistent else "contradicted",
+            "alpha": verification.alpha,
+            "p_value": verification.p_value,
+            "reasons": list(verification.reasons),
+            "notes": list(verification.notes),
+            "adequacy": verification.adequacy.verdict.value,
+            "residual_over_noise": dict(verification.adequacy.residual_over_noise),
+            "score": score_json(verification.score),
+            "channels": [asdict(channel) for channel in verification.channels],
+            "values_p": verification.values_p,
+            "parameters": [asdict(change) for change in verification.changes],
+            "worst_windows": [asdict(window) for window in verification.worst],
+            "window": verification.window,
             "seconds": seconds,
         }
     )

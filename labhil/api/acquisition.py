@@ -72,10 +72,12 @@ def connect(
             explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
         )
         raise UsageError(fault) from error
-    plan, own = device_plan(devices, DEVICE), rig_file(rig)
-    if own is not None and own.kind.name != plan.spec.rig:
-        raise UsageError(f"rig: expected one of kind {plan.spec.rig!r}, as {driver}, found {own.kind.name!r}")
-    return Bench(plan if own is None else replace(plan, rig=own))
+    plan, resolved_rig = device_plan(devices, DEVICE), rig_file(rig)
+    if resolved_rig is not None and resolved_rig.kind.name != plan.spec.rig:
+        raise UsageError(
+            f"rig: expected one of kind {plan.spec.rig!r}, as {driver}, found {resolved_rig.kind.name!r}"
+        )
+    return Bench(plan if resolved_rig is None else replace(plan, rig=resolved_rig))
 
 
 class Experiment:
@@ -152,9 +154,9 @@ class Experiment:
     @classmethod
     def load(cls, path: PathLike) -> Experiment:
         """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
-        made = cls.__new__(cls)
-        made._file = load_experiment(path_of(path, "path"))
-        return made
+        experiment = cls.__new__(cls)
+        experiment._file = load_experiment(path_of(path, "path"))
+        return experiment
 
     @property
     def name(self) -> str:
@@ -205,7 +207,7 @@ class Experiment:
         Args:
             out: The folder for the recordings and the campaign file.
             progress: As for :meth:`execute`.
-            announce: Is told which run begins.
+            announce: A function of a line about each run that begins.
             anew: Begin a new campaign where one stands; its recordings stay.
 
         Returns:
@@ -213,15 +215,15 @@ class Experiment:
         """
         from labhil.experiment.campaign import run_campaign
 
-        with _teller(progress) as tell:
+        with _progress_callback(progress) as report:
             return run_campaign(
-                self._file, path_of(out, "out"), tell, announce or (lambda _text: None), anew=anew
+                self._file, path_of(out, "out"), report, announce or (lambda _text: None), anew=anew
             )
 
     def run_plan(
         self, plan: Callable[[], PythonPlan], out: PathLike = ".", *, progress: RunProgress = None
     ) -> PlanResult:
-        """Let a generator say what comes next: it yields steps, and is given what was recorded of them.
+        """Let a generator decide what comes next: it yields steps, and is sent the recording of them.
 
         Each yield is a run of its own with this experiment's devices, checks and hook, and a recording of its
         own; the steps of this experiment itself are not run. What is yielded is checked against the limits
@@ -257,14 +259,14 @@ class Experiment:
             ...         if rec["speed"].max() > 1.0:
             ...             return level
             >>> with tempfile.TemporaryDirectory() as folder:
-            ...     found = experiment.run_plan(find_break_away, folder)
-            >>> found.value, len(found.recordings)
+            ...     result = experiment.run_plan(find_break_away, folder)
+            >>> result.value, len(result.recordings)
             (4.0, 2)
         """
         from labhil.api.python_plan import run_plan
 
-        with _teller(progress) as tell:
-            return run_plan(self._file, plan, path_of(out, "out"), tell)
+        with _progress_callback(progress) as report:
+            return run_plan(self._file, plan, path_of(out, "out"), report)
 
     def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
         """Run it; see :func:`labhil.run`."""
@@ -291,15 +293,15 @@ class Experiment:
         """
         from labhil.experiment.run import run_experiment
 
-        with _teller(progress) as tell:
-            return run_experiment(self._file, path_of(out, "out"), tell)
+        with _progress_callback(progress) as report:
+            return run_experiment(self._file, path_of(out, "out"), report)
 
     def warnings(self) -> tuple[str, ...]:
         """What is doubtful in its steps, a line each."""
         if not self.is_campaign:
             return self._planned.warnings()
-        found = (make_plan(point.experiment).warnings() for point in points_of(self._file))
-        return tuple(dict.fromkeys(warning for warnings in found for warning in warnings))
+        per_point = (make_plan(point.experiment).warnings() for point in points_of(self._file))
+        return tuple(dict.fromkeys(warning for warnings in per_point for warning in warnings))
 
     def __repr__(self) -> str:
         devices = ", ".join(self._file.devices)
@@ -307,8 +309,8 @@ class Experiment:
 
 
 @contextmanager
-def _teller(progress: RunProgress) -> Iterator[Callable[[Progress], None]]:
-    """Give the function that ``progress`` stands for."""
+def _progress_callback(progress: RunProgress) -> Iterator[Callable[[Progress], None]]:
+    """The function that ``progress`` stands for."""
     if callable(progress):
         yield progress
     elif progress:
@@ -317,11 +319,11 @@ def _teller(progress: RunProgress) -> Iterator[Callable[[Progress], None]]:
         with ProgressBar() as bar:
             yield bar
     else:
-        yield _nobody
+        yield _ignore_progress
 
 
-def _nobody(progress: Progress) -> None:
-    """Nobody hears it."""
+def _ignore_progress(progress: Progress) -> None:
+    """Progress that is not shown."""
 
 
 def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:

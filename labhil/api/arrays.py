@@ -1,4 +1,4 @@
-"""Recordings made of arrays, and what is said of arrays that are none."""
+"""Recordings made of arrays, and the errors about arrays that cannot be one."""
 
 from __future__ import annotations
 
@@ -60,25 +60,25 @@ def recording(
     """
     from labhil.analysis.tables import table_in_memory
 
-    own = rig_file(rig)
-    if own is None:
+    resolved_rig = rig_file(rig)
+    if resolved_rig is None:
         raise UsageError("rig: expected a rig kind, the path of a rig file or a model, found None")
     times = _times(t)
     given = {**_mapping(inputs, "inputs"), **_mapping(outputs, "outputs"), **_mapping(others or {}, "others")}
-    known = {signal.name: signal for signal in own.kind.signals()}
+    known = {signal.name: signal for signal in resolved_rig.kind.signals()}
     for signal in given:
         if signal not in known:
             raise UsageError(
-                f"{signal}: a {own.kind.name} has no such signal{suggestion(signal, known)}; "
+                f"{signal}: a {resolved_rig.kind.name} has no such signal{suggestion(signal, known)}; "
                 f"known: {', '.join(known)}"
             )
-    signals = tuple(signal for signal in own.kind.signals() if signal.name in given)
-    _refuse_incomplete(own, set(given))
+    signals = tuple(signal for signal in resolved_rig.kind.signals() if signal.name in given)
+    _refuse_incomplete(resolved_rig, set(given))
     values = np.hstack([_values(given[s.name], s, len(times)) for s in signals])
     stream = Stream("state", signals, float(1.0 / np.median(np.diff(times))))
     digest = hashlib.sha256(times.tobytes() + values.tobytes()).hexdigest()
-    found, notes, content = table_in_memory(Path(name), digest, own, stream, times, values)
-    return Recording(found, tuple(notes), content)
+    file_recording, notes, content = table_in_memory(Path(name), digest, resolved_rig, stream, times, values)
+    return Recording(file_recording, tuple(notes), content)
 
 
 def _mapping(given: object, what: str) -> Mapping[str, object]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from labhil.analysis.schema import ComparedModel, ComparisonPart, SharedParameter, Source, checked
+from labhil.analysis.schema import ComparedModel, ComparisonPart, SharedParameter, Source, validate
 from labhil.api.inputs import (
     PathLike,
     Progress,
@@ -14,18 +14,18 @@ from labhil.api.inputs import (
     number_or_none,
     path_of,
     progress_reporter,
+    recordings_of,
     rig_file,
-    taken_of,
 )
 from labhil.api.render import data_frame
-from labhil.api.result import Result, unsaved
+from labhil.api.result import Result, no_samples_error
 from labhil.extras import require, require_analysis
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from labhil.analysis.comparison import ComparisonResult
-    from labhil.analysis.results import SavedModel
+    from labhil.analysis.saved_model import SavedModel
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.fit import Fit
     from labhil.api.model import Model
@@ -42,10 +42,10 @@ class Comparison(Result):
 
     Example:
         >>> import labhil as lh
-        >>> found = lh.compare("examples/fit.json", "examples/diagnosis.json")
-        >>> found.verdict, sorted(found.models)
+        >>> comparison = lh.compare("examples/fit.json", "examples/diagnosis.json")
+        >>> comparison.verdict, sorted(comparison.models)
         ('alike', ['diagnosis.json', 'fit.json'])
-        >>> found.parameters[0].name, found.parameters[0].agree
+        >>> comparison.parameters[0].name, comparison.parameters[0].agree
         ('viscous_friction.coefficient', True)
     """
 
@@ -56,7 +56,7 @@ class Comparison(Result):
         name: str = "the comparison",
     ) -> None:
         super().__init__(data, name)
-        self._part, self._study = checked(ComparisonPart, data, name), study
+        self._part, self._study = validate(ComparisonPart, data, name), study
 
     @property
     def part(self) -> ComparisonPart:
@@ -114,7 +114,7 @@ class Comparison(Result):
     def study(self) -> ComparisonResult:
         """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
         if self._study is None:
-            raise unsaved("study")
+            raise no_samples_error("study")
         return self._study
 
     def __repr__(self) -> str:
@@ -192,19 +192,19 @@ def compare(
 
     Example:
         >>> import labhil as lh
-        >>> found = lh.compare("examples/fit.json", "examples/diagnosis.json")
-        >>> model = found.models[found.best]
+        >>> comparison = lh.compare("examples/fit.json", "examples/diagnosis.json")
+        >>> model = comparison.models[comparison.best]
         >>> print(f"{model.per_channel[0].rmse:.2g} {model.per_channel[0].unit}, {model.adequacy}")
         0.00043 m, explained
     """
     require_analysis("a comparison")
     from labhil.analysis.comparison import compare_study
 
-    taken = [] if recording is None else taken_of(recording, "recording")
+    recordings = [] if recording is None else recordings_of(recording, "recording")
     with progress_reporter(progress) as say:
-        found = compare_study(
-            [_model_of(each) for each in results],
-            taken,
+        study = compare_study(
+            [_model_of(result) for result in results],
+            recordings,
             rig_file(model),
             horizon=number_or_none(horizon, "horizon"),
             device=device,
@@ -212,8 +212,8 @@ def compare(
             progress=say,
         )
     if warn is not None:
-        warn(found.losses)
-    return Comparison(found.json, found)
+        warn(study.losses)
+    return Comparison(study.json, study)
 
 
 def _model_of(result: Fit | Diagnosis | Verification | PathLike) -> Path | SavedModel:

@@ -19,7 +19,7 @@ from labhil.analysis.schema import (
     Rival,
     UndecidedEffect,
     Verdict,
-    checked,
+    validate,
 )
 from labhil.api.inputs import (
     PathLike,
@@ -76,7 +76,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         ended: str = "",
         name: str = "the diagnosis",
     ) -> None:
-        super().__init__(data, checked(DiagnosisPart, data, name), study, ended, name)
+        super().__init__(data, validate(DiagnosisPart, data, name), study, ended, name)
 
     @property
     def verdict(self) -> Verdict:
@@ -142,7 +142,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
     @property
     def curves(self) -> tuple[EstimatedCurve, ...]:
         """Estimated forces that no named effect explains."""
-        return tuple(each for each in (self._part.curve, *self._part.further_curves) if each is not None)
+        return tuple(curve for curve in (self._part.curve, *self._part.further_curves) if curve is not None)
 
     @property
     def next_steps(self) -> tuple[str, ...]:
@@ -155,8 +155,8 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         return (*self._part.doubts, *self._part.notes)
 
     def __repr__(self) -> str:
-        found = "\n".join(f"  {effect}" for effect in self.missing)
-        return f"<Diagnosis: {self.verdict}>" + (f"\n{found}" if found else "")
+        effects = "\n".join(f"  {effect}" for effect in self.missing)
+        return f"<Diagnosis: {self.verdict}>" + (f"\n{effects}" if effects else "")
 
     def _renderables(self) -> Sequence[RenderableType]:
         from labhil.report.text import diagnosis_text
@@ -197,7 +197,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
         Args:
             ax: Axes to draw into; new ones when absent.
-            channel: Which output, by name or by place, from 0; the one that is off by most when absent.
+            channel: Which output, by name or by place, from 0; the one with the largest error when absent.
 
         Returns:
             The matplotlib axes.
@@ -206,19 +206,19 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
             UsageError: The result was loaded, and holds no samples.
         """
         require("matplotlib", "a plot")
-        from labhil.report.plots import draw_windows, located
+        from labhil.report.plots import draw_windows, worst_output
 
-        found, axes = self._drawn("plot").diagnosis, axes_of(ax)
-        draw_windows(axes, found, located(found) if channel is None else self._place(channel))
+        diagnosis, axes = self._require_study("plot").diagnosis, axes_of(ax)
+        draw_windows(axes, diagnosis, worst_output(diagnosis) if channel is None else self._place(channel))
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
         """Draw the errors before and after, with the noise floor; as :meth:`plot`."""
         require("matplotlib", "a plot")
-        from labhil.report.plots import draw_errors, located
+        from labhil.report.plots import draw_errors, worst_output
 
-        found, axes = self._drawn("plot_errors").diagnosis, axes_of(ax)
-        draw_errors(axes, found, located(found) if channel is None else self._place(channel))
+        diagnosis, axes = self._require_study("plot_errors").diagnosis, axes_of(ax)
+        draw_errors(axes, diagnosis, worst_output(diagnosis) if channel is None else self._place(channel))
         return axes
 
     def plot_effect(self, term: str, ax: Axes | None = None) -> Axes:
@@ -239,11 +239,11 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         require("matplotlib", "a plot")
         from labhil.report.plots import draw_named_effect
 
-        found = self._drawn("plot_effect").diagnosis
-        if term not in found.named:
-            raise UnknownNameError("found effect", term, found.named)
+        diagnosis = self._require_study("plot_effect").diagnosis
+        if term not in diagnosis.named:
+            raise UnknownNameError("found effect", term, diagnosis.named)
         axes = axes_of(ax)
-        draw_named_effect(axes, found, term)
+        draw_named_effect(axes, diagnosis, term)
         return axes
 
     def figure(self) -> Figure:
@@ -251,7 +251,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         require("matplotlib", "a plot")
         from labhil.report.plots import diagnosis_figure
 
-        return diagnosis_figure(self._drawn("figure").diagnosis)
+        return diagnosis_figure(self._require_study("figure").diagnosis)
 
     def _write_page(self, file: Path) -> None:
         require("matplotlib", "a page with plots")
@@ -298,7 +298,7 @@ def diagnose(
         test: Recordings to judge on. Without them the last ``holdout`` of each recording is held out.
         holdout: Share that is held out.
         reference: A fit or a diagnosis, or its file, that stands for your simulation: only with one, or with
-            nominal values in the model, can a changed value be told from missing physics.
+            nominal values in the model, can a changed value be distinguished from missing physics.
         per_recording: Terms, parameters or sizes that have a value of their own in each recording.
         span: Use only this stretch of every recording, from … to, s.
         device: Which device, where recordings hold several.
@@ -330,10 +330,10 @@ def diagnose(
         rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
-        found = diagnose_study(
+        study = diagnose_study(
             material,
             baseline=names_of(baseline, "baseline"),
             reference=reference_of(reference, "reference"),
             progress=say,
         )
-    return Diagnosis(found.json, found, "" if found.diagnosis.complete else deadline.reason)
+    return Diagnosis(study.json, study, "" if study.diagnosis.complete else deadline.reason)

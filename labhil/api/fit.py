@@ -14,7 +14,7 @@ from labhil.analysis.schema import (
     Parameters,
     Score,
     WindowEstimate,
-    checked,
+    validate,
 )
 from labhil.api.inputs import (
     PathLike,
@@ -72,7 +72,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         ended: str = "",
         name: str = "the fit",
     ) -> None:
-        super().__init__(data, checked(FitPart, data, name), study, ended, name)
+        super().__init__(data, validate(FitPart, data, name), study, ended, name)
 
     @property
     def kind(self) -> str:
@@ -197,7 +197,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_simulation
 
-        study, axes = self._drawn("plot"), axes_of(ax)
+        study, axes = self._require_study("plot"), axes_of(ax)
         draw_simulation(axes, study.fit, study.material.judge, self._place(channel))
         return axes
 
@@ -206,7 +206,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_errors
 
-        study, axes = self._drawn("plot_errors"), axes_of(ax)
+        study, axes = self._require_study("plot_errors"), axes_of(ax)
         draw_errors(axes, study.fit, study.material.judge, self._place(channel))
         return axes
 
@@ -215,7 +215,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_autocorrelation
 
-        study, axes = self._drawn("plot_residuals"), axes_of(ax)
+        study, axes = self._require_study("plot_residuals"), axes_of(ax)
         draw_autocorrelation(axes, study.fit, self._place(channel))
         return axes
 
@@ -240,7 +240,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import fit_figure
 
-        study = self._drawn("figure")
+        study = self._require_study("figure")
         return fit_figure(study.fit, study.material.judge)
 
     def _write_page(self, file: Path) -> None:
@@ -333,12 +333,21 @@ def fit(
 
     method, metric = interval_method(intervals), criterion_named(criterion)
     material = material_of(
-        rec, model, test, holdout, per_recording, span=span, all_of_it=True, device=device, run=run, warn=warn
+        rec,
+        model,
+        test,
+        holdout,
+        per_recording,
+        span=span,
+        allow_no_holdout=True,
+        device=device,
+        run=run,
+        warn=warn,
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
-        how = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
-        found = fit_study(
-            material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=how
+        options = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
+        study = fit_study(
+            material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
         )
-    return Fit(found.json, found, "" if found.fit.complete else deadline.reason)
+    return Fit(study.json, study, "" if study.fit.complete else deadline.reason)

@@ -1,4 +1,4 @@
-"""What people hand in, taken for what it is: paths, rigs, names; each refusal says what was expected."""
+"""Arguments converted and checked: paths, rigs, names; each error says what was expected."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labhil.rig import RigFile, default_rig, is_simulator, load_rig
 
 if TYPE_CHECKING:
     from labhil.analysis.dataset import Dataset
-    from labhil.analysis.results import SavedModel
+    from labhil.analysis.saved_model import SavedModel
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.fit import Fit
     from labhil.api.model import Model
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 Progress = bool | Callable[[str], None] | None
-"""Who hears how far long work has come: a function of one text, True for a line on stderr, or nobody."""
+"""Where progress goes: to a function of one text, with True to a line on stderr, with None nowhere."""
 Warn = Callable[[Iterable[str]], object] | None
-"""Who hears what recordings lack: a function of some lines, or nobody."""
+"""Where warnings of what recordings lack go: to a function of some lines, or nowhere."""
 
 SHORTEST_LIKENESS = 0.6
 
 
 def path_of(value: object, what: str) -> Path:
-    """The path that somebody gave for ``what``; UsageError where it is none."""
+    """The path that was given for ``what``; UsageError where it is none."""
     if isinstance(value, (str, os.PathLike)) and str(value):
         return Path(value)
     raise UsageError(f"{what}: expected a path, found {value!r:.80} ({type(value).__name__})")
@@ -49,9 +49,9 @@ def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
     """
     if rig is None or isinstance(rig, RigFile):
         return rig
-    own = getattr(rig, "rig_file", None)
-    if isinstance(own, RigFile):
-        return own
+    resolved = getattr(rig, "rig_file", None)
+    if isinstance(resolved, RigFile):
+        return resolved
     if isinstance(rig, str) and rig in kind_names():
         return default_rig(rig)
     path = path_of(rig, "rig")
@@ -107,14 +107,14 @@ def span_of(value: object) -> tuple[float, float] | None:
     return first, last
 
 
-def taken_of(
+def recordings_of(
     given: PathLike | Recording | Sequence[PathLike | Recording], what: str
 ) -> list[Path | FileRecording]:
     """One recording or several, given by path or read already."""
     several = list(given) if isinstance(given, (list, tuple)) else [given]
     if not several:
         raise UsageError(f"{what}: expected a recording, found an empty list")
-    return [_taken(each, what) for each in several]
+    return [_recording_of(each, what) for each in several]
 
 
 def material_of(
@@ -128,19 +128,19 @@ def material_of(
     device: str | None,
     run: int | None,
     warn: Warn,
-    all_of_it: bool = False,
+    allow_no_holdout: bool = False,
 ) -> Dataset:
-    """The data that a fit or a diagnosis is made from; ``warn`` hears what they lack."""
+    """The data that a fit or a diagnosis is made from; ``warn`` gets what they lack."""
     from labhil.analysis.dataset import load_dataset
 
     material = load_dataset(
-        taken_of(rec, "rec"),
+        recordings_of(rec, "rec"),
         rig_file(model),
-        None if test is None else taken_of(test, "test"),
+        None if test is None else recordings_of(test, "test"),
         number_of(holdout, "holdout"),
         names_of(per_recording, "per_recording") or (),
         span=span_of(span),
-        all_of_it=all_of_it,
+        allow_no_holdout=allow_no_holdout,
         device=device,
         run=run,
     )
@@ -149,7 +149,7 @@ def material_of(
     return material
 
 
-def _taken(given: object, what: str) -> Path | FileRecording:
+def _recording_of(given: object, what: str) -> Path | FileRecording:
     from labhil.api.recording import Recording
 
     if isinstance(given, Recording):
@@ -174,11 +174,11 @@ def progress_reporter(progress: Progress) -> Iterator[Callable[[str], None]]:
         with status() as say:
             yield say
     else:
-        yield _nobody
+        yield _ignore_progress
 
 
-def _nobody(text: str) -> None:
-    """Nobody hears it."""
+def _ignore_progress(text: str) -> None:
+    """Progress that is not shown."""
 
 
 def reference_of(result: Fit | Diagnosis | PathLike | None, what: str) -> Path | SavedModel | None:

@@ -206,14 +206,14 @@ def model(
         ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'quadratic_viscous_friction',
         'cubic_viscous_friction')
     """
-    own = getattr(rig, "model", None)
-    if isinstance(own, Model):
-        base = own.rig_file
+    carried = getattr(rig, "model", None)
+    if isinstance(carried, Model):
+        base = carried.rig_file
     else:
-        found = rig_file(rig)  # type: ignore[arg-type]
-        if found is None:
+        resolved = rig_file(rig)  # type: ignore[arg-type]
+        if resolved is None:
             raise UsageError("rig: expected a rig kind, the path of a rig file or a recording, found None")
-        base = found
+        base = resolved
     if known is None and nominal is None and horizon is None:
         return Model(base)
     data = base.model_dump(mode="json", exclude_defaults=True)
@@ -223,9 +223,9 @@ def model(
     if horizon is not None:
         data["metric"] = {**data.get("metric", {}), "horizon": float(horizon)}
     files = {name: content for name, content in base.files.items() if name not in (known or {})}
-    made = parse_rig(to_toml({name: part for name, part in data.items() if part}), base.path, files)
-    tables = {name: made.known_file(name) for name, what in made.kind.known.items() if what.table}
-    return Model(made.model_copy(update={"files": {k: file.content for k, file in tables.items() if file}}))
+    parsed = parse_rig(to_toml({name: part for name, part in data.items() if part}), base.path, files)
+    tables = {name: parsed.known_file(name) for name, size in parsed.kind.known.items() if size.table}
+    return Model(parsed.model_copy(update={"files": {k: file.content for k, file in tables.items() if file}}))
 
 
 def _plain(value: object) -> object:

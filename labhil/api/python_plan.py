@@ -1,4 +1,4 @@
-"""Plans in Python: a generator yields steps, is given what was recorded, and decides what comes next."""
+"""Plans in Python: a generator yields steps, is sent their recording, and decides what comes next."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Steps = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 PythonPlan = Generator[Steps, "Recording", Any]
 ENDS_THE_PLAN = (RunStoppedError, EmergencyStopError)
-"""What a plan is not asked about: a person has ended it."""
+"""Errors that end a plan without being thrown into it: a person has ended the run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class PlanResult:
 
 
 def run_plan(
-    base: ExperimentFile, plan: Callable[[], PythonPlan], out: Path, tell: Callable[[Progress], None]
+    base: ExperimentFile, plan: Callable[[], PythonPlan], out: Path, report: Callable[[Progress], None]
 ) -> PlanResult:
     """Run what a plan yields, one recording for each, until it returns.
 
@@ -42,33 +42,33 @@ def run_plan(
     from labhil.api.recording import read
 
     name = getattr(plan, "__name__", "plan")
-    made: list[Path] = []
-    steps = plan()
+    paths: list[Path] = []
+    generator = plan()
     try:
-        asked = next(steps)
+        steps = next(generator)
         while True:
-            experiment = _with_steps(base, asked, f"{name}, step {len(made) + 1}")
+            experiment = _with_steps(base, steps, f"{name}, step {len(paths) + 1}")
             try:
-                made.append(_record(experiment, out, tell, {"name": name, "number": str(len(made) + 1)}))
+                paths.append(_record(experiment, out, report, {"name": name, "number": str(len(paths) + 1)}))
             except ENDS_THE_PLAN:
                 raise
             except RunError as error:
-                asked = steps.throw(error)  # the plan may go on by another way; else this ends it
+                steps = generator.throw(error)  # the plan may go on by another way; else this ends it
             else:
-                asked = steps.send(read(made[-1]))
-    except StopIteration as end:
-        return PlanResult(tuple(made), end.value)
+                steps = generator.send(read(paths[-1]))
+    except StopIteration as stop:
+        return PlanResult(tuple(paths), stop.value)
     except LabhilError as error:
-        if made:
-            error.add_note(f"What was recorded before: {', '.join(map(str, made))}")
+        if paths:
+            error.add_note(f"What was recorded before: {', '.join(map(str, paths))}")
         raise
     finally:
-        steps.close()
+        generator.close()
 
 
-def _with_steps(base: ExperimentFile, asked: Steps, where: str) -> ExperimentFile:
+def _with_steps(base: ExperimentFile, yielded: Steps, where: str) -> ExperimentFile:
     """The experiment with the steps that were yielded; they are checked against the limits when it is run."""
-    given = [asked] if isinstance(asked, Mapping) else list(asked)
+    given = [yielded] if isinstance(yielded, Mapping) else list(yielded)
     only = next(iter(base.devices)) if len(base.devices) == 1 else None
     data = [{**({} if only is None else {"device": only}), **step} for step in given]
     try:
@@ -80,11 +80,11 @@ def _with_steps(base: ExperimentFile, asked: Steps, where: str) -> ExperimentFil
 
 
 def _record(
-    experiment: ExperimentFile, out: Path, tell: Callable[[Progress], None], about: Mapping[str, str]
+    experiment: ExperimentFile, out: Path, report: Callable[[Progress], None], about: Mapping[str, str]
 ) -> Path:
     from labhil.experiment.run import run_experiment
 
-    result = run_experiment(experiment, out, tell, metadata={"plan": about})
+    result = run_experiment(experiment, out, report, metadata={"plan": about})
     if result.error is not None:
         if result.path is not None:
             result.error.add_note(f"What was recorded until then: {result.path}")

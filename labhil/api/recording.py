@@ -67,21 +67,21 @@ class Recording:
 
         RecordingError where the recording holds no stream.
         """
-        streams = [each for each in self._file.streams if len(each)] or list(self._file.streams)
+        streams = [data for data in self._file.streams if len(data)] or list(self._file.streams)
         if not streams:
             raise RecordingError(f"{self.path}: {self._file.no_streams()}")
         outputs = set() if self._file.rig is None else {s.name for s in self._file.rig.kind.outputs}
-        return max(streams, key=lambda each: (len(outputs & set(each.stream.names())), len(each)))
+        return max(streams, key=lambda data: (len(outputs & set(data.stream.names())), len(data)))
 
     @property
     def streams(self) -> Mapping[str, StreamData]:
         """All streams by ``device/stream``: ``t``, ``values``, ``rate``, ``lost`` and stamps of each."""
-        return {f"{each.device}/{each.stream.name}": each for each in self._file.streams}
+        return {f"{data.device}/{data.stream.name}": data for data in self._file.streams}
 
     @property
     def t(self) -> FloatArray:
         """Times of the samples, (n,) s from the first; read only, as all arrays here."""
-        return _fixed(self.main.t)
+        return _read_only(self.main.t)
 
     @property
     def signals(self) -> Mapping[str, Signal]:
@@ -106,7 +106,7 @@ class Recording:
     @property
     def lost(self) -> int:
         """How many samples are missing in all streams."""
-        return sum(each.lost for each in self._file.streams)
+        return sum(data.lost for data in self._file.streams)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -125,11 +125,11 @@ class Recording:
 
     def __getitem__(self, name: str) -> FloatArray:
         if name in self.signals:
-            return _fixed(self.main[name])
-        for each in self._file.streams:
-            if name in each.stream.names():
-                return _fixed(each[name])
-        names = [known for each in self._file.streams for known in each.stream.names()]
+            return _read_only(self.main[name])
+        for data in self._file.streams:
+            if name in data.stream.names():
+                return _read_only(data[name])
+        names = [known for data in self._file.streams for known in data.stream.names()]
         raise RecordingError(
             f"{self.path}: no signal {name!r}{suggestion(str(name), names)}; "
             f"found: {', '.join(dict.fromkeys(names))}"
@@ -191,12 +191,12 @@ class Recording:
         signal = next(iter(self.signals)) if name is None else name
         values = self[signal]
         axes = axes_of(ax)
-        t = next(each.t for each in (self.main, *self._file.streams) if signal in each.stream.names())
+        t = next(data.t for data in (self.main, *self._file.streams) if signal in data.stream.names())
         lines = values if values.ndim == 2 else values[:, None]
         for i, column in enumerate(lines.T):
             single = lines.shape[1] == 1
             axes.plot(t, column, lw=1.0, color=MEASURED if single else None, label="" if single else f"{i}")
-        unit = next(s.unit for each in self._file.streams for s in each.stream.signals if s.name == signal)
+        unit = next(s.unit for data in self._file.streams for s in data.stream.signals if s.name == signal)
         finish(axes, signal, "t, s", f"{signal}, {unit}")
         return axes
 
@@ -223,8 +223,8 @@ class Recording:
         return file
 
 
-def _fixed(values: FloatArray) -> FloatArray:
-    """The same numbers, not to be written to."""
+def _read_only(values: FloatArray) -> FloatArray:
+    """A read-only view of the same numbers."""
     view = values.view()
     view.flags.writeable = False
     return view
@@ -241,8 +241,7 @@ def read(
     """Read a recording from a file.
 
     MCAP files need nothing more. Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a
-    rig
-    file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
+    rig file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
@@ -268,9 +267,9 @@ def read(
     """
     from labhil.recording.reader import read_recording
 
-    file, own = path_of(path, "path"), rig_file(rig)
+    file, resolved_rig = path_of(path, "path"), rig_file(rig)
     if _is_table(file):
-        if own is None:
+        if resolved_rig is None:
             raise UsageError(
                 f"{file}: a table needs a rig, which says what its columns are: "
                 'labhil.read(…, rig="bench.toml"), or the kind where columns bear the names of signals'
@@ -278,14 +277,14 @@ def read(
         from labhil.analysis.tables import read_table
 
         with progress_reporter(progress) as say:
-            table, notes, content = read_table(file, own, say)
+            table, notes, content = read_table(file, resolved_rig, say)
         return Recording(table, tuple(notes), content)
-    found = read_recording(file, run).of_device(device)
-    return Recording(found if own is None else replace(found, rig=own))
+    recording = read_recording(file, run).of_device(device)
+    return Recording(recording if resolved_rig is None else replace(recording, rig=resolved_rig))
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file is anything but a recording; of one that is not there the name tells."""
+    """Whether a file is anything but a recording; a missing one is judged by its name."""
     from labhil.recording.chunks import is_mcap
 
     if path.is_dir():

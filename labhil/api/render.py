@@ -24,16 +24,16 @@ def text_of(renderables: Iterable[RenderableType], width: int = WIDTH) -> str:
     """What the command line prints, without colours and without spaces at the ends of lines."""
     written = io.StringIO()
     console = terminal(width=width, file=written, color_system=None)
-    for each in renderables:
-        console.print(each)
+    for renderable in renderables:
+        console.print(renderable)
     return "\n".join(line.rstrip() for line in written.getvalue().splitlines())
 
 
 def html_of(renderables: Iterable[RenderableType], width: int = WIDTH) -> str:
     """The same with its colours, for a notebook; every value is escaped."""
     console = terminal(width=width, file=io.StringIO(), record=True)
-    for each in renderables:
-        console.print(each)
+    for renderable in renderables:
+        console.print(renderable)
     return str(console.export_html(inline_styles=True, code_format=HTML))
 
 
@@ -79,8 +79,7 @@ def channel_of(channel: int | str, names: Sequence[str]) -> int:
 def axes_of(ax: Axes | None, size: tuple[float, float] = (9.0, 4.0)) -> Axes:
     """The axes to draw into: the given ones, or new ones.
 
-    New ones belong to pyplot where somebody has imported it, so that a notebook shows them; else they need no
-    display.
+    New ones belong to pyplot where it is imported, so that a notebook shows them; else they need no display.
     """
     if ax is not None:
         if not hasattr(ax, "plot"):
@@ -90,8 +89,8 @@ def axes_of(ax: Axes | None, size: tuple[float, float] = (9.0, 4.0)) -> Axes:
 
     if "matplotlib.pyplot" in sys.modules:
         plt = sys.modules["matplotlib.pyplot"]
-        found: Axes = plt.subplots(figsize=size, layout="constrained")[1]
-        return found
+        axes: Axes = plt.subplots(figsize=size, layout="constrained")[1]
+        return axes
     from labhil.report.figure import figure_of
 
     return figure_of(size).subplots()

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
     from labhil.analysis.patch import Patch
-    from labhil.analysis.results import SavedModel
+    from labhil.analysis.saved_model import SavedModel
     from labhil.analysis.schema import Parameters, Source
 
 
@@ -45,7 +45,7 @@ class Result(ABC):
     def as_reference(self) -> SavedModel:
         """Its data under its name, as what reads files of results takes them."""
         require_analysis("a model")
-        from labhil.analysis.results import SavedModel
+        from labhil.analysis.saved_model import SavedModel
 
         return SavedModel(self._name, self._data)
 
@@ -115,21 +115,21 @@ class Result(ABC):
         Args:
             width: Characters of a line.
         """
-        return text_of([*self._early(), *self._renderables()], width)
+        return text_of([*self._early_note(), *self._renderables()], width)
 
     def show(self, console: Console) -> None:
         """Print the report on a console of rich."""
-        for each in self._renderables():
-            console.print(each)
+        for renderable in self._renderables():
+            console.print(renderable)
 
     def __str__(self) -> str:
         return self.text()
 
     def _repr_html_(self) -> str:
-        return html_of([*self._early(), *self._renderables()])
+        return html_of([*self._early_note(), *self._renderables()])
 
-    def _early(self) -> list[str]:
-        """What is said first of all of a result that was ended early."""
+    def _early_note(self) -> list[str]:
+        """The first line of the report of a result that was ended early."""
         if self._data.get("complete", True):
             return []
         return ["ENDED EARLY: the best so far; more time may change it."]
@@ -144,7 +144,7 @@ class Result(ABC):
         return _restored, (type(self), self._data, self._name)
 
 
-class Stated(Protocol):
+class ComputedPart(Protocol):
     """What the JSON of a computed result says, with types."""
 
     @property
@@ -156,7 +156,7 @@ class Stated(Protocol):
         """False where it was ended early."""
 
 
-P = TypeVar("P", bound=Stated)
+P = TypeVar("P", bound=ComputedPart)
 S = TypeVar("S")
 
 
@@ -225,11 +225,11 @@ class ComputedResult(Result, Generic[P, S]):
     @property
     def study(self) -> S:
         """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
-        return self._drawn("study")
+        return self._require_study("study")
 
-    def _drawn(self, what: str) -> S:
+    def _require_study(self, what: str) -> S:
         if self._study is None:
-            raise unsaved(what)
+            raise no_samples_error(what)
         return self._study
 
 
@@ -238,7 +238,7 @@ def _restored(kind: Any, data: Mapping[str, Any], name: str) -> Result:
     return result
 
 
-def unsaved(what: str) -> UsageError:
+def no_samples_error(what: str) -> UsageError:
     """The refusal of what a saved result cannot do, since it holds numbers and no samples."""
     return UsageError(
         f"{what}: a result that was loaded or pickled holds no samples; `simulate(recording).plot()` draws "
@@ -250,7 +250,7 @@ def parameter_columns(parameters: Parameters) -> dict[str, list[Any]]:
     """Parameters by columns, in the order of the report."""
     from labhil.report.parameter_columns import COLUMNS
 
-    frames = [each for column in COLUMNS for each in column.frame]
+    frames = [entry for column in COLUMNS for entry in column.frame]
     return {name: [value(row) for row in parameters] for name, value in frames}
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labhil.api.inputs import PathLike, names_of, number_or_none, taken_of
+from labhil.api.inputs import PathLike, names_of, number_or_none, recordings_of
 from labhil.api.render import axes_of, data_frame, data_set
 from labhil.errors import UnknownNameError, UsageError
 from labhil.extras import require, require_analysis
@@ -17,7 +17,7 @@ from labhil.signals import FloatArray, IntArray
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from labhil.analysis.results import SavedModel
+    from labhil.analysis.saved_model import SavedModel
     from labhil.analysis.schema import ChannelErrors
     from labhil.api.recording import Recording
 
@@ -61,11 +61,11 @@ class Simulation:
 
     def __repr__(self) -> str:
         how = "inverse dynamics" if self.horizon is None else f"windows of {self.horizon:.3g} s"
-        each = ", ".join(
+        figures = ", ".join(
             f"{name} RMSE {row.rmse or 0.0:.3g} {row.unit}, noise floor {row.noise_floor or 0.0:.3g}"
             for name, row in self.errors.items()
         )
-        return f"<Simulation of {self.name}, {how}: {each}>"
+        return f"<Simulation of {self.name}, {how}: {figures}>"
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame over ``t`` (s): columns ``NAME`` as measured and ``NAME_simulated``.
@@ -124,17 +124,19 @@ def simulate(
 ) -> Simulation:
     """Run the model of a result on a recording of a rig of the same kind; see :class:`Simulation`."""
     require_analysis("a simulation")
-    from labhil.analysis.simulate import simulated
+    from labhil.analysis.simulate import simulate_recording
 
-    off = names_of(without, "without") or ()
-    found = simulated(taken_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"), off)
-    record, score = found.record, found.score
+    switched_off = names_of(without, "without") or ()
+    simulation = simulate_recording(
+        recordings_of(rec, "recording")[0], saved, rig, number_or_none(horizon, "horizon"), switched_off
+    )
+    record, score = simulation.record, simulation.score
     names = record.output_names
     predicted = np.full(record.outputs.shape, np.nan)
     predicted[score.rows] = record.outputs[score.rows] + score.errors
     window = np.full(len(record.t), -1)
     window[score.rows] = score.window
-    rows = found.part.scored
+    rows = simulation.part.scored
     if len(rows) != len(names):
         raise UsageError(f"{saved}: expected a score of each of {', '.join(names)}")
     return Simulation(
@@ -145,5 +147,5 @@ def simulate(
         errors=dict(zip(names, rows, strict=True)),
         horizon=score.horizon,
         window=window,
-        name=found.name,
+        name=simulation.name,
     )

@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, checked
+from labhil.analysis.schema import ChannelVerdict, Source, ValueChange, VerificationPart, validate
 from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
     number_of,
     progress_reporter,
+    recordings_of,
     reference_of,
     rig_file,
-    taken_of,
 )
 from labhil.api.render import data_frame
 from labhil.api.result import Result
@@ -40,14 +40,14 @@ class Verification(Result):
 
     Example:
         >>> import labhil as lh
-        >>> found = lh.verify("recordings/ball_beam_test.mcap", "examples/fit.json")
-        >>> found.contradicted, found.reasons
+        >>> verification = lh.verify("recordings/ball_beam_test.mcap", "examples/fit.json")
+        >>> verification.contradicted, verification.reasons
         (False, ())
     """
 
     def __init__(self, data: Mapping[str, Any], name: str = "the verification") -> None:
         super().__init__(data, name)
-        self._part = checked(VerificationPart, data, name)
+        self._part = validate(VerificationPart, data, name)
 
     @property
     def part(self) -> VerificationPart:
@@ -166,12 +166,12 @@ def verify(
     reference = reference_of(accepted, "accepted")
     if reference is None:
         raise UsageError("accepted: expected a fit or a diagnosis, or its file, found None")
-    taken = taken_of(rec, "rec")
-    if len(taken) != 1:
-        raise UsageError(f"rec: expected one recording, found {len(taken)}")
+    recordings = recordings_of(rec, "rec")
+    if len(recordings) != 1:
+        raise UsageError(f"rec: expected one recording, found {len(recordings)}")
     with progress_reporter(progress) as say:
-        found = verify_study(
-            taken[0],
+        study = verify_study(
+            recordings[0],
             reference,
             rig_file(model),
             alpha=number_of(alpha, "alpha"),
@@ -180,5 +180,5 @@ def verify(
             progress=say,
         )
     if warn is not None:
-        warn(found.losses)
-    return Verification(found.json)
+        warn(study.losses)
+    return Verification(study.json)

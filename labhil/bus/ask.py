@@ -1,4 +1,4 @@
-"""Questions and answers over the bus: JSON both ways, and errors that reach the one who asked."""
+"""Questions and answers over the bus: JSON both ways, and errors that reach the asker."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labhil.errors import BusError, CommandRefusedError
 from labhil.supervised import SupervisedThread
 
 Handler = Callable[[Any], Mapping[str, Any]]
-"""Receives what was asked and returns the answer; what it raises goes back as an error."""
+"""Takes a request and returns the answer; what it raises goes back as an error."""
 
 Reader = Callable[[bytes], Any]
 """Reads a question; CommandRefusedError where it is none."""
@@ -90,30 +90,30 @@ class Answering:
                 query = self._queries.recv()
             except zenoh.ZError:
                 return  # undeclared
-            # whoever asked may be gone, or have asked for an answer that cannot be sent: the next one is not
+            # the asker may be gone, or its answer cannot be sent: the next query is answered all the same
             with suppress(zenoh.ZError), query:
                 self._answer(query)
 
     def _answer(self, query: zenoh.Query) -> None:
         try:
-            answer = dump(self._handler(self._admitted(query)))
+            answer = dump(self._handler(self._admit(query)))
         except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
-            told = {"error": type(error).__name__, "message": str(error)[:LONGEST], "key": self._key}
-            query.reply_err(dump(told))
+            failure = {"error": type(error).__name__, "message": str(error)[:LONGEST], "key": self._key}
+            query.reply_err(dump(failure))
         else:
             query.reply(self._key, answer)
 
-    def _admitted(self, query: zenoh.Query) -> Any:
-        """What is asked, if it may be."""
+    def _admit(self, query: zenoh.Query) -> Any:
+        """Return the request; CommandRefusedError where it is malformed or lacks its signature."""
         try:
             payload = _payload(query)
-            asked = self._reader(payload)
-            if self._guarded(asked):
+            request = self._reader(payload)
+            if self._guarded(request):
                 self._refuse_unsigned(query, payload)
         except CommandRefusedError as error:
             self._refusals.note(self._key, str(error))
             raise
-        return asked
+        return request
 
     def _refuse_unsigned(self, query: zenoh.Query, payload: bytes) -> None:
         attached = query.attachment
@@ -195,8 +195,8 @@ def ask_all(
                 except CommandRefusedError as error:
                     answers[place] = BusError(f"the answer is none: {error}")
             elif reply.err is not None:
-                found = reply.err.payload.to_bytes()
-                answers[_key_in(found)] = _error(key, found, timeout)
+                error_payload = reply.err.payload.to_bytes()
+                answers[_key_in(error_payload)] = _error(key, error_payload, timeout)
     except zenoh.ZError as failure:
         raise BusError(f"{key}: could not be asked: {failure}") from failure
     answers.pop("", None)
@@ -204,7 +204,7 @@ def ask_all(
 
 
 def _question(payload: Mapping[str, Any] | None) -> bytes:
-    # as it was meant, NaN and all: the one who is asked says what is wrong with it
+    # unchecked, NaN and all: the receiver says what is wrong with it
     return json.dumps(dict(payload or {}), ensure_ascii=False).encode("utf-8", "replace")
 
 
@@ -245,8 +245,8 @@ def _key_in(payload: bytes) -> str:
 
 def _error(key: str, payload: bytes, timeout: float) -> BusError | CommandRefusedError:
     try:
-        found = parse(ErrorReply, payload, "an error")
-        kind, message = found.error, found.message
+        reply = parse(ErrorReply, payload, "an error")
+        kind, message = reply.error, reply.message
     except CommandRefusedError:
         text = payload[:200].decode("utf-8", "replace")
         return BusError(f"{key}: no answer within {timeout:g} s ({text})")

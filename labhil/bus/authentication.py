@@ -122,9 +122,9 @@ class Verifier:
         return ""
 
     def _is_ours(self, head: bytes, key_expression: str, payload: bytes, codes: bytes) -> bool:
-        found = [codes[start : start + CODE_BYTES] for start in range(0, len(codes), CODE_BYTES)]
-        wanted = [_code(key, head, key_expression, payload) for key in self._keys]
-        return any(secrets.compare_digest(code, each) for code in found for each in wanted)
+        received = [codes[start : start + CODE_BYTES] for start in range(0, len(codes), CODE_BYTES)]
+        accepted = [_code(key, head, key_expression, payload) for key in self._keys]
+        return any(secrets.compare_digest(code, expected) for code in received for expected in accepted)
 
     def _forget(self, now: int) -> None:
         """Senders of whom nothing can come any more that is not refused as too old."""
@@ -151,12 +151,14 @@ class Refusals:
         now = time.monotonic()
         with self._lock:
             self.counts[place] = count = self.counts.get(place, 0) + 1
-            at, before = self._reported.get(place, (float("-inf"), 0))
-            if now - at < self._every:
+            reported_at, reported_count = self._reported.get(place, (float("-inf"), 0))
+            if now - reported_at < self._every:
                 return
             self._reported[place] = (now, count)
         if self._report is not None:
-            further = f" ({count - before} since the last report, {count} in all)" if count > 1 else ""
+            further = (
+                f" ({count - reported_count} since the last report, {count} in all)" if count > 1 else ""
+            )
             # a bus that cannot take the report is noticed by whoever looks after it
             with contextlib.suppress(LabhilError):
                 self._report(f"refused at {place}: {reason}{further}")

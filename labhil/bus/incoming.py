@@ -71,7 +71,7 @@ class EstopRequest(Incoming):
 
 
 class RunRequest(Incoming):
-    """Something that is asked of a run."""
+    """A request to a run."""
 
     reason: Text | None = None
 
@@ -83,7 +83,7 @@ class MarkRequest(Incoming):
 
 
 class ReplayRequest(Incoming):
-    """Something that is asked of a replay; ``value`` is a speed, or a time in s of the host."""
+    """A request to a replay; ``value`` is a speed, or a time in s of the host."""
 
     action: Literal["status", "pause", "play", "speed", "seek"] = "status"
     value: float = 0.0
@@ -199,7 +199,7 @@ def is_press(payload: bytes) -> bool:
 
 
 def excerpt(payload: object) -> str:
-    """The beginning of what was found, printable whatever it is."""
+    """The beginning of a payload or value, made printable."""
     start = payload[:60] if isinstance(payload, (bytes, str)) else payload
     text = ascii(start)
     return text if len(text) <= 80 else f"{text[:80]}…"
@@ -232,15 +232,15 @@ def _finite(value: Any) -> Any:
 
 
 def _in_words(error: ValidationError, what: str) -> str:
-    """The first thing that is wrong."""
+    """Say what the first error is, with the field and the value found there."""
     first = error.errors(include_url=False)[0]
     place = ".".join(str(part) for part in first["loc"])[:100].encode("ascii", "backslashreplace").decode()
-    found = excerpt(first.get("input"))
+    value = excerpt(first.get("input"))
     if first["type"] == "finite_number":
-        return f"{what}: {place}: expected a finite number, found {found}"
+        return f"{what}: {place}: expected a finite number, found {value}"
     if first["type"] == "literal_error":
-        return f"{what}: {place} is {first['ctx']['expected']}, found {found}"
+        return f"{what}: {place} is {first['ctx']['expected']}, found {value}"
     if first["type"] == "missing":
         return f"{what}: expected the field {place}, found none"
     message = f"{first['msg'][0].lower()}{first['msg'][1:]}"
-    return f"{what}: {f'{place}: ' if place else ''}{message}, found {found}"
+    return f"{what}: {f'{place}: ' if place else ''}{message}, found {value}"

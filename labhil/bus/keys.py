@@ -21,13 +21,13 @@ REPLAYED_STREAMS, REPLAYED_SCHEMAS = "replay/*/*", "replay/*/@schema/*"
 """The same of recordings that are replayed; no recorder and no host listens there."""
 
 REPLAY_CONTROL = "replay/@control"
-"""Where a replay is asked how far it is, and told to pause, go on, run faster or go elsewhere."""
+"""Where a replay says how far it is, and takes requests to pause, play, change its speed or seek."""
 
 ARRIVED = "lab/@arrived"
 """Where every subscription answers; the answer comes after all that was sent to it before the question."""
 
 RUN = "@run"
-"""Stands where a device's name does, for what the run itself is asked."""
+"""Stands where a device's name does, for requests to the run itself."""
 
 WORKER_PROGRESS, WORKER_RESULT = "lab/@worker/progress", "lab/@worker/result"
 """Where a lab's worker says what it is doing, and what came of it, as JSON."""
@@ -42,7 +42,7 @@ def stream_key(device: str, stream: str, namespace: str = LAB) -> str:
 
 
 def schema_key(device: str, stream: str, namespace: str = LAB) -> str:
-    """Where the declaration of a stream is asked for."""
+    """Where the declaration of a stream is queried."""
     return f"{namespace}/{device}/@schema/{stream}"
 
 
@@ -52,7 +52,7 @@ def live_key(device: str) -> str:
 
 
 def command_key(device: str, name: str) -> str:
-    """Where the command ``name`` is asked for (a query that is answered)."""
+    """Where the command ``name`` is sent (a query that is answered)."""
     return f"lab/{device}/cmd/{name}"
 
 

@@ -30,7 +30,7 @@ def live_devices(bus: Bus, timeout: float = 1.0) -> tuple[str, ...]:
     """Names of the devices whose hosts are alive, sorted; BusError when the bus is closed."""
     try:
         replies = bus.session.liveliness().get(ALL_LIVE, timeout=timeout)
-        found = {str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None}
+        devices = {str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None}
     except zenoh.ZError as error:
         raise BusError(f"{ALL_LIVE}: could not be asked: {error}") from error
-    return tuple(sorted(found))
+    return tuple(sorted(devices))

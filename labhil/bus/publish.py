@@ -111,15 +111,15 @@ class StreamPublisher:
 
     def _run(self) -> None:
         self._wait_for_a_listener()
-        told = False
+        declared = False
         while (payloads := self._queue.get()) is not None:
             if self.error is not None:
                 self.overflows += len(payloads)
                 continue
             try:
-                if not told:
+                if not declared:
                     self._tell_schema()
-                    told = True
+                    declared = True
                 self._publish(payloads)
             except zenoh.ZError as error:
                 self.error = BusError(f"{self._publisher.key_expr}: samples could not be published: {error}")
@@ -139,12 +139,12 @@ class StreamPublisher:
             return
 
     def _tell_schema(self) -> None:
-        """Say what the stream is before its first sample: who comes later asks, and may come too late."""
-        told = dump(self._reply)
+        """Declare the stream before its first sample; subscribers that join later have to ask."""
+        declaration = dump(self._reply)
         self._session.put(
             self._schema_key,
-            told,
-            attachment=self._bus.sign(self._schema_key, told),
+            declaration,
+            attachment=self._bus.sign(self._schema_key, declaration),
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
 

@@ -128,14 +128,14 @@ def _for_us_alone(path: str, flags: int) -> int:
 
 def running(kind: str | None = None) -> tuple[Registered, ...]:
     """Return who can be reached, oldest first; what dead processes left behind is swept."""
-    found = []
+    entries = []
     for path in sorted(runtime_directory().glob("*-*.json")):
         entry = _read(path)
         if entry is None or not entry.alive:
             path.unlink(missing_ok=True)
         elif kind is None or entry.kind == kind:
-            found.append(entry)
-    return tuple(sorted(found, key=lambda entry: entry.since))
+            entries.append(entry)
+    return tuple(sorted(entries, key=lambda entry: entry.since))
 
 
 def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:

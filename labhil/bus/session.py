@@ -139,9 +139,9 @@ def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
 def _keys(endpoint: str, connect: str | Sequence[str] | None) -> tuple[tuple[bytes, ...], Path | None]:
     """The keys of the sessions that are joined, else a new one, and the file that hands them on."""
     places = [connect] if isinstance(connect, str) else list(connect or ())
-    with suppress(BusError, OSError):  # without the directory nobody finds us, and we nobody's key
-        found = dict.fromkeys(key for place in places if (key := key_of(place)) is not None)
-        keys = tuple(found) or (new_key(),)
+    with suppress(BusError, OSError):  # without the directory keys are neither found nor handed on
+        joined = dict.fromkeys(key for place in places if (key := key_of(place)) is not None)
+        keys = tuple(joined) or (new_key(),)
         # one that joined several sessions is only a visitor: nobody reaches them by it
         return keys, keep_key(endpoint, keys[0]) if len(keys) == 1 else None
     return (new_key(),), None

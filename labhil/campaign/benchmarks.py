@@ -24,7 +24,7 @@ PACKAGE = "labhil_benchmarks"
 def benchmark_module(name: str, purpose: str) -> ModuleType:
     """Import a module of the benchmarks; ``purpose`` is what needs it, as a person typed it.
 
-    Once found they stay on the path, also for processes that this one starts. MissingBenchmarksError where
+    Once imported they stay on the path, also for processes that this one starts. MissingBenchmarksError where
     labhil was not installed from a checkout, or the checkout is gone.
     """
     if find_spec(PACKAGE) is None:

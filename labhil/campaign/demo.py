@@ -148,9 +148,9 @@ def _open_envelope(path: Path, seal: str, diagnosis: Diagnosis, console: Console
         raise RunError(f"{path}: the envelope was changed after it was sealed")
     truth = json.loads(path.read_text(encoding="utf-8"))
     concealed = [name for name in truth["terms"] if name not in diagnosis.baseline.terms]
-    found = [item.term for item in diagnosis.missing]
+    named = [item.term for item in diagnosis.missing]
     console.print(
-        f"\nThe envelope is opened. Concealed: {', '.join(concealed)}. Found: {', '.join(found) or '—'}."
+        f"\nThe envelope is opened. Concealed: {', '.join(concealed)}. Found: {', '.join(named) or '—'}."
     )
     estimates = {row.name: row for row in diagnosis.final.parameters}
     table = Table(box=None, pad_edge=False)

@@ -58,7 +58,7 @@ class Policies:
 
 
 def tasks_of(policy: Policy, recording: Path, device: str | None) -> Iterator[Task]:
-    """Yield the studies that a policy asks for, in its order."""
+    """Yield the studies of a policy, in its order."""
     model = None if policy.model is None else Path(policy.model)
     for kind in policy.analyse or ():
         terms = {"fit": policy.terms, "diagnose": policy.baseline}.get(kind)
@@ -119,7 +119,7 @@ def _check_names(names: Sequence[str], known: Sequence[str], what: str, where: s
 
 
 def _catalogue(kind: str, where: str) -> Catalogue:
-    """Ask a process of its own: this one loads no models."""
+    """Read the catalogue in a process of its own: this one loads no models."""
     lines: Queue[dict[str, Any]] = Queue()
     helper = Helper("the catalogue", MODULE, {"rig": kind}, lines.put)
     try:

@@ -24,14 +24,14 @@ PACKAGES = ("numpy", "scipy", "numba", "mcap")
 
 @cache
 def versions() -> Mapping[str, str]:
-    """The versions of what makes results here."""
-    found = {"labhil": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    """The versions of the packages that results depend on."""
+    by_package = {"labhil": __version__, "python": platform.python_version(), "platform": platform.platform()}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            by_package[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return by_package
 
 
 def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
@@ -63,11 +63,11 @@ def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
         os.close(descriptor)
 
 
-def left_behind(folder: Path) -> list[Path]:
-    """Recordings that were finished while no worker was there, or that one could not get to.
+def unstudied_recordings(folder: Path) -> list[Path]:
+    """Recordings that were finished while no worker ran, or that a worker did not reach.
 
-    They are newer than the folder's first entry and have none of their own. In a folder where no worker ever
-    was there are none: what lies there is nobody's order. Lines that cannot be read count for nothing.
+    They are newer than the folder's first entry and have none of their own. A folder without any entry has
+    none: no worker ever ran there. Lines that cannot be read are ignored.
     """
     entries = list(_entries(folder))
     if not entries:
@@ -75,21 +75,29 @@ def left_behind(folder: Path) -> list[Path]:
     began = min(datetime.fromisoformat(entry["time"]).timestamp() for entry in entries)
     known = {entry["recording"] for entry in entries}
     return sorted(
-        path for path in folder.glob("*.mcap") if path.name not in known and path.stat().st_mtime > began
+        path for path in folder.glob("*.mcap") if path.name not in known and _changed_at(path) > began
     )
 
 
+def _changed_at(path: Path) -> float:
+    """When a file was written last, s; long ago for one that is gone by now."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return float("-inf")
+
+
 def _entries(folder: Path) -> Iterator[dict[str, str]]:
-    """The lines of a folder's ``results.jsonl`` that say when something came of which recording."""
+    """Time and recording of each readable line of a folder's ``results.jsonl``."""
     try:
         lines = (folder / RESULT_LOG).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
     for line in lines:
         try:
-            found = parse_json(line)
-            datetime.fromisoformat(found["time"])
-            yield {"time": found["time"], "recording": str(found["recording"])}
+            entry = parse_json(line)
+            datetime.fromisoformat(entry["time"])
+            yield {"time": entry["time"], "recording": str(entry["recording"])}
         except (ValueError, KeyError, TypeError):
             continue
 

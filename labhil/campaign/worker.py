@@ -16,7 +16,7 @@ from typing import Any
 
 from labhil.bus.keys import WORKER_PROGRESS, WORKER_RESULT
 from labhil.bus.session import Bus
-from labhil.campaign.result_log import catalogue, left_behind, verdict_of
+from labhil.campaign.result_log import catalogue, unstudied_recordings, verdict_of
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
 from labhil.errors import LabhilError
@@ -38,7 +38,7 @@ class Worker:
         folder: Where recordings appear.
         tasks: What is done with a recording; raises LabhilError for one that cannot be read.
         bus: Where progress and results are published.
-        say: Tells a person.
+        say: Takes lines for a person.
         longest: Time after which a study is ended by force, s; one with a limit of its own gets twice that
             limit in addition.
     """
@@ -54,10 +54,10 @@ class Worker:
     ) -> None:
         self._folder, self._tasks, self._bus, self._say = folder, tasks, bus, say
         self._longest = longest
-        self._seen = set(folder.glob("*.mcap")) - self._left_behind()
+        self._seen = set(folder.glob("*.mcap")) - self._unstudied()
         self._waiting: list[Task] = []
-        self._said: queue.Queue[tuple[int, dict[str, Any]]] = queue.Queue()
-        self._jobs = Jobs(lambda number, line: self._said.put((number, line)), time.monotonic)
+        self._lines: queue.Queue[tuple[int, dict[str, Any]]] = queue.Queue()
+        self._jobs = Jobs(lambda number, line: self._lines.put((number, line)), time.monotonic)
 
     @property
     def idle(self) -> bool:
@@ -65,9 +65,9 @@ class Worker:
         return not self._waiting and not self._jobs.at_work
 
     def look(self) -> None:
-        """Take what studies say, find finished recordings, begin the next study; called again and again."""
-        while not self._said.empty():
-            self._follow(*self._said.get())
+        """Take the lines of studies, find finished recordings, begin the next study; called repeatedly."""
+        while not self._lines.empty():
+            self._follow(*self._lines.get())
         for job in self._jobs.at_work:
             self._end_overdue(job)
         for path in sorted(self._folder.glob("*.mcap")):
@@ -76,18 +76,18 @@ class Worker:
                 self._take(path)
         if self._waiting and not self._jobs.at_work:
             job = self._jobs.start(self._waiting.pop(0))
-            self._tell(WORKER_PROGRESS, job, {"said": job.said})
+            self._publish(WORKER_PROGRESS, job, {"said": job.said})
 
     def close(self) -> None:
         """End what is at work; recordings and results are whole, as ever."""
         self._jobs.close()
 
-    def _left_behind(self) -> set[Path]:
-        found = left_behind(self._folder)
-        if found:
-            names = ", ".join(path.name for path in found)
+    def _unstudied(self) -> set[Path]:
+        unstudied = unstudied_recordings(self._folder)
+        if unstudied:
+            names = ", ".join(path.name for path in unstudied)
             self._say(f"recorded while nobody studied what came in, so now: {names}")
-        return set(found)
+        return set(unstudied)
 
     def _take(self, path: Path) -> None:
         try:
@@ -109,13 +109,13 @@ class Worker:
         if was != "at work":
             return
         if job.state == "at work":
-            self._tell(WORKER_PROGRESS, job, {"said": job.said})
+            self._publish(WORKER_PROGRESS, job, {"said": job.said})
         else:
             self._end(job)
 
     def _end(self, job: Job) -> None:
-        """Tell, publish and note down what came of a study."""
-        self._tell(WORKER_RESULT, job, {"result": job.done, "said": job.said})
+        """Publish, print and log the outcome of a study."""
+        self._publish(WORKER_RESULT, job, {"result": job.done, "said": job.said})
         came = [job.done] if job.state == "done" and job.said == "done" else [job.done, job.said]
         self._say(f"{job.title}: {', '.join(str(part) for part in came if part is not None)}")
         task, result = job.task, job.result
@@ -139,7 +139,7 @@ class Worker:
         except OSError as error:
             self._say(f"{recording.name}: what came of it could not be noted down: {error}")
 
-    def _tell(self, key: str, job: Job, more: dict[str, Any]) -> None:
+    def _publish(self, key: str, job: Job, more: dict[str, Any]) -> None:
         data = {"t_ns": unix_ns(), "study": job.task.to_json(), "state": job.state, **more}
         self._bus.session.put(key, json.dumps(data, ensure_ascii=False).encode())
 

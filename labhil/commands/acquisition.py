@@ -137,13 +137,13 @@ def devices(
         show(f"  rig {spec.rig}; address: twin, {spec.address_help}")
         show(f"  samples at {spec.stream.rate:g} Hz; safe after {spec.command_timeout:g} s without a command")
         for signal in spec.stream.signals:
-            command = _commanded(signal, spec)
+            command = _command_note(signal, spec)
             show(f"  {signal.name} [{signal.unit}] {signal.description}{command}")
         if plugins.firmware_folder(name) is not None:
             show(f"  firmware for an Arduino Mega: labhil firmware {name} -o DIR")
 
 
-def _commanded(signal: Signal, spec: DriverSpec) -> str:
+def _command_note(signal: Signal, spec: DriverSpec) -> str:
     if signal not in spec.commands:
         return ""
     if signal.name not in spec.safe:
@@ -194,8 +194,10 @@ def _run_all(planned: Experiment, out: Path, json_path: Path | None, *, anew: bo
     campaign = planned.run_all(out, progress=True, announce=complain, anew=anew)
     if campaign.error is not None:
         complain(campaign.error)
-        left = len(campaign.file.runs) - campaign.done
-        complain(f"{left} of {len(campaign.file.runs)} runs are not done; the same command goes on with them")
+        remaining = len(campaign.file.runs) - campaign.done
+        complain(
+            f"{remaining} of {len(campaign.file.runs)} runs are not done; the same command goes on with them"
+        )
     tell(campaign.warnings)
     if json_path is not None:
         write_json(campaign.to_json(), json_path)

@@ -49,6 +49,26 @@ SimulatorOption = Annotated[
 TestOption = Annotated[
     list[Path] | None, typer.Option(help="A separate recording to judge on; may be repeated.")
 ]
+RigOption = Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")]
+EstimatorOption = Annotated[
+    str,
+    typer.Option(
+        help="Where it begins: hybrid, nlse, pso, pso_adaptive, pso_de, differential_evolution, "
+        "simulated_annealing, cma_es or mcmc; all end with least squares."
+    ),
+]
+WindowOption = Annotated[
+    float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
+]
+CriterionOption = Annotated[
+    str | None,
+    typer.Option(
+        help="What the fit makes small: windowed_simulation or, of an axis too, inverse_dynamics "
+        "(default: the rig's own metric, which scores either)."
+    ),
+]
+PageOption = Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")]
+ResultOption = Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")]
 
 
 def rig_or_simulator(rig: Path | None, simulator: str | None) -> Path | str | None:
@@ -86,16 +106,10 @@ def terms(
 def fit(
     recordings: RecordingsArgument,
     *,
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    rig: RigOption = None,
     simulator: SimulatorOption = None,
     model: Annotated[Path | None, typer.Option(help="A fit or diagnosis to start from (JSON).")] = None,
-    estimator: Annotated[
-        str,
-        typer.Option(
-            help="Where it begins: hybrid, nlse, pso, pso_adaptive, pso_de, differential_evolution, "
-            "simulated_annealing, cma_es or mcmc; all end with least squares."
-        ),
-    ] = "hybrid",
+    estimator: EstimatorOption = "hybrid",
     seed: Annotated[int, typer.Option(help="Seed of the estimator's draws.")] = 0,
     names: Annotated[
         str | None, typer.Option("--terms", help="Terms of the model: a,b,… (default: the general model).")
@@ -108,23 +122,15 @@ def fit(
     span: SpanOption = None,
     device: DeviceOption = None,
     run: RunOption = None,
-    window: Annotated[
-        float | None, typer.Option(help="Length of the fitted windows, s (default: several, compared).")
-    ] = None,
+    window: WindowOption = None,
     intervals: Annotated[str, typer.Option(help="auto, wald, profile (slower) or bootstrap.")] = "auto",
-    criterion: Annotated[
-        str | None,
-        typer.Option(
-            help="What the fit makes small: windowed_simulation or, of an axis too, inverse_dynamics "
-            "(default: the rig's own metric, which scores either)."
-        ),
-    ] = None,
+    criterion: CriterionOption = None,
     simultaneous: Annotated[
         bool, typer.Option("--simultaneous", help="Intervals that hold for all parameters together.")
     ] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw fit and residuals here (PNG).")] = None,
-    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    html: PageOption = None,
+    json_path: ResultOption = None,
 ) -> None:
     """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen.
 
@@ -160,7 +166,7 @@ def fit(
 def diagnose(
     recordings: RecordingsArgument,
     *,
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    rig: RigOption = None,
     simulator: SimulatorOption = None,
     model: Annotated[Path | None, typer.Option(help="A fit or diagnosis: your simulation (JSON).")] = None,
     baseline: Annotated[str | None, typer.Option(help="Terms that your simulation has: a,b,…")] = None,
@@ -175,8 +181,8 @@ def diagnose(
         typer.Option(metavar="N", help="End after so many s, with the best so far (so does Ctrl+C)."),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
-    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    html: PageOption = None,
+    json_path: ResultOption = None,
     exit_code: Annotated[
         bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")
     ] = False,
@@ -226,14 +232,14 @@ def verify(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     *,
     model: Annotated[Path, typer.Option(help="The accepted model: a fit or a diagnosis (JSON).")],
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    rig: RigOption = None,
     simulator: SimulatorOption = None,
     device: DeviceOption = None,
     run: RunOption = None,
     alpha: Annotated[
         float, typer.Option(help="Probability that a recording of the model itself is refused.")
     ] = 1e-3,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    json_path: ResultOption = None,
 ) -> None:
     """Hold a recording against an accepted model: ends with 1 when it contradicts the model, else with 0.
 
@@ -282,12 +288,12 @@ def report(
 def linear(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     *,
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    rig: RigOption = None,
     models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     run: RunOption = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    json_path: ResultOption = None,
 ) -> None:
     """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
     from labhil.analysis.dataset import load_dataset

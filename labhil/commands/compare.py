@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from labhil.commands.analysis import DeviceOption, SimulatorOption, rig_or_simulator
+from labhil.commands.analysis import (
+    DeviceOption,
+    PageOption,
+    ResultOption,
+    RigOption,
+    SimulatorOption,
+    rig_or_simulator,
+)
 from labhil.commands.files import RunOption
 from labhil.console import deliver, refuse_unwritable, results_console, tell
 from labhil.terminal import status
@@ -35,7 +42,7 @@ def compare(
         list[Path] | None,
         typer.Option(help="Compare on this; may be repeated (default: what the first was judged on)."),
     ] = None,
-    rig: Annotated[Path | None, typer.Option(help="Rig file; default: the recording's own.")] = None,
+    rig: RigOption = None,
     simulator: SimulatorOption = None,
     horizon: Annotated[
         float | None,
@@ -43,8 +50,8 @@ def compare(
     ] = None,
     device: DeviceOption = None,
     run: RunOption = None,
-    html: Annotated[Path | None, typer.Option(help="Write a page about it here (HTML).")] = None,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
+    html: PageOption = None,
+    json_path: ResultOption = None,
 ) -> None:
     """Compare models on the same recording: which explains it best, by how much, and is that more than noise.
 
@@ -54,12 +61,12 @@ def compare(
     from labhil.api.comparison import compare as make
 
     refuse_unwritable(json_path, html)
-    given = [path for path in results if path.suffix.lower() in RECORDINGS]
-    on = [*given, *(recording or [])]
+    positional = [path for path in results if path.suffix.lower() in RECORDINGS]
+    recordings = [*positional, *(recording or [])]
     with status() as say:
-        found = make(
-            *(path for path in results if path not in given),
-            recording=on or None,
+        comparison = make(
+            *(path for path in results if path not in positional),
+            recording=recordings or None,
             model=rig_or_simulator(rig, simulator),
             horizon=horizon,
             device=device,
@@ -67,6 +74,6 @@ def compare(
             progress=say,
             warn=tell,
         )
-    deliver(found.to_dict(), json_path, lambda: found.show(results_console()))
+    deliver(comparison.to_dict(), json_path, lambda: comparison.show(results_console()))
     if html is not None:
-        found.report(html)
+        comparison.report(html)

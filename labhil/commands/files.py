@@ -41,8 +41,8 @@ def info(
     from labhil.recording.reader import read_recording
 
     refuse_unwritable(json_path)
-    found = describe_contents(read_recording(recording, run))
-    deliver(found, json_path, lambda: show(*contents_in_words(found)))
+    contents = describe_contents(read_recording(recording, run))
+    deliver(contents, json_path, lambda: show(*contents_in_words(contents)))
 
 
 def list_(
@@ -94,7 +94,7 @@ def import_(
 ) -> None:
     """Make a recording of a table that others wrote."""
     from labhil.analysis.doubts import doubts_in
-    from labhil.analysis.import_check import checked
+    from labhil.analysis.import_check import check_table
     from labhil.recording.reader import read_recording
     from labhil.recording.tables import describe_import, import_table, write_import
     from labhil.rig import load_rig
@@ -102,8 +102,8 @@ def import_(
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
     with status() as say:
-        table, seen = checked(table, say)
-    tell(seen)
+        table, findings = check_table(table, say)
+    tell(findings)
     path = write_import(table, out)
     faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
     tell(f"{data}: {fault.statement}" for fault in faults)
@@ -134,9 +134,9 @@ def export(
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
-    found = read_recording(recording, run).of_device(device)
-    tell(found.losses())
-    show(write_table(found, out, stream))
+    source = read_recording(recording, run).of_device(device)
+    tell(source.losses())
+    show(write_table(source, out, stream))
 
 
 def layout(

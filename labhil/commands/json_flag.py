@@ -19,10 +19,10 @@ class JsonFlagCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Give a ``--json`` that stands alone the path that means stdout."""
-        taken: list[str] = []
+        expanded: list[str] = []
         for place, arg in enumerate(args):
-            taken.append(arg)
+            expanded.append(arg)
             following = args[place + 1] if place + 1 < len(args) else ""
             if arg == "--json" and following != "-" and not following.endswith(".json"):
-                taken.append("-")
-        return super().parse_args(ctx, taken)
+                expanded.append("-")
+        return super().parse_args(ctx, expanded)

@@ -32,8 +32,8 @@ def doctor(
         findings.append(finding)
         if json_path != STDOUT:
             show(line(finding))
-    told = to_json(findings)
+    report = to_json(findings)
     if json_path is not None:
-        write_json(told, json_path)
-    if not told["fine"]:
+        write_json(report, json_path)
+    if not report["fine"]:
         raise typer.Exit(1)

@@ -45,26 +45,29 @@ def patch(
     require_analysis("a patch")
     refuse_unwritable(json_path)
     with status() as say:
-        found = repair(result, into, out, rig, holdout=holdout, progress=say)
-    deliver(found.to_dict(), json_path, lambda: _show(found))
+        repaired = repair(result, into, out, rig, holdout=holdout, progress=say)
+    deliver(repaired.to_dict(), json_path, lambda: _show(repaired))
 
 
-def _show(found: Patch) -> None:
+def _show(repaired: Patch) -> None:
     """The difference, why each value changed, and how the file does."""
-    lines = [found.diff.rstrip("\n")]
-    if found.companion is not None:
-        lines.append(f"{found.companion}: what the file cannot hold: {', '.join(found.left)}")
-    last = found.attempts[-1]
-    beside = f", with {last.beside}" if last.beside else ""
+    lines = [repaired.diff.rstrip("\n")]
+    if repaired.companion is not None:
+        lines.append(f"{repaired.companion}: what the file cannot hold: {', '.join(repaired.left)}")
+    last = repaired.attempts[-1]
+    remedy = f", with {last.beside}" if last.beside else ""
     lines.append(
-        f"On held-out data, run by MuJoCo itself: RMSE {found.before:.4g} → {last.rmse:.4g} {found.unit}, "
-        f"{last.ratio:.3f} times the diagnosed model's {found.model:.4g}{beside}."
+        f"On held-out data, run by MuJoCo itself: RMSE {repaired.before:.4g} → {last.rmse:.4g} "
+        f"{repaired.unit}, {last.ratio:.3f} times the diagnosed model's {repaired.model:.4g}{remedy}."
     )
     lines += [
         f"  {j.name}: {j.before:.4g} → {j.after:.4g} {j.unit}, the diagnosed model {j.model:.4g}"
-        for j in found.joints
+        for j in repaired.joints
     ]
-    if found.unheld:
-        lines.append(f"Neither file nor companion holds {', '.join(found.unheld)}; both were run without.")
-    lines += [f"  {each.beside or 'values alone'}: {each.ratio:.3f} times" for each in found.attempts[:-1]]
+    if repaired.unheld:
+        lines.append(f"Neither file nor companion holds {', '.join(repaired.unheld)}; both were run without.")
+    lines += [
+        f"  {attempt.beside or 'values alone'}: {attempt.ratio:.3f} times"
+        for attempt in repaired.attempts[:-1]
+    ]
     show(*lines)

@@ -45,9 +45,9 @@ def replay(
     from labhil.recording.reader import read_recording
     from labhil.service.replay import Replay
 
-    found = read_recording(recording, run).of_device(device)
-    tell(found.losses())
-    with Replay(found, speed=speed, start=start, loop=loop) as playing:
+    source = read_recording(recording, run).of_device(device)
+    tell(source.losses())
+    with Replay(source, speed=speed, start=start, loop=loop) as playing:
         if no_screen or not sys.stdout.isatty():
             _play(playing)
             return

@@ -50,18 +50,18 @@ def estop(
     for device in outcome.silent:
         complain(f"{device}: NO ANSWER. Do not rely on it: switch its power off.")
     if json_path is not None:
-        told = {
+        message = {
             "schema": "labhil.estop/1",
             "action": "release" if release else "press",
             "answered": dict(outcome.answered),
             "failed": dict(outcome.failed),
             "silent": list(outcome.silent),
         }
-        write_json(told, json_path)
+        write_json(message, json_path)
     if release:
-        none_there = not (outcome.answered or outcome.failed or outcome.silent)
-        tell(["released"] + (["no device was there to be told"] if none_there else []))
-        raise typer.Exit(0 if none_there or outcome.complete else 1)
+        no_device = not (outcome.answered or outcome.failed or outcome.silent)
+        tell(["released"] + (["no device was there to be told"] if no_device else []))
+        raise typer.Exit(0 if no_device or outcome.complete else 1)
     if not (outcome.answered or outcome.failed or outcome.silent):
         tell(["no device was found to stop"])
     tell(["latched: no device can be commanded until `labhil estop --release`"])

@@ -44,9 +44,9 @@ class Accepted:
         ModelFileError names a rig's own parameter that the model needs and the file does not give, or one
         that the model does not have.
         """
-        known = {p.key for p in model.parameters}
+        model_keys = {p.key for p in model.parameters}
         for key in self.values:
-            if key not in known and key not in model.fixed:
+            if key not in model_keys and key not in model.fixed:
                 raise ModelFileError(
                     f"{self.name}: parameters: expected parameters of {model.kind}, found {key!r}"
                 )
@@ -64,10 +64,10 @@ class Accepted:
         result = np.zeros((len(wanted), len(wanted)))
         if self.covariance is None:
             return result
-        places = {key: i for i, key in enumerate(self.keys)}
-        here = [i for i, key in enumerate(wanted) if key in places]
-        there: IntArray = np.array([places[wanted[i]] for i in here], dtype=np.int64)
-        result[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        stored = {key: i for i, key in enumerate(self.keys)}
+        rows = [i for i, key in enumerate(wanted) if key in stored]
+        stored_rows: IntArray = np.array([stored[wanted[i]] for i in rows], dtype=np.int64)
+        result[np.ix_(rows, rows)] = self.covariance[np.ix_(stored_rows, stored_rows)]
         return result
 
     def allowed_ratio(self, channel: str, refitted: float | None = None) -> float:

@@ -1,4 +1,4 @@
-"""What a diagnosis says: found terms, rivals, limits, changes, and the whole."""
+"""The answer of a diagnosis: missing terms, rivals, limits, changes, and the whole."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class RivalTerm:
-    """What would explain the data about as well in the place of a found term."""
+    """A term that would explain the data about as well in the place of a missing one."""
 
     term: str
     instead_of: str
@@ -45,7 +45,7 @@ class RivalTerm:
 
 @dataclass(frozen=True, slots=True)
 class Undecided:
-    """A term of which these data cannot speak."""
+    """A term that these data cannot decide."""
 
     term: str
     joint: int | None
@@ -57,7 +57,7 @@ class Undecided:
 class Excluded:
     """A term that is not there: the largest size of its main parameter that could hide in the data.
 
-    ``recording`` is the one that this is said of, where each has a value of its own.
+    ``recording`` is the one that this holds for, where each has a value of its own.
     """
 
     term: str

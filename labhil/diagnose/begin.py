@@ -55,9 +55,9 @@ def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
 
 def with_coloured_noise(data: Data, base: Fitted) -> tuple[Data, Fitted]:
     """The data with noise as the baseline leaves it on short windows, and the baseline in units of that."""
-    seen = estimate_coloured_noise(data.model, base.theta, data.search, data.sigma).sigma
-    tested = estimate_coloured_noise(data.model, base.theta, data.test, data.test_sigma).sigma
-    if np.all((seen < LASTS * data.sigma) & (LASTS * seen > data.sigma)):
-        return replace(data, test_sigma=tested), base
-    data = replace(data, sigma=seen, test_sigma=tested)
+    search_sigma = estimate_coloured_noise(data.model, base.theta, data.search, data.sigma).sigma
+    test_sigma = estimate_coloured_noise(data.model, base.theta, data.test, data.test_sigma).sigma
+    if np.all((search_sigma < LASTS * data.sigma) & (LASTS * search_sigma > data.sigma)):
+        return replace(data, test_sigma=test_sigma), base
+    data = replace(data, sigma=search_sigma, test_sigma=test_sigma)
     return data, fit_baseline(replace(data, begin=base.theta), base.terms)

@@ -1,7 +1,7 @@
 """Wrong readings that come a few in a row, and readings that drop out to one value and come back.
 
-A burst is told from motion by both of its edges: a body that is thrown out of its course does not return to
-it from one sample to the next. A rate may, where a part that rests slips, so a burst out of rest counts only
+A burst differs from motion in both of its edges: a body that is thrown off its course does not return to it
+from one sample to the next. A rate may, where a part that rests slips, so a burst out of rest counts only
 where there are others like it elsewhere.
 """
 
@@ -24,7 +24,7 @@ from labhil.diagnose.jumps import (
 from labhil.signals import FloatArray, IntArray
 
 WIDEST = 8
-"""Samples of a burst at most. Longer ones are told by their silence, as a channel that is stuck."""
+"""Samples of a burst at most. Longer ones show by their silence, as a channel that is stuck."""
 
 END = 3
 """Samples of a burst at most with which a recording begins or ends."""
@@ -52,20 +52,20 @@ def bursts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> In
     """
     if len(x) < 2 * WIDEST + 2:
         return NO_SPANS
-    sizes, calm, found = jump_sizes(inputs), x.copy(), []
+    sizes, calm, certain = jump_sizes(inputs), x.copy(), []
     doubtful = []
     for _ in range(ROUNDS):
         usual = usual_change(calm)
         widths = range(2, WIDEST + 1)
-        spans = _apart(np.concatenate([_standing_out(calm, usual, sigma, width) for width in widths]))
+        spans = _disjoint(np.concatenate([_standing_out(calm, usual, sigma, width) for width in widths]))
         if not len(spans):
             break
-        near = _explained(sizes, spans[:, 0], spans[:, 1] + 1, rate=rate)
-        near |= rate & _out_of_rest(calm, sigma, spans)
-        found += spans[~near].tolist()
+        near = _explained_by_inputs(sizes, spans[:, 0], spans[:, 1] + 1, rate=rate)
+        near |= rate & _start_from_rest(calm, sigma, spans)
+        certain += spans[~near].tolist()
         doubtful += spans[near].tolist()
         calm = without(calm, spans)
-    sure = np.array(found, dtype=np.int64).reshape(-1, 2)
+    sure = np.array(certain, dtype=np.int64).reshape(-1, 2)
     both = np.concatenate([sure, _alike(x, sure, np.array(doubtful, dtype=np.int64).reshape(-1, 2))])
     return both[np.argsort(both[:, 0])]
 
@@ -83,9 +83,9 @@ def at_ends(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
     """
     if len(x) < 2 * END + 2 * WIDEST:
         return NO_SPANS
-    found = [(0, width - 1) for width in _begins_with(x, sigma, inputs)]
-    found += [(len(x) - width, len(x) - 1) for width in _begins_with(x[::-1], sigma, inputs[::-1])]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    spans = [(0, width - 1) for width in _begins_with(x, sigma, inputs)]
+    spans += [(len(x) - width, len(x) - 1) for width in _begins_with(x[::-1], sigma, inputs[::-1])]
+    return np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
 def _begins_with(x: FloatArray, sigma: float, inputs: FloatArray) -> list[int]:
@@ -117,28 +117,28 @@ def dropouts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> 
     runs = runs_of(x)
     usual = float(np.median(runs.length))
     inner = (runs.first > 0) & (runs.last < len(x)) & (runs.length >= LONG * usual)
-    runs = runs.chosen(inner)
+    runs = runs.select(inner)
     if not len(runs.first):
         return runs
     rise, fall = x[runs.first] - x[runs.first - 1], x[runs.last] - x[runs.first]
     smaller, larger = np.sort([np.abs(rise), np.abs(fall)], axis=0)
     least = np.maximum(BEYOND_NOISE * sigma, BEYOND_MOTION * _usual_around(x, runs.first, runs.last))
     # readings that go on by chance near the one value that stands still for the sensor leave it by little
-    runs = runs.chosen((rise * fall < 0.0) & (larger > least) & (smaller > REST * sigma))
+    runs = runs.select((rise * fall < 0.0) & (larger > least) & (smaller > REST * sigma))
     value, times = np.unique(x[runs.first], return_counts=True)
-    known = (value == 0.0) | (times > 1) | (not rate)
-    runs = runs.chosen(known[np.searchsorted(value, x[runs.first])])
-    return runs.chosen(~_explained(jump_sizes(inputs), runs.first, runs.last, rate=rate))
+    eligible = (value == 0.0) | (times > 1) | (not rate)
+    runs = runs.select(eligible[np.searchsorted(value, x[runs.first])])
+    return runs.select(~_explained_by_inputs(jump_sizes(inputs), runs.first, runs.last, rate=rate))
 
 
-def _explained(sizes: FloatArray, first: IntArray, behind: IntArray, *, rate: bool) -> np.ndarray:
+def _explained_by_inputs(sizes: FloatArray, first: IntArray, behind: IntArray, *, rate: bool) -> np.ndarray:
     """Whether jumps of an input, of :func:`jump_sizes`, may explain jumps away and back, (k,).
 
     A rate may jump with an input and then go on by itself; a body is thrown off its course and back by two.
     """
     behind = np.minimum(behind, len(sizes) - 1)
-    every = np.unique(np.concatenate([first, behind]))
-    begins, ends = answers(sizes, first, every), answers(sizes, behind, every)
+    edges = np.unique(np.concatenate([first, behind]))
+    begins, ends = answers(sizes, first, edges), answers(sizes, behind, edges)
     return np.asarray(begins | ends if rate else begins & ends)
 
 
@@ -158,11 +158,11 @@ def _standing_out(x: FloatArray, usual: FloatArray, sigma: float, width: int) ->
     for k in range(1, width + 1):
         line = before + (after - before) * k / (width + 1)
         height = np.minimum(height, np.abs(x[k : k + n] - line))
-    found = np.flatnonzero((height > least) & (np.abs(after - before) < AGREE * height + 3.0 * sigma))
-    return np.column_stack([found + 1, found + width]).astype(np.int64)
+    before_first = np.flatnonzero((height > least) & (np.abs(after - before) < AGREE * height + 3.0 * sigma))
+    return np.column_stack([before_first + 1, before_first + width]).astype(np.int64)
 
 
-def _apart(spans: IntArray) -> IntArray:
+def _disjoint(spans: IntArray) -> IntArray:
     """Those spans (k, 2) that touch none before them, the narrower first."""
     chosen: list[list[int]] = []
     for first, last in spans.tolist():
@@ -171,10 +171,10 @@ def _apart(spans: IntArray) -> IntArray:
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _out_of_rest(x: FloatArray, sigma: float, spans: IntArray) -> np.ndarray:
+def _start_from_rest(x: FloatArray, sigma: float, spans: IntArray) -> np.ndarray:
     """Which spans have readings of nothing on both sides, (k,)."""
-    beside = np.maximum(np.abs(x[spans[:, 0] - 1]), np.abs(x[spans[:, 1] + 1]))
-    return np.asarray(beside <= REST * sigma)
+    neighbours = np.maximum(np.abs(x[spans[:, 0] - 1]), np.abs(x[spans[:, 1] + 1]))
+    return np.asarray(neighbours <= REST * sigma)
 
 
 def _alike(x: FloatArray, sure: IntArray, doubtful: IntArray) -> IntArray:

@@ -96,7 +96,7 @@ def closed_form(x: FloatArray, value: FloatArray, covariance: FloatArray, reach:
     whiten = (directions[:, strong] / np.sqrt(variances[strong])).T
     best, least = None, float("inf")
     for form in FORMS:
-        factors, shape = _fitted(form, x, value, whiten)
+        factors, shape = _fit(form, x, value, whiten)
         off = form.columns(x, shape) @ factors - value
         if np.mean(np.abs(off) <= reach) < WITHIN:
             continue
@@ -107,9 +107,7 @@ def closed_form(x: FloatArray, value: FloatArray, covariance: FloatArray, reach:
     return None if best is None else best.replace("+ -", "− ").replace("-", "−").replace("− −", "+ ")
 
 
-def _fitted(
-    form: Form, x: FloatArray, value: FloatArray, whiten: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _fit(form: Form, x: FloatArray, value: FloatArray, whiten: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Factors and shape of least χ²."""
     if not form.shaped:
         return _factors(form, x, value, whiten, np.empty(0)), np.empty(0)

@@ -45,53 +45,53 @@ class Collapsed:
 
 
 def far_from_nominal(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
-    """The rig's own sizes, none of which can be zero, that a baseline with more than noise left took away."""
-    problem, found = baseline.problem, list[Collapsed]()
+    """The rig's own sizes, never zero, that a baseline with more than noise left has far from nominal."""
+    problem, collapsed = baseline.problem, list[Collapsed]()
     for j, i in enumerate(problem.free):
         parameter, value, nominal = data.model.parameters[i], float(baseline.theta[i]), float(data.begin[i])
         if not problem.is_size(j) or baseline.noise < NOISE or not nominal > 0.0:
             continue
         if parameter.at_bound(value) or not nominal / FAR < value < nominal * FAR:
-            found.append(Collapsed(parameter.key, value, nominal, parameter.unit))
-    return tuple(found)
+            collapsed.append(Collapsed(parameter.key, value, nominal, parameter.unit))
+    return tuple(collapsed)
 
 
-def given_way(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
-    """Those of them that are lost: that these data can know at all.
+def find_collapsed(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
+    """The sizes far from nominal that these data can determine at all.
 
     From a motor's speed alone inertia and torque constant are known as a ratio, and either may be anywhere.
     """
-    found = far_from_nominal(data, baseline)
-    return _knowable(data, baseline.terms, found) if found else ()
+    far = far_from_nominal(data, baseline)
+    return _knowable(data, baseline.terms, far) if far else ()
 
 
 def _knowable(data: Data, terms: Sequence[str], lost: Sequence[Collapsed]) -> tuple[Collapsed, ...]:
-    """Those of the sizes that take part in no direction of which these data tell nothing."""
-    there = fit_terms(
+    """The ``lost`` sizes that take part in no direction which these data leave undetermined."""
+    start_fit = fit_terms(
         data.model, data.search, terms, data.window, data.sigma, start=data.begin, new_terms=(),
         iterations=0, thorough=False, held=data.held,
     )  # fmt: skip
-    free = [data.model.parameters[i] for i in there.problem.free]
-    weak = weak_parameters(free, there.theta[there.problem.free], covariances(there)[2], 1.0)
+    free = [data.model.parameters[i] for i in start_fit.problem.free]
+    weak = weak_parameters(free, start_fit.theta[start_fit.problem.free], covariances(start_fit)[2], 1.0)
     unknown = {parameter.key for parameter, is_weak in zip(free, weak, strict=True) if is_weak}
     return tuple(size for size in lost if size.key not in unknown)
 
 
-def brought_back(lost: Sequence[Collapsed], fitted: Fitted) -> bool:
-    """Whether a fit has these sizes closer to what is known of them than to what gave way."""
-    own = fitted.estimates
-    return all(size.nominal / NEAR < own[size.key] < size.nominal * NEAR for size in lost)
+def are_restored(lost: Sequence[Collapsed], fitted: Fitted) -> bool:
+    """Whether a fit has these sizes closer to their nominal values than to ones that gave way."""
+    estimates = fitted.estimates
+    return all(size.nominal / NEAR < estimates[size.key] < size.nominal * NEAR for size in lost)
 
 
-def kept_near(model: Model, sizes: Sequence[Collapsed]) -> Model:
-    """The same model with these sizes bounded to what is credible of them."""
+def bound_near_nominal(model: Model, sizes: Sequence[Collapsed]) -> Model:
+    """The same model with bounds near the nominal values of these sizes."""
     nominal = {size.key: size.nominal for size in sizes}
-    other = copy.copy(model)
+    bounded = copy.copy(model)
     parameters = tuple(
         replace(p, lower=max(p.lower, nominal[p.key] / NEAR), upper=min(p.upper, nominal[p.key] * NEAR))
         if p.key in nominal
         else p
         for p in model.parameters
     )
-    other.__dict__["parameters"] = parameters
-    return other
+    bounded.__dict__["parameters"] = parameters
+    return bounded

@@ -86,8 +86,8 @@ def difference_p_value(difference: FloatArray, covariance: FloatArray, effective
     sound = eigenvalues > ROUNDING * eigenvalues[-1]
     statistic = float(np.sum((directions[:, sound].T @ scaled) ** 2 / eigenvalues[sound]))
     k = int(sound.sum())
-    left = max(effective - k, 2.0)
-    return float(stats.f.sf(statistic * left / (k * (left + k - 1.0)), k, left))
+    freedom = max(effective - k, 2.0)
+    return float(stats.f.sf(statistic * freedom / (k * (freedom + k - 1.0)), k, freedom))
 
 
 def structure_p_value(
@@ -104,15 +104,15 @@ def structure_p_value(
     # without states of their own windows are no breaks, only recordings are
     rows = np.arange(len(problem.windows.rows))
     owner = problem.windows.owner if slopes.shape[1] else np.searchsorted(problem.begins, rows, side="right")
-    found = []
+    p_values = []
     for j in range(c):
         columns = [_past(record.inputs[:, k], problem) for k in _drivers(record, problem, j)]
-        own = np.hstack(columns)
-        lagged = np.zeros((len(residuals), own.shape[1]))
-        lagged[j::c] = own - own.mean(axis=0)
+        past = np.hstack(columns)
+        lagged = np.zeros((len(residuals), past.shape[1]))
+        lagged[j::c] = past - past.mean(axis=0)
         lagged = _orthogonal(problem, slopes, jacobian, lagged)
-        found.append(_regression_p_value(residuals[j::c], lagged[j::c], owner))
-    return tuple(found)
+        p_values.append(_regression_p_value(residuals[j::c], lagged[j::c], owner))
+    return tuple(p_values)
 
 
 def _drivers(record: Record, problem: Problem, j: int) -> list[int]:
@@ -144,8 +144,10 @@ def _orthogonal(
         share = np.linalg.solve(gram, mixed)
         columns = columns - np.einsum("ns,nsk->nk", slopes, share[problem.owner])
     length = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian[:, length > 0.0] / length[length > 0.0], full_matrices=False)
-    basis = left[:, singular > 1e-8]
+    vectors, singular, _ = np.linalg.svd(
+        jacobian[:, length > 0.0] / length[length > 0.0], full_matrices=False
+    )
+    basis = vectors[:, singular > 1e-8]
     return np.asarray(columns - basis @ (basis.T @ columns))
 
 
@@ -159,13 +161,13 @@ def _regression_p_value(residuals: FloatArray, columns: FloatArray, owner: np.nd
     for lag, weight in enumerate(weights, 1):
         white[lag:] -= weight * both[:-lag]
     white = white[inside]
-    target, own = white[:, 0] - white[:, 0].mean(), white[:, 1:] - white[:, 1:].mean(axis=0)
-    length = np.linalg.norm(own, axis=0)
+    target, regressors = white[:, 0] - white[:, 0].mean(), white[:, 1:] - white[:, 1:].mean(axis=0)
+    length = np.linalg.norm(regressors, axis=0)
     if not np.any(length > 0.0) or not np.any(target):
         return 1.0
-    left, singular, _ = np.linalg.svd(own / np.maximum(length, 1e-300), full_matrices=False)
+    vectors, singular, _ = np.linalg.svd(regressors / np.maximum(length, 1e-300), full_matrices=False)
     strong = singular > 1e-6 * singular[0]
-    k, explained = int(strong.sum()), float(np.sum((left[:, strong].T @ target) ** 2))
+    k, explained = int(strong.sum()), float(np.sum((vectors[:, strong].T @ target) ** 2))
     freedom = len(target) - k - order - 1
     if freedom < k:
         return 1.0
@@ -173,7 +175,7 @@ def _regression_p_value(residuals: FloatArray, columns: FloatArray, owner: np.nd
 
 
 def _autoregression(residuals: FloatArray, owner: np.ndarray, order: int) -> FloatArray:
-    """Weights (order,) that foretell residuals from those before them in the same window."""
+    """Weights (order,) that predict residuals from those before them in the same window."""
     if not order:
         return np.empty(0)
     past = np.column_stack([residuals[order - k : len(residuals) - k] for k in range(1, order + 1)])

@@ -34,7 +34,7 @@ LEVEL = 0.01
 """Of the test that two parts of the data contradict each other, all that are compared together."""
 
 FEWEST = 4
-"""Windows that can be told apart as wholes, two in a half."""
+"""Windows from which whole windows are compared, two in a half."""
 
 SMOOTHED = 7
 """Samples over which an output's rate is averaged, so that it is more than noise."""
@@ -70,8 +70,8 @@ def scale_factor(contrasts: Sequence[Contrast]) -> float:
     Returns:
         The factor of all standard errors, at least 1.
     """
-    found = [contrast.chi_square for contrast in contrasts]
-    tests = [(float(stats.chi2.sf(size, dof)), size / dof) for size, dof in found if dof]
+    sizes = [contrast.chi_square for contrast in contrasts]
+    tests = [(float(stats.chi2.sf(size, dof)), size / dof) for size, dof in sizes if dof]
     if not tests:
         return 1.0
     p_value, mean_square = min(tests, key=lambda test: (test[0], -test[1]))
@@ -93,19 +93,21 @@ def on_held_out(data: Data, fitted: Fitted) -> Fitted | None:
     return on_windows(held_out, fitted)
 
 
-def between_recordings(fitted: Fitted, again: Fitted, table: ParameterTable) -> Contrast:
+def between_recordings(fitted: Fitted, held_out_fit: Fitted, table: ParameterTable) -> Contrast:
     """What searched and held-out data say of the same parameters.
 
     Args:
         fitted: a model that was fitted to the searched data.
-        again: the same on the held-out ones.
+        held_out_fit: the same on the held-out ones.
         table: the parameters of the first with their covariance.
 
     Returns:
         The contrast of both.
     """
     free = fitted.problem.free
-    return Contrast(fitted.theta[free] - again.theta[free], table.covariance + table_of(again).covariance)
+    return Contrast(
+        fitted.theta[free] - held_out_fit.theta[free], table.covariance + table_of(held_out_fit).covariance
+    )
 
 
 def between_parts(fitted: Fitted, table: ParameterTable) -> list[Contrast]:
@@ -119,17 +121,21 @@ def between_parts(fitted: Fitted, table: ParameterTable) -> list[Contrast]:
         A contrast for each way to cut the samples in two of which both halves know all parameters.
     """
     size = np.linalg.norm(table.jacobian, axis=0)
-    seen = size > 0.0
-    slopes, residuals = table.jacobian[:, seen] / size[seen], fitted.solution.residuals
+    sensitive = size > 0.0
+    slopes, residuals = table.jacobian[:, sensitive] / size[sensitive], fitted.solution.residuals
     variance = np.diag(inverse_information(slopes)) * fitted.noise**2
-    robust = np.diag(table.covariance)[seen] * size[seen] ** 2
+    robust = np.diag(table.covariance)[sensitive] * size[sensitive] ** 2
     larger = np.sqrt(np.maximum(robust / variance, 1.0)) * fitted.noise
     contrasts = []
     for half in _halves(fitted):
         estimates = [_estimate(slopes[rows], residuals[rows]) for rows in (half, ~half)]
         if all(estimate is not None for estimate in estimates):
-            (one, within), (other, beside) = (each for each in estimates if each is not None)
-            contrasts.append(Contrast(one - other, (within + beside) * np.outer(larger, larger)))
+            (first, first_covariance), (second, second_covariance) = (
+                estimate for estimate in estimates if estimate is not None
+            )
+            contrasts.append(
+                Contrast(first - second, (first_covariance + second_covariance) * np.outer(larger, larger))
+            )
     return contrasts
 
 
@@ -155,15 +161,15 @@ def _halves(fitted: Fitted) -> Iterator[BoolArray]:
     windows, outputs = problem.windows, len(problem.sigma)
     count = np.bincount(windows.owner)
     for signal in _moving(problem.record).T:
-        here = signal[windows.rows]
-        for values in (here, np.abs(here - np.median(here))):
+        samples = signal[windows.rows]
+        for values in (samples, np.abs(samples - np.median(samples))):
             of_window = (np.bincount(windows.owner, values) / np.maximum(count, 1))[windows.owner]
-            for told_by in (values,) if len(count) < FEWEST else (values, of_window):
-                yield np.repeat(told_by > np.median(told_by), outputs)
+            for split_by in (values,) if len(count) < FEWEST else (values, of_window):
+                yield np.repeat(split_by > np.median(split_by), outputs)
 
 
 def _moving(record: Record) -> FloatArray:
-    """Signals (n, k) that tell regimes apart: time, inputs, outputs and their rates."""
+    """Signals (n, k) that distinguish regimes: time, inputs, outputs and their rates."""
     rates = np.gradient(uniform_filter1d(record.outputs, SMOOTHED, axis=0), axis=0)
-    every = np.hstack([record.t[:, None], record.inputs, record.outputs, rates])
-    return every[:, np.ptp(every, axis=0) > 0.0]
+    signals = np.hstack([record.t[:, None], record.inputs, record.outputs, rates])
+    return signals[:, np.ptp(signals, axis=0) > 0.0]

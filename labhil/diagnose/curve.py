@@ -49,8 +49,8 @@ EXCHANGED = 3
 """Steps after that exchange."""
 
 DEEPENED = 8
-"""Rounds of new states and a new curve: where nothing tells an angle, most rounds move no window, and the one
-that does decides what the curve explains."""
+"""Rounds of new states and a new curve: where no channel measures an angle, most rounds move no window, and
+the one that does decides what the curve explains."""
 
 BLOCK = 1.0
 """Stretch of inverse dynamics, s: longer than what it leaves remembers, shorter than a pass of the joint."""
@@ -132,8 +132,8 @@ def with_spline(
     share, functions = (SIZE, FUNCTIONS) if part.joint is None else (SIZE_ON_A_JOINT, FUNCTIONS_OF_A_JOINT)
     size = share * part.force * measure[CharacteristicScale.DRIVE] / speed
     model = ExtendedModel(inner, coordinate, Spline.of(along, functions), size)
-    own = len(inner.parameters)
-    free = np.r_[old.free, own + np.arange(model.spline.count)]
+    first = len(inner.parameters)
+    free = np.r_[old.free, first + np.arange(model.spline.count)]
     theta = np.r_[begun.theta, np.zeros(model.spline.count)]
     problem = Problem(model, old.record, old.windows, free, theta, old.sigma)
     return model, problem, Point(problem.start().z, begun.solution.point.states)
@@ -148,16 +148,16 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     near, _ = Projected.at(problem, point, begun.solution.residuals)
     penalty = _smoothest(near, model)
     z = near.solve(penalty)
-    solution = replace(begun.solution, point=replace(point, z=z), residuals=near.left(z))
+    solution = replace(begun.solution, point=replace(point, z=z), residuals=near.residuals_at(z))
     fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution, begun.window)
-    kept = np.eye(model.spline.count)
-    return Curved(fitted, model, penalty, near, near.degrees(penalty), along, kept)
+    identity = np.eye(model.spline.count)
+    return Curved(fitted, model, penalty, near, near.degrees(penalty), along, identity)
 
 
 def _smoothest(near: Projected, model: ExtendedModel) -> FloatArray:
     """The penalty (P, P) under which windows are predicted best that had no part in the estimate."""
     penalties = [_penalty(near, model, weight) for weight in SMOOTHING]
-    return penalties[int(np.argmin(near.crossed(penalties)))]
+    return penalties[int(np.argmin(near.cross_validate(penalties)))]
 
 
 def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray:
@@ -170,32 +170,32 @@ def _penalty(near: Projected, model: ExtendedModel, weight: float) -> FloatArray
     return penalty
 
 
-def begun(glanced: Curved) -> Curved:
-    """A glance back where the fit without the curve ended: its one step may be too long to begin with."""
+def restart(glanced: Curved) -> Curved:
+    """A glance moved back to where the fit without the curve ended: one step may be too long for a start."""
     start = replace(glanced.fitted.solution.point, z=glanced.near.z)
     residuals = glanced.fitted.problem.residuals(start)
     solution = replace(glanced.fitted.solution, point=start, residuals=residuals)
     return replace(glanced, fitted=replace(glanced.fitted, solution=solution))
 
 
-def refined(curved: Curved, iterations: int) -> Curved:
-    """The same curve by the simulation itself, its smoothness chosen anew where that ends."""
-    once = minimised(curved, None, iterations)
-    return minimised(once, None, iterations)
+def refine(curved: Curved, iterations: int) -> Curved:
+    """Refit the curve by the simulation itself, and choose its smoothness anew at the end."""
+    once = minimise_penalised(curved, None, iterations)
+    return minimise_penalised(once, None, iterations)
 
 
-def deepened(curved: Curved, iterations: int) -> Curved:
-    """The same curve where windows have looked for better states: one in a wrong minimum bends the curve."""
+def deepen(curved: Curved, iterations: int) -> Curved:
+    """Refit the curve from better states of the windows: one window in a wrong minimum bends the curve."""
     random = np.random.default_rng(0)
     for _ in range(DEEPENED):
         problem, point = curved.fitted.problem, curved.fitted.solution.point
         start = Point(point.z, search_states(problem, point.z, point.states, random))
-        curved = minimised(curved, start, iterations)
+        curved = minimise_penalised(curved, start, iterations)
     return curved
 
 
-def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
-    """The least penalised cost from ``start`` (None: from where the curve is), then its smoothness anew."""
+def minimise_penalised(curved: Curved, start: Point | None, iterations: int) -> Curved:
+    """Minimise the penalised cost from ``start`` (None: where the curve is), then choose its smoothness."""
     problem, fitted = curved.fitted.problem, curved.fitted
     solution = minimise(problem, start or fitted.solution.point, curved.penalty, iterations)
     near, _ = Projected.at(problem, solution.point, solution.residuals)
@@ -207,9 +207,9 @@ def minimised(curved: Curved, start: Point | None, iterations: int) -> Curved:
 def criterion(curved: Curved, effective: float) -> float:
     """Schwarz's criterion with effective degrees of freedom, at the smoothness that makes it least.
 
-    Windows left out in turn hardly tell one smoothness from the next, which degrees of freedom do; one linear
-    step leads from one to the other. What a linear model promises where the curve is and the simulation does
-    not keep, of windows' states at a kink, is not granted elsewhere.
+    Windows left out in turn hardly distinguish neighbouring smoothnesses, degrees of freedom do; one linear
+    step leads from one to the next. What a linear model promises at the present curve and the simulation
+    does not keep, of windows' states at a kink, is not granted at another smoothness.
     """
     near, joint = curved.near, curved.joint
 
@@ -217,12 +217,12 @@ def criterion(curved: Curved, effective: float) -> float:
         solution = replace(curved.fitted.solution, residuals=residuals)
         return bic(replace(curved.fitted, solution=solution), effective, degrees, joint)
 
-    kept, states = curved.fitted.solution.residuals, curved.places
-    missed = mark(kept, 0.0) - mark(near.left(curved.fitted.solution.point.z), 0.0)
-    marks = [mark(kept, curved.degrees + states)]
+    final_residuals, states = curved.fitted.solution.residuals, curved.places
+    missed = mark(final_residuals, 0.0) - mark(near.residuals_at(curved.fitted.solution.point.z), 0.0)
+    marks = [mark(final_residuals, curved.degrees + states)]
     for weight in SMOOTHING:
         penalty = _penalty(near, curved.model, weight)
-        marks.append(mark(near.left(near.solve(penalty)), near.degrees(penalty) + states) + missed)
+        marks.append(mark(near.residuals_at(near.solve(penalty)), near.degrees(penalty) + states) + missed)
     return min(marks)
 
 
@@ -246,7 +246,7 @@ def band(curved: Curved) -> Band:
     return Band(x, design @ curved.free @ curved.coefficients, spread, np.asarray(reach))
 
 
-def handed_over(curved: Curved) -> bool:
+def holds_shape(curved: Curved) -> bool:
     """Whether the model's own parameters hold a constant or a straight line of the curve."""
     return not np.array_equal(curved.free, np.eye(len(curved.free)))
 
@@ -255,46 +255,46 @@ def covariance(curved: Curved) -> FloatArray:
     """Of the spline's coefficients less what the model's own parameters can stand for, (K, K)."""
     fitted, count = curved.fitted, curved.model.spline.count
     dof = len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size
-    whole = curved.near.covariance(curved.penalty, max(dof, 1.0), len(fitted.problem.sigma))
+    joint_covariance = curved.near.covariance(curved.penalty, max(dof, 1.0), len(fitted.problem.sigma))
     size = curved.model.coefficients[0].scale
-    return np.asarray(curved.free @ whole[-count:, -count:] @ curved.free.T) * size**2
+    return np.asarray(curved.free @ joint_covariance[-count:, -count:] @ curved.free.T) * size**2
 
 
 def rows_beside(curved: Curved) -> list[Estimate]:
     """The model's own parameters as they are estimated together with the curve."""
     fitted, count = curved.fitted, curved.model.spline.count
     problem = fitted.problem
-    own, scale = problem.free[:-count], problem.scale[:-count]
+    free, scale = problem.free[:-count], problem.scale[:-count]
     dof = max(len(fitted.solution.residuals) - curved.degrees - fitted.solution.point.states.size, 1.0)
-    whole = curved.near.covariance(curved.penalty, dof, len(problem.sigma))
-    taking = np.hstack([np.eye(len(own)), _exchanged(curved)])
-    spread = taking @ whole @ taking.T * np.outer(scale, scale)
-    values, errors = fitted.theta[own], np.sqrt(np.maximum(np.diag(spread), 0.0))
+    joint_covariance = curved.near.covariance(curved.penalty, dof, len(problem.sigma))
+    taking = np.hstack([np.eye(len(free)), _exchange(curved)])
+    spread = taking @ joint_covariance @ taking.T * np.outer(scale, scale)
+    values, errors = fitted.theta[free], np.sqrt(np.maximum(np.diag(spread), 0.0))
     reach = stats.norm.ppf(0.5 + 0.5 * LEVEL) * errors
-    ends = list(zip((values - reach).tolist(), (values + reach).tolist(), strict=True))
-    parameters = [problem.model.parameters[i] for i in own]
-    known = np.zeros(len(own), dtype=bool)
-    return estimates(parameters, values, spread, spread, len(fitted.solution.residuals), known, ends)
+    intervals = list(zip((values - reach).tolist(), (values + reach).tolist(), strict=True))
+    parameters = [problem.model.parameters[i] for i in free]
+    unknown = np.zeros(len(free), dtype=bool)
+    return estimates(parameters, values, spread, spread, len(fitted.solution.residuals), unknown, intervals)
 
 
 def _shapes(curved: Curved) -> FloatArray:
     """Coefficients (K, q) of those of a constant and a straight line that the model's own terms can be."""
     spline = curved.model.spline
     count = spline.count
-    own, curve = curved.near.slopes[:, :-count], curved.near.slopes[:, -count:]
-    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+    model_slopes, curve_slopes = curved.near.slopes[:, :-count], curved.near.slopes[:, -count:]
+    basis, _ = np.linalg.qr(model_slopes / np.maximum(np.linalg.norm(model_slopes, axis=0), 1e-300))
     greville = np.array([spline.knots[k + 1 : k + 4].mean() for k in range(count)])
     line = (greville - greville.mean()) / np.ptp(greville)
-    found = []
+    shapes = []
     for shape in (np.ones(count), line):
-        column = curve @ shape
-        left = column - basis @ (basis.T @ column)
-        if left @ left < SAME * (column @ column):
-            found.append(shape)
-    return np.column_stack(found) if found else np.empty((count, 0))
+        column = curve_slopes @ shape
+        remainder = column - basis @ (basis.T @ column)
+        if remainder @ remainder < SAME * (column @ column):
+            shapes.append(shape)
+    return np.column_stack(shapes) if shapes else np.empty((count, 0))
 
 
-def _quiet(values: FloatArray, shapes: FloatArray) -> np.ndarray:
+def _quiet_half(values: FloatArray, shapes: FloatArray) -> np.ndarray:
     """Marks (m,) the half of the range where values (m,) lie closest to a sum of shapes (m, q)."""
     weight = np.ones(len(values))
     for _ in range(REWEIGHTED):
@@ -306,15 +306,15 @@ def _quiet(values: FloatArray, shapes: FloatArray) -> np.ndarray:
     return np.asarray(off <= np.median(off))
 
 
-def _exchanged(curved: Curved) -> FloatArray:
+def _exchange(curved: Curved) -> FloatArray:
     """What the model's own parameters take over of each coefficient, (P, K) for P of them, both scaled."""
     count, slopes = curved.model.spline.count, curved.near.slopes
     shapes = slopes[:, -count:] @ (np.eye(count) - curved.free)
     return np.asarray(np.linalg.lstsq(slopes[:, :-count], shapes, rcond=None)[0])
 
 
-def _freed(curved: Curved) -> FloatArray:
-    """What takes from coefficients the shapes that are not the curve's own, (K, K).
+def _own_projection(curved: Curved) -> FloatArray:
+    """Matrix (K, K) that takes from coefficients the shapes that are not the curve's own.
 
     Where the model's own constant force can stand for the same, the curve is zero where it is quietest.
     """
@@ -323,20 +323,20 @@ def _freed(curved: Curved) -> FloatArray:
         return np.eye(spline.count)
     design = spline.on(PLACES)
     places = design @ shapes
-    quiet = _quiet(design @ curved.coefficients, places)
+    quiet = _quiet_half(design @ curved.coefficients, places)
     share = np.linalg.solve(places[quiet].T @ places[quiet], places[quiet].T @ design[quiet])
     return np.asarray(np.eye(spline.count) - shapes @ share)
 
 
-def gauged(curved: Curved) -> Curved:
-    """The same fit with that part of the curve in the model's own parameters that these can stand for."""
+def fix_gauge(curved: Curved) -> Curved:
+    """Move the part of a curve that the model's own parameters can stand for into these."""
     count, fitted = curved.model.spline.count, curved.fitted
-    free, z = _freed(curved), fitted.solution.point.z
+    free, z = _own_projection(curved), fitted.solution.point.z
     if np.array_equal(free, np.eye(count)):
         return curved
     problem, curved = fitted.problem, replace(curved, free=free)
-    taken = z[-count:] - free @ z[-count:]
-    moved = np.clip(z + np.r_[_exchanged(curved) @ z[-count:], -taken], problem.lower, problem.upper)
+    removed = z[-count:] - free @ z[-count:]
+    moved = np.clip(z + np.r_[_exchange(curved) @ z[-count:], -removed], problem.lower, problem.upper)
     # the exchange is exact for the linearised model only; what was exchanged is not to come back
     begin, blind = replace(fitted.solution.point, z=moved), curved.penalty.copy()
     blind[-count:, -count:] = free.T @ blind[-count:, -count:] @ free

@@ -16,15 +16,15 @@ from labhil.diagnose.adequacy import residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.augmented import augmented_search
 from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
-from labhil.diagnose.collapsed import brought_back, given_way, kept_near
-from labhil.diagnose.conclude import Concluded, conclude
+from labhil.diagnose.collapsed import are_restored, bound_near_nominal, find_collapsed
+from labhil.diagnose.conclude import Conclusion, conclude
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.final_table import final_table, on_held_out_of
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.intake import Fault, usable
+from labhil.diagnose.intake import Fault, assess_usability
 from labhil.diagnose.joint_curves import strongest
-from labhil.diagnose.judge import TOGETHER, Data, far_likelier
+from labhil.diagnose.judge import TOGETHER, Data, is_far_likelier
 from labhil.diagnose.load import with_load
 from labhil.diagnose.minor import without_minor
 from labhil.diagnose.refit import on_windows
@@ -57,26 +57,25 @@ def diagnose(
 ) -> Diagnosis:
     """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
 
-    ``reference`` are values of the user's own simulation by parameter name; with them a changed
-    value can be told from missing physics; ``accepted`` is the model that they are of, with its covariance,
-    where there is one. ``measured`` is what was searched before the model prepared it:
-    there faults of the data are looked for.
+    ``reference`` are values of the user's own simulation by parameter name; they distinguish a changed value
+    from missing physics; ``accepted`` is the model that they are of, with its covariance, where there is one.
+    ``measured`` is the searched record before the model prepared it: faults of the data are looked for there.
     """
     began = time.perf_counter()
     data = data_of(model, searched, held_out, reference)
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
     data, base, ended_early = baseline_of(data, terms)
-    whole = data.search if measured is None else measured
-    faults = all_faults(model, whole)
-    refused = _refused(data, whole, faults, ended_early)
-    if refused is not None:
-        accept()  # the result is there, and saying it takes no time
-        stated = _unsearched(data, base, *refused, faults, heldout_is_test, began)
-        return replace(stated, complete=not ended_early)
-    look = partial(_found, terms=terms, reference=reference, accepted=accepted, progress=progress)
-    end = _concluded(data, look(data, base), look, progress)
-    answer = _answer(data, end, accepted, reference)
+    record = data.search if measured is None else measured
+    faults = all_faults(model, record)
+    refusal = _refuse_search(data, record, faults, ended_early)
+    if refusal is not None:
+        accept()  # the result is there, and stating it takes no time
+        answer = _answer_without_search(data, base, *refusal, faults, heldout_is_test, began)
+        return replace(answer, complete=not ended_early)
+    search = partial(_search, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    conclusion = _conclude(data, search(data, base), search, progress)
+    answer = _answer(data, conclusion, accepted, reference)
     return replace(
         answer,
         faults=faults,
@@ -86,70 +85,71 @@ def diagnose(
 
 
 def _answer(
-    data: Data, end: Concluded, accepted: Accepted | None, reference: Mapping[str, float] | None
+    data: Data, conclusion: Conclusion, accepted: Accepted | None, reference: Mapping[str, float] | None
 ) -> Diagnosis:
-    """What the end of a search in ``data`` says, but for faults of the data and the time that it took."""
-    model, found, told, claimed = data.model, end.found, strongest(end.curves), end.doubts
-    again = on_held_out_of(end)
-    accept()  # stating what was found takes no time
-    absent = absent_effects(found.final)
-    excluded, unseen = statements.exclusions(absent, found.possible)
-    final, scale = final_table(end, accepted, absent, again)
+    """The answer of a search in ``data``, but for faults of the data and the time that it took."""
+    model, result = data.model, conclusion.result
+    curves, doubts = strongest(conclusion.curves), conclusion.doubts
+    held_out_fit = on_held_out_of(conclusion)
+    accept()  # stating the result takes no time
+    absent = absent_effects(result.final)
+    excluded, unseen = statements.exclusions(absent, result.possible)
+    final, scale = final_table(conclusion, accepted, absent, held_out_fit)
     changed = _changes(final, reference, accepted)
-    verdict = _verdict(end, changed)
-    wider = end.data.test is not data.test
-    shorter = end.on_shorter_windows
+    verdict = _verdict(conclusion, changed)
+    test, before, after = conclusion.data.test, conclusion.before, conclusion.after
+    wider, shorter = test is not data.test, conclusion.on_shorter_windows
     return Diagnosis(
         verdict=verdict,
         faults=(),
-        p_value=_suffices(end, verdict),
+        p_value=_baseline_p_value(conclusion, verdict),
         p_value_method="tail_extrapolated",
         p_value_floor=0.0,
-        baseline_terms=found.baseline.terms,
-        baseline=table_of(found.baseline).rows,
+        baseline_terms=result.baseline.terms,
+        baseline=table_of(result.baseline).rows,
         changed=changed,
-        collapsed=found.collapsed,
-        location=statements.location(found, end.before, end.after, end.data.test, told, wider=wider),
+        collapsed=result.collapsed,
+        location=statements.location(result, before, after, test, curves, wider=wider),
         missing=(
-            *(statements.missing(model, step, found, final, *claimed) for step in found.missing),
-            *(statements.unnamed(curve, *claimed) for curve in told),
+            *(statements.missing(model, step, result, final, *doubts) for step in result.missing),
+            *(statements.missing_curve(curve, *doubts) for curve in curves),
         ),
-        rivals=tuple(statements.rival_term(model, rival, found, *claimed) for rival in found.rivals),
+        rivals=tuple(statements.rival_term(model, rival, result, *doubts) for rival in result.rivals),
         undecided=(
-            *statements.too_little(found),
-            *statements.as_likely_as_not(found),
+            *statements.too_little(result),
+            *statements.as_likely_as_not(result),
             *unseen,
-            *statements.undecided(model),
+            *statements.unobservable(model),
         ),
         excluded=excluded,
         data="heldout",
-        held_out=end.data.test,
-        before=with_forces(end.before, model, found.baseline.theta, end.data.test, end.sigma),
-        after=with_forces(end.after, *end.accepted, end.data.test, end.sigma),
-        final_terms=found.final.terms,
+        held_out=test,
+        before=with_forces(before, model, result.baseline.theta, test, conclusion.sigma),
+        after=with_forces(after, *conclusion.accepted, test, conclusion.sigma),
+        final_terms=result.final.terms,
         final=final,
-        baseline_fit=found.baseline,
-        final_fit=found.final,
-        curve=statements.curve(told[0]) if told else None,
-        further_curves=tuple(statements.curve(curve) for curve in told[1:]),
+        baseline_fit=result.baseline,
+        final_fit=result.final,
+        curve=statements.curve(curves[0]) if curves else None,
+        further_curves=tuple(statements.curve(curve) for curve in curves[1:]),
         seconds=0.0,
         shorter=shorter,
         wider=wider,
-        complete=found.complete,
+        complete=result.complete,
         scale_factor=scale,
         remainder=find_remainder(
-            _names(found, told), *end.accepted, end.data.test, *(shorter or (end.before, end.after))
+            _labels(result, curves), *conclusion.accepted, test, *(shorter or (before, after))
         ),
     )
 
 
-def _refused(
+def _refuse_search(
     data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
 ) -> tuple[str, str] | None:
     """The verdict without a search, and why there is none; None where the data can be searched."""
-    if not usable(measured, faults).fit:
+    if not assess_usability(measured, faults).fit:
         return "data_fault", "the data are at fault"
-    if not _excited(data.search, data.sigma):
+    if not _is_excited(data.search, data.sigma):
         return "not_decidable", "neither input nor output moves beyond the noise"
     duration, horizon = data.search.duration, data.model.horizon
     if data.model.state_names and duration < horizon:
@@ -160,33 +160,33 @@ def _refused(
     return None
 
 
-def _names(found: SearchResult, curves: Sequence[ForceCurve]) -> list[str]:
-    """What was found: keys of terms, and what each curve is over."""
+def _labels(result: SearchResult, curves: Sequence[ForceCurve]) -> list[str]:
+    """The named effects: keys of terms, and what each curve is over."""
     over = [f"a force over {curve.depends_on[0]}" for curve in curves]
-    return [*(step.terms[0] for step in found.missing), *over]
+    return [*(step.terms[0] for step in result.missing), *over]
 
 
-def _concluded(
+def _conclude(
     data: Data,
-    found: SearchResult,
-    look: Callable[[Data, Fitted], SearchResult],
+    result: SearchResult,
+    search: Callable[[Data, Fitted], SearchResult],
     progress: Callable[[str], None],
-) -> Concluded:
-    """The end of a diagnosis; of one that is ended early, what its first search found."""
+) -> Conclusion:
+    """Conclude a diagnosis; of one that is ended early, the result of its first search."""
     try:
-        if found.complete:
-            data, found, left = augmented_search(data, found, look, progress)
+        if result.complete:
+            data, result, rms = augmented_search(data, result, search, progress)
             # sizes that were kept near nominal stay there
-            data = replace(data, model=found.final.problem.model)
-            return conclude(data, found, left, progress)
+            data = replace(data, model=result.final.problem.model)
+            return conclude(data, result, rms, progress)
     except EndedEarly:
         accept()
-    found = replace(found, complete=False)
-    data = replace(data, model=found.final.problem.model)
-    return conclude(data, found, residual_rms(data, found.final), progress)
+    result = replace(result, complete=False)
+    data = replace(data, model=result.final.problem.model)
+    return conclude(data, result, residual_rms(data, result.final), progress)
 
 
-def _found(
+def _search(
     data: Data,
     base: Fitted,
     *,
@@ -196,57 +196,59 @@ def _found(
     progress: Callable[[str], None],
 ) -> SearchResult:
     """Search once; with values of the user's own sizes, once more with these held."""
-    found = search_structures(data, base, progress)
+    result = search_structures(data, base, progress)
     try:
-        if not found.complete:
-            return found
-        found = _with_credible_sizes(data, found, progress)
-        found = with_load(data, found, accepted)
-        sizes = _sizes(data.model, reference) if reference is not None and not found.errors else frozenset()
+        if not result.complete:
+            return result
+        result = _with_credible_sizes(data, result, progress)
+        result = with_load(data, result, accepted)
+        sizes = _sizes(data.model, reference) if reference is not None and not result.errors else frozenset()
         if sizes:
             progress("the same with the sizes of the given model held")
             held = replace(data, held=sizes)
-            again = search_structures(held, fit_baseline(held, terms), progress)
-            found = _simpler(found, again) if again.complete else replace(found, complete=False)
-        return without_minor(data, found)
+            held_result = search_structures(held, fit_baseline(held, terms), progress)
+            result = (
+                _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
+            )
+        return without_minor(data, result)
     except EndedEarly:
         accept()
-        return replace(found, complete=False)
+        return replace(result, complete=False)
 
 
-def _with_credible_sizes(data: Data, found: SearchResult, progress: Callable[[str], None]) -> SearchResult:
-    """What was found; where the baseline's own sizes gave way, once more with these kept near nominal.
+def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:
+    """The result; where the baseline's own sizes gave way, that of a search with these kept near nominal.
 
-    The second answer has to be far likelier on the searched data: a nominal value may be wrong. Where what
-    was found brings them back there is nothing more to ask.
+    The second result has to be far likelier on the searched data: a nominal value may be wrong. Where the
+    first one restores the sizes there is nothing more to search.
     """
-    lost = given_way(data, found.baseline)
+    lost = find_collapsed(data, result.baseline)
     if not lost:
-        return found
-    if found.missing and brought_back(lost, found.final):
-        return replace(found, collapsed=lost)
-    near = replace(data, model=kept_near(data.model, lost))
-    baseline = fit_baseline(near, found.baseline.terms)
+        return result
+    if result.missing and are_restored(lost, result.final):
+        return replace(result, collapsed=lost)
+    near = replace(data, model=bound_near_nominal(data.model, lost))
+    baseline = fit_baseline(near, result.baseline.terms)
     # on the windows that the first search ended on
-    short = fit_baseline(data, found.baseline.terms)
-    if not far_likelier(short, baseline):
-        return found
+    short = fit_baseline(data, result.baseline.terms)
+    if not is_far_likelier(short, baseline):
+        return result
     progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
-    found = replace(found, collapsed=lost)
+    result = replace(result, collapsed=lost)
     credible = search_structures(near, baseline, progress)
     if not credible.complete:
-        return replace(found, complete=False)
-    if not credible.missing or not far_likelier(
-        credible.final, _onward_like(near, found.final, credible.final)
+        return replace(result, complete=False)
+    if not credible.missing or not is_far_likelier(
+        credible.final, _refit_like(near, result.final, credible.final)
     ):
-        return found
+        return result
     return replace(credible, collapsed=lost)
 
 
-def _onward_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
-    """The one fit on the windows of the other."""
-    own = replace(data, model=fitted.problem.model, window=like.window)
-    return on_windows(own, fitted)
+def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
+    """Refit on the windows of the fit ``like``."""
+    data_like = replace(data, model=fitted.problem.model, window=like.window)
+    return on_windows(data_like, fitted)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
@@ -254,48 +256,48 @@ def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
     return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
 
 
-def _simpler(free: SearchResult, held: SearchResult) -> SearchResult:
+def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
     """The better of two searches by BIC on the search data.
 
     Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
     would have missing physics make up for a size that has changed: that account needs very strong evidence.
     """
-    return held if far_likelier(held.final, free.final) else free
+    return held if is_far_likelier(held.final, free.final) else free
 
 
-def _excited(record: Record, sigma: np.ndarray) -> bool:
+def _is_excited(record: Record, sigma: np.ndarray) -> bool:
     """Whether some output moves beyond its noise and the input moves at all."""
     return any(
-        bool((np.std(each.outputs, axis=0) > 5.0 * sigma).any() and np.ptp(each.inputs, axis=0).any())
-        for each in record.recordings()
+        bool((np.std(part.outputs, axis=0) > 5.0 * sigma).any() and np.ptp(part.inputs, axis=0).any())
+        for part in record.recordings()
     )
 
 
-def _suffices(end: Concluded, verdict: str) -> float:
-    """The p value that the baseline suffices: of what was added to it first, be it named or a curve.
+def _baseline_p_value(conclusion: Conclusion, verdict: str) -> float:
+    """The p value that the baseline suffices: of the first addition, be it a term or a curve.
 
-    Where nothing was, of the noise that would be as large as what is left; and where that is no mismatch
-    searched and held-out data together have not reached the level of one.
+    Without an addition, that of noise as large as the residuals; and where these are no mismatch, searched
+    and held-out data together have not reached the level of one.
     """
-    found, curves = end.found, end.curves
-    if found.missing:
-        return found.p_value
+    result, curves = conclusion.result, conclusion.curves
+    if result.missing:
+        return result.p_value
     if curves:
         return float(np.exp(min(0.5 * curves[0].evidence.delta_bic, 0.0)))
     if verdict != "unexplained_mismatch":
-        return max(found.p_value, TOGETHER)
-    effective, excess = effective_samples(found.final), max(found.final.noise, end.before.excess)
-    # of the sizes that gave way it is certain that they are not what is known of them
-    least = FALSE_ALARM if found.collapsed else 1.0
-    return min(found.p_value, least, float(stats.chi2.sf(effective * excess**2, effective)))
+        return max(result.p_value, TOGETHER)
+    effective, excess = effective_samples(result.final), max(result.final.noise, conclusion.before.excess)
+    # sizes that gave way are certain to differ from what is known of them
+    least = FALSE_ALARM if result.collapsed else 1.0
+    return min(result.p_value, least, float(stats.chi2.sf(effective * excess**2, effective)))
 
 
-def _verdict(end: Concluded, changed: Sequence[Change]) -> str:
-    if end.found.missing or end.curves:
+def _verdict(conclusion: Conclusion, changed: Sequence[Change]) -> str:
+    if conclusion.result.missing or conclusion.curves:
         return "missing_physics"
-    if end.more and not end.found.complete:
-        return "not_decidable"  # what explains it may be among what was not tried
-    if end.more or end.found.collapsed:
+    if conclusion.excess_remains and not conclusion.result.complete:
+        return "not_decidable"  # its explanation may be among the terms that were not tried
+    if conclusion.excess_remains or conclusion.result.collapsed:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 
@@ -306,7 +308,7 @@ def _changes(
     """Reference values that the refitted model contradicts at the level of the verdict.
 
     The difference is held against the errors of both values. Values of ``[nominal]`` have none: they are what
-    a simulation has. Of a value that these data, or the accepted model's, do not know nothing is claimed.
+    a simulation has. Nothing is claimed of a value that these data, or the accepted model's, do not know.
     """
     rows = {row.key: row for row in final if row.identifiable}
     compared = [(rows[name], value) for name, value in (reference or {}).items() if name in rows]
@@ -320,7 +322,7 @@ def _changes(
     return tuple(changes)
 
 
-def _unsearched(
+def _answer_without_search(
     data: Data,
     base: Fitted,
     verdict: str,
@@ -329,7 +331,7 @@ def _unsearched(
     heldout_is_test: bool,
     began: float,
 ) -> Diagnosis:
-    """An answer without a search, and why there was none."""
+    """State a verdict without a search, and why there was none."""
     marks = score(data.model, base.theta, data.test, data.test_sigma)
     marks = with_forces(marks, data.model, base.theta, data.test, data.test_sigma)
     rows = table_of(base).rows

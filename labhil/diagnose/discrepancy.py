@@ -4,7 +4,7 @@ Only the part of a discrepancy that no parameter can make up for is left in the 
 in the estimates (Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001). What is missing is taken for a mixture of
 effects like those of the catalogue. One whose response is x = J·s + x⊥, with the model's own slopes J, leaves
 x⊥ and moves the estimates by s. If it left all of the energy E beyond the noise, it would have moved them by
-s·√(E/|x⊥|²). Effects count by how much what they leave looks like r, so that
+s·√(E/|x⊥|²). Effects count by the likeness of x⊥ to r, so that
 
     Var(θ) = Σ_m ρ_m²·s_m²·E/|x⊥_m|² / Σ_m ρ_m²,        ρ_m = x⊥_mᵀr / (|x⊥_m|·|r|).
 """
@@ -61,13 +61,13 @@ def absent_effects(fitted: Fitted) -> AbsentEffects:
     return AbsentEffects(fitted, problem.project(lin, lin.by_parameters), effects)
 
 
-def moved_by_what_is_left(absent: AbsentEffects, but: Collection[str] = ()) -> dict[str, float]:
+def discrepancy_shifts(absent: AbsentEffects, known: Collection[str] = ()) -> dict[str, float]:
     """By how much a discrepancy may have moved each estimate, one standard deviation.
 
     Args:
-        absent: what a model that was fitted to the searched data lacks.
-        but: keys of estimates that count as known: a curve's coefficients, which can stand for a friction of
-            the model, are kept apart from it by a convention.
+        absent: the effects that a model fitted to the searched data lacks.
+        known: keys of estimates that count as known: a curve's coefficients, which can stand for a friction
+            of the model, are kept apart from it by a convention.
 
     Returns:
         Standard deviations by key, in SI units; empty where nothing is left beyond the noise.
@@ -75,25 +75,25 @@ def moved_by_what_is_left(absent: AbsentEffects, but: Collection[str] = ()) -> d
     fitted = absent.fitted
     problem, residuals = fitted.problem, fitted.solution.residuals
     energy = float(residuals @ residuals) - KNOWN_NOISE**2 * fitted.dof
-    every = list(fitted.estimates)
-    free = [place for place, key in enumerate(every) if key not in but]
+    keys = list(fitted.estimates)
+    free = [place for place, key in enumerate(keys) if key not in known]
     if energy <= 0.0 or not free:
         return {}
-    own = absent.slopes[:, free]
-    size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-    inverse = np.linalg.pinv(own / size) / size[:, None]
+    slopes = absent.slopes[:, free]
+    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    inverse = np.linalg.pinv(slopes / size) / size[:, None]
     moved, weights = np.zeros(len(free)), 0.0
     for effect in absent.effects:
         shift = inverse @ effect.response
-        left = effect.response - own @ shift
-        power = float(left @ left)
+        orthogonal = effect.response - slopes @ shift
+        power = float(orthogonal @ orthogonal)
         if power <= STANDS_FOR * float(effect.response @ effect.response) or power <= 0.0:
             continue
-        likeness = float(left @ residuals) ** 2 / power
+        likeness = float(orthogonal @ residuals) ** 2 / power
         moved += likeness * shift**2 * (energy / power)
         weights += likeness
     errors = np.sqrt(moved / weights) * problem.scale[free] if weights > 0.0 else moved
-    return dict(zip((every[place] for place in free), errors.tolist(), strict=True))
+    return dict(zip((keys[place] for place in free), errors.tolist(), strict=True))
 
 
 def _main_parameters(term: Term) -> list[Parameter]:

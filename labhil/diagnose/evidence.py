@@ -36,10 +36,12 @@ class Evidence:
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
     """How many independent residuals those of a fit are worth, or those of one joint's output."""
     problem = fitted.problem
-    return independent(_channels(fitted, joint), problem.begins, float(problem.effective_fraction.mean()))
+    return independent_samples(
+        _channels(fitted, joint), problem.begins, float(problem.effective_fraction.mean())
+    )
 
 
-def independent(
+def independent_samples(
     residuals: FloatArray, begins: Sequence[int] = (0,), effective_fraction: float = 1.0
 ) -> float:
     """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
@@ -72,8 +74,8 @@ def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) 
 
 def _channels(fitted: Fitted, joint: int | None = None) -> FloatArray:
     """Residuals by channel, (n, channels), or those of one joint, (n, 1)."""
-    every = fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
-    return every if joint is None else every[:, [fitted.problem.record.output_joints.index(joint)]]
+    residuals = fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
+    return residuals if joint is None else residuals[:, [fitted.problem.record.output_joints.index(joint)]]
 
 
 def _log_power(fitted: Fitted, joint: int | None = None) -> float:
@@ -117,19 +119,19 @@ def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, be
     larger p value counts. Both factors are clipped, so that a window in which a model loses its way does not
     decide. ``begins`` are the rows where a window begins.
     """
-    step, left = _clipped(before - after), _clipped(after)
+    step, errors = _clip(before - after), _clip(after)
     windows = len(np.unique(owner))
     if windows < 3 or not np.any(step):
         return 1.0
-    product = float(np.sum(step * _clipped(before)))
-    by_window = np.bincount(owner, np.sum(step * left, axis=1))
-    modelled = float(modelled_variance(step.reshape(-1, 1), left.ravel(), left.shape[1], begins)[0, 0])
+    product = float(np.sum(step * _clip(before)))
+    by_window = np.bincount(owner, np.sum(step * errors, axis=1))
+    modelled = float(modelled_variance(step.reshape(-1, 1), errors.ravel(), errors.shape[1], begins)[0, 0])
     by_samples = stats.norm.sf(product / np.sqrt(modelled + 1e-300))
     by_windows = stats.t.sf(product / np.sqrt(by_window @ by_window + 1e-300), windows - 1)
     return float(max(by_samples, by_windows))
 
 
-def _clipped(errors: FloatArray) -> FloatArray:
+def _clip(errors: FloatArray) -> FloatArray:
     return np.clip(errors, -CLIPPED, CLIPPED)
 
 
@@ -138,8 +140,8 @@ def _scale(after: Score) -> FloatArray:
     if not after.recordings:
         return np.array([max(c.noise_floor, c.rmse) for c in after.channels])
     scale = np.empty_like(after.errors)
-    for own in after.recordings:
-        scale[own.places] = [max(c.noise_floor, c.rmse) for c in own.channels]
+    for recording in after.recordings:
+        scale[recording.places] = [max(c.noise_floor, c.rmse) for c in recording.channels]
     return scale
 
 

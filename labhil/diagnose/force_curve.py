@@ -1,4 +1,4 @@
-"""What no named term explains: over which coordinate it acts, its curve, and what that is worth."""
+"""A force that no named term explains: over which coordinate it acts, its curve, and its evidence."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from labhil.diagnose.curve import (
     Band,
     Curved,
     band,
-    begun,
     criterion,
-    gauged,
+    fix_gauge,
     glance,
-    handed_over,
+    holds_shape,
     in_blocks,
-    minimised,
+    minimise_penalised,
+    restart,
     rows_beside,
 )
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, heldout_gain
-from labhil.diagnose.judge import TRUSTED, Data, supported
+from labhil.diagnose.judge import TRUSTED, Data, is_supported
 from labhil.diagnose.search_result import FittedCurve
 from labhil.identify.extended import NAME, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
@@ -113,41 +113,41 @@ def unmodelled(data: Data, final: Fitted, part: MovedPart) -> ForceCurve | None:
     if chosen is None:
         return None
     evidence = _evidence(data, final, judged, chosen)
-    if not supported(evidence, TRUSTED):
+    if not is_supported(evidence, TRUSTED):
         return None
-    found = _answer(data, final, chosen, evidence)
-    return None if found.share < STANDS_IN else found
+    curve = _force_curve(data, final, chosen, evidence)
+    return None if curve.share < STANDS_IN else curve
 
 
-def stated(data: Data, curve: FittedCurve) -> ForceCurve:
-    """A curve that evidence chose, as the answer states it."""
-    beside, odds, curved = curve.beside, curve.log_odds, curve.curved
+def state_curve(data: Data, curve: FittedCurve) -> ForceCurve:
+    """State a curve that evidence chose, with its scores and its probability."""
+    named_fit, odds, curved = curve.beside, curve.log_odds, curve.curved
     after = replace(data, model=curved.model).judge(curved.fitted.theta)
-    gain, p_value = best_heldout_gain(data.judge(beside.theta), after)
+    gain, p_value = best_heldout_gain(data.judge(named_fit.theta), after)
     evidence = Evidence(-2.0 * odds, p_value, gain)
-    answer = _answer(data, beside, curved, evidence)
+    answer = _force_curve(data, named_fit, curved, evidence)
     return replace(answer, probability=float(1.0 / (1.0 + np.exp(-odds))))
 
 
 def with_placed(final: Fitted) -> list[Fitted]:
-    """A fit, and the same where windows know where their part stands, if recordings do not tell it."""
-    placed = _placed(final)
+    """A fit, and the same where windows know where their part stands, if recordings do not measure it."""
+    placed = _place(final)
     return [final] if placed is final else [final, placed]
 
 
 def motion_coordinates(model: AcceptsExtraForce, part: MovedPart) -> list[Coordinate]:
-    """Everything that a force on a part may be a function of, with and without the sign of velocity.
+    """All coordinates that a force on a part may depend on, with and without the sign of velocity.
 
-    Positions of other parts are among it: a cable or a spring may be tied to both.
+    Positions of other parts are among them: a cable or a spring may be tied to both.
     """
-    others = [each.position for each in model.moved if each != part]
+    other_positions = [moved.position for moved in model.moved if moved != part]
     ways = [
         *(
             (part.position, acts)
             for acts in (CurveArgument.POSITION, CurveArgument.POSITION_AGAINST, CurveArgument.DAMPING)
         ),
         *((part.velocity, acts) for acts in (CurveArgument.VELOCITY, CurveArgument.SPEED_AGAINST)),
-        *((position, CurveArgument.POSITION) for position in others),
+        *((position, CurveArgument.POSITION) for position in other_positions),
     ]
     units = model.coordinate_units
     return [Coordinate(name, unit_of(units, name) or "", acts, part) for name, acts in ways if name]
@@ -170,32 +170,32 @@ def _best(final: Fitted, model: AcceptsExtraForce, part: MovedPart) -> Curved | 
     looks = _glances(short, motion_coordinates(model, part) + given_coordinates(short, part))
     if not looks:
         return None
-    effective = _worth(looks)
+    effective = _effective_samples_of(looks)
     best = min(looks, key=lambda look: criterion(look, effective))
-    return gauged(minimised(begun(best), None, ITERATIONS))
+    return fix_gauge(minimise_penalised(restart(best), None, ITERATIONS))
 
 
 def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
-    """One at a curve over each of these coordinates that varies."""
+    """One glance at a curve over each of these coordinates that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
-    asked = [(coordinate, coordinate.of(along)) for coordinate in possible]
-    return [glance(fitted, coordinate, values) for coordinate, values in asked if np.ptp(values) > 0.0]
+    sampled = [(coordinate, coordinate.of(along)) for coordinate in possible]
+    return [glance(fitted, coordinate, values) for coordinate, values in sampled if np.ptp(values) > 0.0]
 
 
-def _placed(final: Fitted) -> Fitted:
-    """The same fit where windows know where their part stands, as far as recordings do not tell it."""
+def _place(final: Fitted) -> Fitted:
+    """Place a fit: its windows know where their part stands, as far as recordings do not measure it."""
     model, old = final.problem.model, final.problem
-    if not isinstance(model, PositionUnobserved) or model.placed() is model:
+    if not isinstance(model, PositionUnobserved) or model.with_place() is model:
         return final
-    problem = Problem(model.placed(), old.record, old.windows, old.free, final.theta, old.sigma)
+    problem = Problem(model.with_place(), old.record, old.windows, old.free, final.theta, old.sigma)
     point = final.solution.point
     states = np.column_stack([point.states, problem.guess[:, point.states.shape[1] :]])
     solution = replace(final.solution, point=replace(point, states=states))
     return replace(final, problem=problem, solution=solution, rivals=())
 
 
-def _worth(trials: Sequence[Curved]) -> float:
+def _effective_samples_of(trials: Sequence[Curved]) -> float:
     """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
     best = min(trials, key=lambda trial: trial.fitted.solution.cost)
     return effective_samples(best.fitted, best.joint)
@@ -209,7 +209,7 @@ def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evide
     return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 
-def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> ForceCurve:
+def _force_curve(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> ForceCurve:
     horizon = scored_horizon(data.model, final.theta, data.test)
     before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
@@ -244,7 +244,7 @@ def _answer(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> Fo
 
 
 def _share(before: Score, after: Score) -> float:
-    """What of the excess over the noise floor is gone."""
+    """Share of the excess over the noise floor that the better model explains."""
     excess = before.mse - after.noise_floor**2
     return (before.mse - after.mse) / excess if excess > 0.0 else 0.0
 
@@ -260,6 +260,6 @@ def _statement(chosen: Curved, curve: Band, unit: str) -> str:
         f"Something that no named effect explains acts{where} as {way} that depends on {coordinate.name}: "
         f"{curve.value[most]:.3g} {unit} where it is strongest, at {curve.x[most]:.3g} {coordinate.unit}."
     )
-    if handed_over(chosen):
+    if holds_shape(chosen):
         text += " It is zero where it is quietest: the model's own parameters can stand for the rest."
     return text.replace("-", "−")

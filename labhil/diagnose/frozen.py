@@ -66,7 +66,7 @@ class Runs:
         """Samples of each, (r,)."""
         return self.last - self.first
 
-    def chosen(self, which: np.ndarray) -> Runs:
+    def select(self, which: np.ndarray) -> Runs:
         """Those that ``which`` (r,) marks."""
         return Runs(self.first[which], self.last[which])
 
@@ -77,8 +77,8 @@ def runs_of(x: FloatArray) -> Runs:
     return Runs(np.r_[0, edges].astype(np.int64), np.r_[edges, len(x)].astype(np.int64))
 
 
-def stuck(x: FloatArray, inputs: FloatArray, *, rests: bool = False) -> Runs:
-    """Runs in which a measured channel (n,) is frozen, while ``inputs`` (n, k) tell what drives the rig.
+def stuck_runs(x: FloatArray, inputs: FloatArray, *, rests: bool = False) -> Runs:
+    """Runs in which a measured channel (n,) is frozen, while ``inputs`` (n, k) drive the rig.
 
     Either its noise vanishes for longer than chance, or it ends in a jump that nothing else in the channel
     comes near and the inputs do not explain. A channel that ``rests`` may be silent at any value, as an
@@ -86,7 +86,7 @@ def stuck(x: FloatArray, inputs: FloatArray, *, rests: bool = False) -> Runs:
     """
     runs = runs_of(x)
     usual = _usual_length(runs)
-    long = runs.chosen(runs.length >= max(SHORTEST, UNUSUAL * usual))
+    long = runs.select(runs.length >= max(SHORTEST, UNUSUAL * usual))
     if not len(long.first):
         return long
     silent = (long.length >= _longest_by_chance(x, long, usual)) & (not rests)
@@ -94,14 +94,14 @@ def stuck(x: FloatArray, inputs: FloatArray, *, rests: bool = False) -> Runs:
     step = converter_step(x)
     silent &= np.abs(x[long.first]) > 3.0 * step
     if step:
-        silent &= _abrupt(x, long, step)
-    return long.chosen(silent | _ends_in_a_leap(x, inputs, long))
+        silent &= _have_abrupt_ends(x, long, step)
+    return long.select(silent | _end_in_leaps(x, inputs, long))
 
 
-def clipped(x: FloatArray) -> tuple[float, ...]:
+def clipped_values(x: FloatArray) -> tuple[float, ...]:
     """Extreme values at which a noisy channel (n,) piles up although its noise should scatter it beyond."""
     step = converter_step(x)
-    found = []
+    limits = []
     for side in (-1.0, 1.0):
         y = side * x
         top = float(y.max())
@@ -116,8 +116,8 @@ def clipped(x: FloatArray) -> tuple[float, ...]:
             continue
         near = [int(np.sum(np.abs(top - k * step - y) < 0.5 * step)) for k in (1, 2, 3)] if step else [1]
         if at.sum() > PILED * max(near):
-            found.append(side * top)
-    return tuple(found)
+            limits.append(side * top)
+    return tuple(limits)
 
 
 def _runs_at(marked: np.ndarray) -> Runs:
@@ -160,11 +160,11 @@ def _noise_at_rest(x: FloatArray, step: float, without: Runs) -> float:
     doubtful = doubtful[3:] | doubtful[:-3]
     count = len(third) // BLOCK
     blocks = third[: count * BLOCK].reshape(count, BLOCK)
-    kept = blocks[~doubtful[: count * BLOCK].reshape(count, BLOCK).any(axis=1)]
-    if len(kept) < 4:
+    clean = blocks[~doubtful[: count * BLOCK].reshape(count, BLOCK).any(axis=1)]
+    if len(clean) < 4:
         return 0.0
-    power = np.mean(kept**2, axis=1)
-    calm = kept[power <= np.quantile(power, 3.0 * CALM)]
+    power = np.mean(clean**2, axis=1)
+    calm = clean[power <= np.quantile(power, 3.0 * CALM)]
     # white noise gives third differences a correlation of −0.75 between neighbours, smooth motion +1
     if np.sum(calm[:, 1:] * calm[:, :-1]) > -0.3 * np.sum(calm**2):
         return 0.0
@@ -187,18 +187,18 @@ def _tremblings(x: FloatArray) -> int:
     return int(np.sum(np.diff(turns) <= TREMBLING))
 
 
-def _abrupt(x: FloatArray, runs: Runs, step: float) -> np.ndarray:
+def _have_abrupt_ends(x: FloatArray, runs: Runs, step: float) -> np.ndarray:
     """Which runs (r,) begin or end at speed: a body that stops or starts takes its time."""
-    found = np.zeros(len(runs.first), dtype=bool)
+    abrupt = np.zeros(len(runs.first), dtype=bool)
     for r, (first, last) in enumerate(zip(runs.first, runs.last, strict=True)):
         for path in (x[max(first - 4, 0) : first + 1][::-1], x[last - 1 : last + 4]):
             if len(path) == 5:
                 near, far = abs(path[2] - path[0]), abs(path[4] - path[2])
-                found[r] |= near > ABRUPT * step and near > SUDDEN_END * far
-    return found
+                abrupt[r] |= near > ABRUPT * step and near > SUDDEN_END * far
+    return abrupt
 
 
-def _ends_in_a_leap(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray:
+def _end_in_leaps(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray:
     """Which runs (r,) end in a jump beyond all other changes, with inputs that moved before and not then."""
     change = np.abs(np.diff(x))
     elsewhere = change.copy()
@@ -208,11 +208,11 @@ def _ends_in_a_leap(x: FloatArray, inputs: FloatArray, runs: Runs) -> np.ndarray
     leaps = []
     for first, last in zip(runs.first, runs.last, strict=True):
         leaped = last < len(x) and largest > 0.0 and change[last - 1] > LEAP * largest
-        leaps.append(bool(leaped) and _driven_before(inputs, int(first), int(last)))
+        leaps.append(bool(leaped) and _inputs_explain_leap(inputs, int(first), int(last)))
     return np.array(leaps, dtype=bool)
 
 
-def _driven_before(inputs: FloatArray, first: int, last: int) -> bool:
+def _inputs_explain_leap(inputs: FloatArray, first: int, last: int) -> bool:
     """Whether some input moved more during a run than it jumps in the three samples around its end."""
     during = np.ptp(inputs[first : last - 2], axis=0)
     around = np.abs(np.diff(inputs[max(last - 3, 0) : last + 2], axis=0)).max(axis=0)
@@ -226,4 +226,4 @@ def local_scale(x: FloatArray, reach: int, quantile: float) -> FloatArray:
     return np.asarray(np.quantile(sliding_window_view(padded, 2 * reach + 1), quantile, axis=1))
 
 
-__all__ = ["Runs", "clipped", "converter_step", "local_scale", "runs_of", "stuck"]
+__all__ = ["Runs", "clipped_values", "converter_step", "local_scale", "runs_of", "stuck_runs"]

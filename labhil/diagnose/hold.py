@@ -22,8 +22,8 @@ def jumps_of_levels(u: FloatArray) -> IntArray:
     jumps = np.flatnonzero(changed).astype(np.int64)
     if len(jumps) < FEWEST_LEVELS or changed[1:].mean() > 1.0 - AT_REST:
         return np.empty(0, dtype=np.int64)
-    beside = changed[np.maximum(jumps - 1, 0)] | changed[np.minimum(jumps + 1, len(u) - 1)]
-    return jumps if np.mean(~beside) >= ALONE else np.empty(0, dtype=np.int64)
+    neighbour_changed = changed[np.maximum(jumps - 1, 0)] | changed[np.minimum(jumps + 1, len(u) - 1)]
+    return jumps if np.mean(~neighbour_changed) >= ALONE else np.empty(0, dtype=np.int64)
 
 
 def evident_hold(u: FloatArray) -> Hold | None:

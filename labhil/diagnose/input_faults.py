@@ -1,7 +1,7 @@
-"""Faults of commands: samples that nobody can have asked for.
+"""Faults of commands: samples that nobody can have intended.
 
-A command may stand still, jump and be clipped as it likes. What is looked for are single samples that leave a
-smooth course, and values far outside of everything else that was asked for.
+A command may stand still, jump and be clipped as it likes. Faults are single samples that leave a smooth
+course, and values far outside of all other commands.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ FAR_OUTSIDE = 5.0
 """A lone sample is no command where it leaves the range of all others by this many times that range."""
 
 MOST_LONE = 0.01
-"""Of the samples: more of them are pulses, which somebody asked for."""
+"""Of the samples: more of them are pulses, which somebody intended."""
 
 SMOOTH = 0.9
 """Share of the changes of a smooth command that differ from zero."""
@@ -32,26 +32,26 @@ OF_RANGE = 0.2
 
 
 def spikes_of_commands(u: FloatArray) -> IntArray:
-    """Places of single samples of a command (n,) that nobody can have asked for, (k,)."""
+    """Places of single samples of a command (n,) that nobody can have intended, (k,)."""
     change = np.diff(u)
     if len(u) < 40 or not np.any(change):
         return np.empty(0, dtype=np.int64)
     places = [_far_outside(u)]
     if np.mean(change != 0.0) >= SMOOTH and not len(jumps_of_levels(u)):
         places.append(_off_course(u))
-    found = np.unique(np.concatenate(places))
-    return found if len(found) <= MOST_LONE * len(u) else np.empty(0, dtype=np.int64)
+    lone = np.unique(np.concatenate(places))
+    return lone if len(lone) <= MOST_LONE * len(u) else np.empty(0, dtype=np.int64)
 
 
 def _off_course(u: FloatArray) -> IntArray:
     """Single samples that leave a smooth course by more than it ever moves, (k,)."""
     # no noise is known of a command: its changes are what a spike has to stand out of
-    found = spikes(u, 0.0, np.zeros((len(u), 1)))
-    if not len(found):
-        return found
+    places = spikes(u, 0.0, np.zeros((len(u), 1)))
+    if not len(places):
+        return places
     least = max(BEYOND_USUAL * float(np.quantile(np.abs(np.diff(u)), USUAL)), OF_RANGE * float(np.ptp(u)))
-    height = np.minimum(np.abs(u[found] - u[found - 1]), np.abs(u[found + 1] - u[found]))
-    return np.asarray(found[height > least])
+    height = np.minimum(np.abs(u[places] - u[places - 1]), np.abs(u[places + 1] - u[places]))
+    return np.asarray(places[height > least])
 
 
 def _far_outside(u: FloatArray) -> IntArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from labhil.diagnose.bursts import NO_SPANS, at_ends, bursts, dropouts, within, without
 from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
-from labhil.diagnose.frozen import clipped, stuck
+from labhil.diagnose.frozen import clipped_values, stuck_runs
 from labhil.diagnose.input_faults import spikes_of_commands
 from labhil.diagnose.jumps import spikes, zero_steps
 from labhil.diagnose.record_faults import clock_drifts, gaps, leads, no_excitation, not_finite, time_order
@@ -46,7 +46,7 @@ than half of a channel, not even its median is known.
 """
 
 WHOLE = (Kind.GAP, Kind.NO_EXCITATION, Kind.UNDERSAMPLED)
-"""Faults that are no single samples' own."""
+"""Faults of no single samples."""
 
 UNMARKED = 0.01
 """The same of readings at the end of a range that are not marked as censored: they count as readings."""
@@ -72,26 +72,26 @@ def faults_of(record: Record) -> tuple[Fault, ...]:
         return faults(record, noise_of(record))
     return tuple(
         replace(fault, recording=number, statement=f"Recording {number}: {fault.statement}")
-        for number, each in enumerate(record.recordings(), 1)
-        for fault in faults(each, noise_of(each))
+        for number, recording in enumerate(record.recordings(), 1)
+        for fault in faults(recording, noise_of(recording))
     )
 
 
 def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
     """All faults that one recording shows; ``sigma`` (channels,) is the noise of its outputs.
 
-    Give the record as it was measured, not ``Model.prepare``d: a filter hides what is looked for here.
+    Give the record as it was measured, not ``Model.prepare``d: a filter hides these faults.
     """
     if len(record) < 2:
         return ()
-    found = [*_of_stamps(record), *time_order(record), *gaps(record)]
+    detected = [*_of_stamps(record), *time_order(record), *gaps(record)]
     broken = not_finite(record)
     if broken:
-        return (*found, *broken)
-    for channel in _measured(record, sigma):
-        found += _of_channel(record, channel)
-    found += _of_commands(record)
-    return (*found, *leads(record), *clock_drifts(record), *no_excitation(with_censored(record), sigma))
+        return (*detected, *broken)
+    for channel in _measured_channels(record, sigma):
+        detected += _of_channel(record, channel)
+    detected += _of_commands(record)
+    return (*detected, *leads(record), *clock_drifts(record), *no_excitation(with_censored(record), sigma))
 
 
 def with_censored(record: Record) -> Record:
@@ -102,9 +102,9 @@ def with_censored(record: Record) -> Record:
     if not len(record) or not np.isfinite(record.outputs).all():
         return record
     marks = np.zeros(record.outputs.shape, dtype=np.int64)
-    for each, span in zip(record.recordings(), record.spans, strict=True):
-        for j, x in enumerate(each.outputs.T):
-            for limit in _ends_of_range(each, x, each.inputs):
+    for recording, span in zip(record.recordings(), record.spans, strict=True):
+        for j, x in enumerate(recording.outputs.T):
+            for limit in _ends_of_range(recording, x, recording.inputs):
                 side = 1 if limit == x.max() else -1
                 marks[slice(*span), j][x == limit] = side
     return replace(record, censored=marks) if marks.any() else record
@@ -120,55 +120,57 @@ def without_spikes(record: Record) -> Record:
         return record
     outputs = record.outputs.copy()
     marks = np.zeros(outputs.shape, dtype=np.int64) if record.censored is None else record.censored.copy()
-    for each, span in zip(record.recordings(), record.spans, strict=True):
-        sigma = noise_of(each) if len(each) > 3 else np.zeros(outputs.shape[1])
-        for j, channel in enumerate(_outputs(each, sigma)):
+    for recording, span in zip(record.recordings(), record.spans, strict=True):
+        sigma = noise_of(recording) if len(recording) > 3 else np.zeros(outputs.shape[1])
+        for j, channel in enumerate(_output_channels(recording, sigma)):
             for kind, wrong in _wrong_readings(channel):
-                if _samples_in(wrong) <= TOLERATED[kind] * len(each):
+                if _samples_in(wrong) <= TOLERATED[kind] * len(recording):
                     outputs[slice(*span), j] = without(outputs[slice(*span), j], wrong)
-                    marks[slice(*span), j][within(wrong, len(each))] = UNREAD
+                    marks[slice(*span), j][within(wrong, len(recording))] = UNREAD
     return replace(record, outputs=outputs, censored=marks) if np.any(marks == UNREAD) else record
 
 
-def usable(record: Record, found: Sequence[Fault]) -> Usable:
+def assess_usability(record: Record, detected: Sequence[Fault]) -> Usable:
     """Which samples of a record are sound, and whether enough of them are.
 
     A record is not fit when some fault affects more than is tolerated of its kind: then the verdict is
     ``data_fault``. Other faults are only reported.
     """
     sound = np.ones(len(record), dtype=bool)
-    for number, (each, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
-        for fault in (f for f in found if f.recording in (None, number)):
+    for number, (recording, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
+        for fault in (f for f in detected if f.recording in (None, number)):
             for begin, end in fault.times if fault.kind not in WHOLE else ():
-                sound[slice(*span)] &= (each.t < begin) | (each.t > end)
+                sound[slice(*span)] &= (recording.t < begin) | (recording.t > end)
     tolerated = TOLERATED if record.censored is not None else {**TOLERATED, Kind.SATURATED: UNMARKED}
-    fit = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in found)
+    fit = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in detected)
     return Usable(fit, sound)
 
 
-def _measured(record: Record, sigma: FloatArray) -> list[Channel]:
+def _measured_channels(record: Record, sigma: FloatArray) -> list[Channel]:
     """Outputs, the other channels, and the inputs where they are measured too (those of an arm's joints)."""
-    channels = _outputs(record, sigma)
-    others = {name: x for name, x in record.auxiliary.items() if not _planned(name)}
-    channels += [Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in others.items()]
+    channels = _output_channels(record, sigma)
+    auxiliary = {name: x for name, x in record.auxiliary.items() if not _is_planned(name)}
+    channels += [
+        Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in auxiliary.items()
+    ]
     arm = bool(record.output_joints and record.output_joints[0] is not None)
     channels += [
         Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), rests=True)
         for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
-        if (arm and not _planned(name)) or name in MEASURED_INPUTS
+        if (arm and not _is_planned(name)) or name in MEASURED_INPUTS
     ]
     return channels
 
 
-def _outputs(record: Record, sigma: FloatArray) -> list[Channel]:
+def _output_channels(record: Record, sigma: FloatArray) -> list[Channel]:
     return [
         Channel(*record.channel(j), x, float(sigma[j]), record.inputs, record.output_units[j] in ("m", "rad"))
         for j, x in enumerate(record.outputs.T)
     ]
 
 
-def _planned(name: str) -> bool:
-    """Whether a channel tells what a controller plans: that may stand still and jump as it likes."""
+def _is_planned(name: str) -> bool:
+    """Whether a channel holds the plan of a controller, which may stand still and jump as it likes."""
     return name.startswith("target_") or name.endswith("_command")
 
 
@@ -184,7 +186,7 @@ def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind
     lone = spikes(x, sigma, channel.drive, any_jump=channel.rests)
     single = np.column_stack([lone, lone])
     if channel.rests:
-        # a pulse may have been asked for, an amplifier may have been off, joints of an arm jolt each other
+        # a pulse may be intended, an amplifier may have been off, joints of an arm jolt each other
         return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
     few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
     both = np.concatenate([single, few])
@@ -201,43 +203,43 @@ def _samples_in(spans: IntArray) -> int:
 def _of_channel(record: Record, channel: Channel) -> list[Fault]:
     """Stuck, saturated, spikes and steps of one channel."""
     drive, wraps = channel.drive, wraps_of(channel.values) if channel.position else None
-    found = [] if wraps is None else [wrapped(record, channel.name, channel.joint, wraps)]
+    detected = [] if wraps is None else [wrap_fault(record, channel.name, channel.joint, wraps)]
     x = channel.values if wraps is None else np.unwrap(channel.values, period=wraps.period)
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
     (_, wrong), (_, away) = _wrong_readings(replace(channel, values=x))
     calm = without(without(x, wrong), away)
     limits = _ends_of_range(record, calm, drive)
-    found += [_saturated(record, channel, limit) for limit in limits]
-    runs = stuck(calm, drive, rests=channel.rests)
-    runs = runs.chosen(~np.isin(calm[runs.first], limits))
+    detected += [_saturation_fault(record, channel, limit) for limit in limits]
+    runs = stuck_runs(calm, drive, rests=channel.rests)
+    runs = runs.select(~np.isin(calm[runs.first], limits))
     if len(runs.first):
-        found.append(_stuck(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
+        detected.append(_stuck_fault(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
     if len(away):
-        found.append(_dropped_out(record, channel, away))
+        detected.append(_dropout_fault(record, channel, away))
     if len(wrong):
-        found.append(_outliers(record, channel, wrong))
+        detected.append(_outlier_fault(record, channel, wrong))
     if channel.position:
         # what was stuck jumps when it comes loose
         steps = np.setdiff1d(zero_steps(calm, sigma, drive), runs.last)
-        found += [_zero_step(record, channel, int(i)) for i in steps]
-    return found
+        detected += [_zero_step_fault(record, channel, int(i)) for i in steps]
+    return detected
 
 
 def _of_commands(record: Record) -> list[Fault]:
     """Spikes of inputs that are commands, which may stand still, jump and be clipped."""
-    measured = {channel.name for channel in _measured(record, np.zeros(record.outputs.shape[1]))}
-    found = []
+    measured = {channel.name for channel in _measured_channels(record, np.zeros(record.outputs.shape[1]))}
+    detected = []
     for name, u in zip(record.input_names, record.inputs.T, strict=True):
         places = spikes_of_commands(u) if name not in measured else np.empty(0, dtype=np.int64)
         if len(places):
             spans = np.column_stack([places, places])
-            found.append(_outliers(record, Channel(name, None, u, _noise(u), record.inputs), spans))
-    return found
+            detected.append(_outlier_fault(record, Channel(name, None, u, _noise(u), record.inputs), spans))
+    return detected
 
 
 def _ends_of_range(record: Record, x: FloatArray, drive: FloatArray) -> list[float]:
     """Values at which a channel (n,) is clipped; a rig that rests there is no fault."""
-    return [limit for limit in clipped(x) if not _rests_at(x, limit, drive)]
+    return [limit for limit in clipped_values(x) if not _rests_at(x, limit, drive)]
 
 
 def _rests_at(x: FloatArray, value: float, drive: FloatArray) -> bool:
@@ -258,7 +260,7 @@ def _rests_at(x: FloatArray, value: float, drive: FloatArray) -> bool:
     return not bool(np.any((np.sum(against > np.abs(usual), axis=0) >= FEWEST_AGAINST) & (usual != 0.0)))
 
 
-def _saturated(record: Record, channel: Channel, limit: float) -> Fault:
+def _saturation_fault(record: Record, channel: Channel, limit: float) -> Fault:
     at = channel.values == limit
     edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8)))
     spans = list(zip(edges[::2], edges[1::2] - 1, strict=True))
@@ -275,7 +277,7 @@ def _saturated(record: Record, channel: Channel, limit: float) -> Fault:
     return replace(fault, mended=counts and share <= TOLERATED[Kind.SATURATED])
 
 
-def _stuck(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -> Fault:
+def _stuck_fault(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -> Fault:
     longest = max(spans, key=lambda span: span[1] - span[0])
     share = sum(last - first + 1 for first, last in spans) / len(record)
     value = channel.values[longest[0]]
@@ -287,7 +289,7 @@ def _stuck(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -
     )  # fmt: skip
 
 
-def _dropped_out(record: Record, channel: Channel, places: IntArray) -> Fault:
+def _dropout_fault(record: Record, channel: Channel, places: IntArray) -> Fault:
     """Readings that jump to one value, stay there and jump back, in spans of samples (k, 2)."""
     spans = [(int(first), int(last)) for first, last in places]
     longest = max(spans, key=lambda span: span[1] - span[0])
@@ -303,7 +305,7 @@ def _dropped_out(record: Record, channel: Channel, places: IntArray) -> Fault:
     return replace(fault, mended=mended)
 
 
-def _outliers(record: Record, channel: Channel, places: IntArray) -> Fault:
+def _outlier_fault(record: Record, channel: Channel, places: IntArray) -> Fault:
     """Spikes and bursts, of which ``places`` (k, 2) are the first and last samples."""
     x, count = channel.values, len(places)
     off = np.abs(x - without(x, places))
@@ -324,7 +326,7 @@ def _outliers(record: Record, channel: Channel, places: IntArray) -> Fault:
     return replace(fault, mended=mended)
 
 
-def _zero_step(record: Record, channel: Channel, place: int) -> Fault:
+def _zero_step_fault(record: Record, channel: Channel, place: int) -> Fault:
     height = channel.values[place] - channel.values[place - 1]
     share = min(place, len(record) - place) / len(record)
     return fault_of(
@@ -335,7 +337,7 @@ def _zero_step(record: Record, channel: Channel, place: int) -> Fault:
 
 
 def _of_stamps(record: Record) -> list[Fault]:
-    """What is wrong with the clocks. Where the time of analysis is not bent by it, it is only reported."""
+    """Faults of the clocks. A fault that does not bend the time of analysis is only reported."""
     return [
         Fault(
             kind=Kind(fault.kind.value),
@@ -346,16 +348,16 @@ def _of_stamps(record: Record) -> list[Fault]:
             statement=fault.statement[0].upper() + fault.statement[1:],
         )
         for fault in record.begins[0].clock_faults
-        if not fault.times or _within(record, fault.times)
+        if not fault.times or _any_inside(record, fault.times)
     ]
 
 
-def _within(record: Record, times: Sequence[float]) -> bool:
+def _any_inside(record: Record, times: Sequence[float]) -> bool:
     """Whether one of the steps, of which ``times`` are the first samples after them, has both sides here."""
     return any(record.t[0] < t <= record.t[-1] for t in times)
 
 
-def wrapped(record: Record, name: str, joint: int | None, wraps: Wraps) -> Fault:
+def wrap_fault(record: Record, name: str, joint: int | None, wraps: Wraps) -> Fault:
     """A position that begins anew, with the key that undoes it."""
     times = tuple((float(record.t[i - 1]), float(record.t[i])) for i in wraps.places)
     where = name if joint is None else f"{name} of joint {joint}"
@@ -373,9 +375,9 @@ __all__ = [
     "Fault",
     "Kind",
     "Usable",
+    "assess_usability",
     "faults",
     "faults_of",
-    "usable",
     "with_censored",
     "without_spikes",
 ]

@@ -17,30 +17,30 @@ from labhil.identify.saved_curve import under
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 
 LEFT = 1.15
-"""What a joint leaves, in units of its noise, from which a torque on it is looked for.
+"""RMS of a joint's residuals, in units of its noise, from which a torque on it is looked for.
 
-That is a linear problem, which what the joint moves through poses thousands of times.
+This is a linear problem, which the joint's motion poses thousands of times.
 """
 
 MUCH_LEFT = 1.5
 """The same that is no imperfection of the noise: without a curve there the search goes on at other joints."""
 
 
-def joint_curves(data: Data, found: SearchResult) -> tuple[ForceCurve, ...]:
+def joint_curves(data: Data, result: SearchResult) -> tuple[ForceCurve, ...]:
     """Torques that no named term explains.
 
     The joints have their turns by what is left of them, until little is left or the worst of what is little
     more than noise has none.
     """
-    data = replace(data, held=found.final.held)
+    data = replace(data, held=result.final.held)
     model, curves = data.model, tuple[ForceCurve, ...]()
     waiting = list(model.moved) if isinstance(model, AcceptsExtraForce) else []
     while waiting:
-        part, most = _worst(data, found, curves, waiting)
+        part, most = _worst(data, result, curves, waiting)
         if most < LEFT:
             break
-        beside, final = _beside(data, found.final, curves)
-        curve = unmodelled(beside, final, part)
+        data_with_curves, final = _beside(data, result.final, curves)
+        curve = unmodelled(data_with_curves, final, part)
         if curve is None and most < MUCH_LEFT:
             break
         curves = curves if curve is None else (*curves, curve)
@@ -54,11 +54,11 @@ def strongest(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
 
 
 def _worst(
-    data: Data, found: SearchResult, curves: Sequence[ForceCurve], parts: Sequence[MovedPart]
+    data: Data, result: SearchResult, curves: Sequence[ForceCurve], parts: Sequence[MovedPart]
 ) -> tuple[MovedPart, float]:
     """The part whose output leaves most, and how much that is, in units of the noise."""
-    left = np.max(residual_rms(*_beside(data, found.final, curves)), axis=0)
-    of_joint = dict(zip(data.search.output_joints, left.tolist(), strict=True))
+    rms = np.max(residual_rms(*_beside(data, result.final, curves)), axis=0)
+    of_joint = dict(zip(data.search.output_joints, rms.tolist(), strict=True))
     worst = max(parts, key=lambda part: of_joint[part.joint])
     return worst, of_joint[worst.joint]
 

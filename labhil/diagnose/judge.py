@@ -63,7 +63,7 @@ class Data:
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 
 
-def supported(evidence: Evidence, p_search: float) -> bool:
+def is_supported(evidence: Evidence, p_search: float) -> bool:
     """Both kinds of data must speak for a step, each by itself and both together."""
     if evidence.delta_bic >= NEEDED_BIC or evidence.heldout_loglik_gain <= 0 or evidence.p_value >= ALPHA:
         return False
@@ -71,7 +71,7 @@ def supported(evidence: Evidence, p_search: float) -> bool:
     return bool(stats.chi2.sf(both, 4) < TOGETHER)
 
 
-def far_likelier(one: Fitted, other: Fitted) -> bool:
+def is_far_likelier(fitted: Fitted, rival: Fitted) -> bool:
     """Whether the searched data speak very strongly for one fit over another on the same windows."""
-    effective = min(effective_samples(one), effective_samples(other))
-    return bic(one, effective) - bic(other, effective) < NEEDED_BIC
+    effective = min(effective_samples(fitted), effective_samples(rival))
+    return bic(fitted, effective) - bic(rival, effective) < NEEDED_BIC

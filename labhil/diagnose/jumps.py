@@ -64,7 +64,7 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray, *, any_jump: bool = 
         return np.empty(0, dtype=np.int64)
     sizes, calm = jump_sizes(inputs), x.copy()
     near = np.asarray((sizes > 0.0).any(axis=1))
-    found: list[int] = []
+    certain: list[int] = []
     for _ in range(ROUNDS):
         places = _standing_out(calm, sigma)
         places = places[~(near[places] if any_jump else answers(sizes, places, places))]
@@ -72,8 +72,8 @@ def spikes(x: FloatArray, sigma: float, inputs: FloatArray, *, any_jump: bool = 
             break
         # spikes that stand close together hide each other
         calm[places] = 0.5 * (calm[places - 1] + calm[places + 1])
-        found += places.tolist()
-    sure = np.array(sorted(found), dtype=np.int64)
+        certain += places.tolist()
+    sure = np.array(sorted(certain), dtype=np.int64)
     return np.sort(np.concatenate([sure, _alike(x, sure, _standing_out(calm, sigma), near)]))
 
 
@@ -86,8 +86,8 @@ def _standing_out(x: FloatArray, sigma: float) -> IntArray:
     usual = np.maximum(usual[:-1], usual[1:])
     # neighbours agree with each other: a peak of a fast motion has slopes, a spike has a floor
     floor = np.abs(rises + falls) < 0.5 * height + 3.0 * sigma
-    found = (height > BEYOND_NOISE * sigma) & (height > BEYOND_MOTION * usual) & floor
-    return np.flatnonzero(found).astype(np.int64) + 1
+    stands_out = (height > BEYOND_NOISE * sigma) & (height > BEYOND_MOTION * usual) & floor
+    return np.flatnonzero(stands_out).astype(np.int64) + 1
 
 
 def usual_change(x: FloatArray) -> FloatArray:
@@ -95,19 +95,19 @@ def usual_change(x: FloatArray) -> FloatArray:
     return local_scale(x, REACH, USUAL)
 
 
-def _alike(x: FloatArray, sure: IntArray, others: IntArray, near: np.ndarray) -> IntArray:
-    """Those of ``others``, close upon jumps of an input, that are as high as the ``sure`` ones elsewhere.
+def _alike(x: FloatArray, sure: IntArray, candidates: IntArray, near: np.ndarray) -> IntArray:
+    """Those of ``candidates``, close upon jumps of an input, that are as high as the ``sure`` ones elsewhere.
 
     None where they come with the jumps: spikes fall anywhere.
     """
     if len(sure) < ENOUGH:
         return np.empty(0, dtype=np.int64)
     height = np.abs(x - 0.5 * (np.roll(x, 1) + np.roll(x, -1)))
-    others = others[near[others]]
+    candidates = candidates[near[candidates]]
     by_chance = len(sure) / float(np.sum(~near)) * float(np.sum(near))
-    if len(others) > max(OFTEN * by_chance, 1.0):
+    if len(candidates) > max(OFTEN * by_chance, 1.0):
         return np.empty(0, dtype=np.int64)
-    return others[height[others] >= AS_HIGH * np.median(height[sure])]
+    return candidates[height[candidates] >= AS_HIGH * np.median(height[sure])]
 
 
 def zero_steps(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
@@ -119,12 +119,12 @@ def zero_steps(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
     elsewhere = float(np.delete(change, candidates).max())
     places = []
     for i in candidates:
-        beside = np.r_[change[max(i - 2, 0) : i], change[i + 1 : i + 3]]
-        alone = beside.max() < ALONE * change[i]
+        neighbours = np.r_[change[max(i - 2, 0) : i], change[i + 1 : i + 3]]
+        alone = neighbours.max() < ALONE * change[i]
         if alone and change[i] > max(STEP_BEYOND * elsewhere, BEYOND_NOISE * sigma):
             places.append(int(i) + 1)
-    found = np.array(sorted(places), dtype=np.int64)
-    return found[~input_jumps(inputs)[found]]
+    steps = np.array(sorted(places), dtype=np.int64)
+    return steps[~input_jumps(inputs)[steps]]
 
 
 def input_jumps(inputs: FloatArray) -> np.ndarray:
@@ -152,17 +152,17 @@ def answers(sizes: FloatArray, places: IntArray, every: IntArray) -> np.ndarray:
     ``sizes`` (n, m) are those of :func:`jump_sizes`, ``every`` are all places where the channel jumps. What
     most jumps as large do not do to it, one does not do either.
     """
-    found = np.zeros(len(places), dtype=bool)
+    answering = np.zeros(len(places), dtype=bool)
     for size in sizes.T:
         begins = np.flatnonzero((size > 0.0) & ~np.r_[False, size[:-1] > 0.0])
         largest = np.maximum.reduceat(size, begins) if len(begins) else np.empty(0)
-        own = np.searchsorted(begins, every[size[every] > 0.0], side="right") - 1
-        answered = np.isin(np.arange(len(begins)), own)
+        answered_jumps = np.searchsorted(begins, every[size[every] > 0.0], side="right") - 1
+        answered = np.isin(np.arange(len(begins)), answered_jumps)
         for i in np.flatnonzero(size[places] > 0.0):
             alike = largest >= AS_LARGE * size[places[i]]
             quiet = int(np.sum(alike & ~answered))
-            found[i] |= quiet < max(UNANSWERED, int(np.sum(alike & answered)))
-    return found
+            answering[i] |= quiet < max(UNANSWERED, int(np.sum(alike & answered)))
+    return answering
 
 
 def _largest(x: FloatArray, before: int, after: int) -> FloatArray:

@@ -1,6 +1,6 @@
 """Clocks that part: a rate channel against the derivative of its own position, piece by piece.
 
-Only where a recording holds both can a shift in time between channels be told from physics. If the rate
+Only where a recording holds both does a shift in time between channels differ from physics. If the rate
 channel lags by τ, then dx/dt − v = τ·dv/dt.
 """
 
@@ -39,8 +39,8 @@ class Parting:
 
 def partings(record: Record) -> tuple[Parting, ...]:
     """Pairs of position and rate whose lag drifts or steps within a record."""
-    found = [_parting(record, *pair) for pair in _pairs(record)]
-    return tuple(each for each in found if each is not None)
+    results = [_parting(record, *pair) for pair in _pairs(record)]
+    return tuple(parting for parting in results if parting is not None)
 
 
 def _columns(record: Record) -> dict[str, FloatArray]:
@@ -50,14 +50,14 @@ def _columns(record: Record) -> dict[str, FloatArray]:
 
 
 def _pairs(record: Record) -> list[tuple[str, str]]:
-    here = _columns(record)
+    columns = _columns(record)
     pairs = []
-    for name in here:
+    for name in columns:
         stem, _, joint = name.rpartition("_")
         for position, rate in PAIRS.items():
-            other = rate if name == position else f"{rate}_{joint}" if stem == position else None
-            if other in here:
-                pairs.append((name, str(other)))
+            partner = rate if name == position else f"{rate}_{joint}" if stem == position else None
+            if partner in columns:
+                pairs.append((name, str(partner)))
     return pairs
 
 
@@ -82,10 +82,10 @@ def _lag(behind: FloatArray, change: FloatArray) -> float | None:
     """Lag (s) in one piece; None where the rate hardly changes."""
     change = change - change.mean()
     power = float(change @ change)
-    left = behind - behind.mean()
+    centred = behind - behind.mean()
     if power <= 0.0:
         return None
-    return float(change @ left) / power
+    return float(change @ centred) / power
 
 
 __all__ = ["Parting", "partings"]

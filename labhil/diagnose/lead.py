@@ -5,8 +5,8 @@ beyond it, and the difference that goes with the jumps is the answer to them. A 
 sample before the jump's. At the jump's own sample it may, in full, where it is faster than the sampling; one
 whose answer goes on growing for samples had begun before. How long before follows from how it grows.
 
-An input that moves at every sample shows nothing here: a controller makes such inputs of outputs, and what
-they have in common says nothing of who was first.
+An input that moves at every sample shows nothing here: a controller makes such inputs of outputs, and their
+correlation does not show which was first.
 """
 
 from __future__ import annotations
@@ -63,17 +63,17 @@ class Lead:
 
 def lead_of(record: Record) -> Lead | None:
     """The most certain lead of an output of one recording over an input; None where none is beyond doubt."""
-    found = [
+    leads = [
         lead
         for i, u in enumerate(record.inputs.T)
-        if len(jumps := _single(jumps_of_levels(u), len(record))) >= FEWEST_JUMPS
+        if len(jumps := _lone_jumps(jumps_of_levels(u), len(record))) >= FEWEST_JUMPS
         for j, y in enumerate(record.outputs.T)
         if not _follows(u, y, jumps) and (lead := _lead(record, i, j, jumps)) is not None
     ]
-    return min(found, key=lambda lead: lead.p_value, default=None)
+    return min(leads, key=lambda lead: lead.p_value, default=None)
 
 
-def _single(jumps: IntArray, n: int) -> IntArray:
+def _lone_jumps(jumps: IntArray, n: int) -> IntArray:
     """The jumps that no other one is near, (k,)."""
     gaps = np.diff(np.r_[-n, jumps, 2 * n])
     alone = (gaps[:-1] >= BEFORE + PLACEBO) & (gaps[1:] > AFTER)
@@ -84,12 +84,12 @@ def _single(jumps: IntArray, n: int) -> IntArray:
 def _follows(u: FloatArray, y: FloatArray, jumps: IntArray) -> bool:
     """Whether jumps are made of the output, as a relay's are: then both go together whoever was first."""
     height = u[jumps] - u[jumps - 1]
-    known = np.column_stack([np.ones(len(jumps)), u[jumps - 1]])
+    design = np.column_stack([np.ones(len(jumps)), u[jumps - 1]])
     earlier = jumps - FREE
-    recent = np.column_stack([known, y[earlier], y[earlier] - y[earlier - 2]])
-    left = [height - a @ np.linalg.lstsq(a, height, rcond=None)[0] for a in (known, recent)]
-    without, with_output = (float(each @ each) for each in left)
-    freedom = len(jumps) - recent.shape[1]
+    design_with_output = np.column_stack([design, y[earlier], y[earlier] - y[earlier - 2]])
+    residuals = [height - a @ np.linalg.lstsq(a, height, rcond=None)[0] for a in (design, design_with_output)]
+    without, with_output = (float(residual @ residual) for residual in residuals)
+    freedom = len(jumps) - design_with_output.shape[1]
     ratio = (without - with_output) / 2.0 / max(with_output / freedom, 1e-300)
     return bool(with_output < 0.5 * without and stats.f.sf(ratio, 2, freedom) < 1e-3)
 
@@ -109,33 +109,33 @@ def _lead(record: Record, i: int, j: int, jumps: IntArray) -> Lead | None:
         )
         if not sure:
             continue
-        begun = _begun(size[k : k + 3] * direction)
-        if begun is None or begun + ahead < LEAST[record.input_holds[i]]:
+        onset = _onset(size[k : k + 3] * direction)
+        if onset is None or onset + ahead < LEAST[record.input_holds[i]]:
             return None
-        return Lead(j, i, begun + ahead, p_value)
+        return Lead(j, i, onset + ahead, p_value)
     return None
 
 
 def _answer(t: FloatArray, y: FloatArray, jumps: IntArray, k: int, height: FloatArray) -> tuple[float, float]:
-    """Slope over the jumps' ``height`` of what an output is off ``k`` samples on, and its p value."""
+    """Slope of an output's deviation ``k`` samples on over the jumps' ``height``, and its p value."""
     rows = jumps[:, None] + np.arange(-BEFORE, -FREE + 1)
     period = float(np.median(np.diff(t)))
-    off = np.empty(len(jumps))
+    deviation = np.empty(len(jumps))
     for e, jump in enumerate(jumps):
         along = (t[rows[e]] - t[jump]) / period
         # bent as motion is: a line would take its curvature for an answer
         fit = np.polynomial.polynomial.polyfit(along, y[rows[e]], 2)
-        off[e] = y[jump + k] - np.polynomial.polynomial.polyval((t[jump + k] - t[jump]) / period, fit)
+        deviation[e] = y[jump + k] - np.polynomial.polynomial.polyval((t[jump + k] - t[jump]) / period, fit)
     power = float(height @ height)
-    slope = float(height @ off) / power
-    left = off - slope * height
+    slope = float(height @ deviation) / power
+    residuals = deviation - slope * height
     freedom = len(jumps) - 1
     # errors that grow with the jump, as those of a plant that is not linear, count as they are
-    error = float(np.sqrt(np.sum((left * height) ** 2))) / power * np.sqrt(len(jumps) / freedom)
+    error = float(np.sqrt(np.sum((residuals * height) ** 2))) / power * np.sqrt(len(jumps) / freedom)
     return slope, float(2.0 * stats.t.sf(abs(slope) / max(error, 1e-300), freedom))
 
 
-def _begun(growth: FloatArray) -> float | None:
+def _onset(growth: FloatArray) -> float | None:
     """Samples before the first of three neighbours at which an answer that grows like these began.
 
     By A·(1 − exp(−a·τ)), or by τ² where it grows faster and faster. None where it is all there at once.

@@ -38,7 +38,7 @@ CLEARER = 0.8
 class Regime:
     """A range of a coordinate where an effect lives, with the share of the excess squared error in it.
 
-    Where no coordinate tells, it is one of the effect's own force, whose term then stands for the coordinate.
+    Where no coordinate shows it, it is a range of the effect's own force, and the coordinate is its term.
     """
 
     coordinate: str
@@ -93,13 +93,13 @@ class HeldOut:
         """The scored samples as the better model has them."""
         return self.record, self.after.windows.whole, self.after.states, self.after.windows.scored
 
-    def explained(self, joint: int | None) -> FloatArray:
+    def error_reduction(self, joint: int | None) -> FloatArray:
         """What the better model takes from the squared errors of each scored sample, in noise floors, (N,).
 
         Of the outputs of a ``joint`` and of those that belong to none.
         """
-        own = [j for j, c in enumerate(self.after.channels) if joint is None or c.joint in (None, joint)]
-        return np.asarray(_excess(self.before, self.after)[:, own].sum(axis=1))
+        columns = [j for j, c in enumerate(self.after.channels) if joint is None or c.joint in (None, joint)]
+        return np.asarray(_excess(self.before, self.after)[:, columns].sum(axis=1))
 
 
 Motion = tuple[Record, Windows, FloatArray, np.ndarray]
@@ -126,63 +126,67 @@ class Contribution:
         """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere.
 
         Where no coordinate holds it together, of a force its own sizes do: a ripple lives near its crests.
-        That is where it is so large that 80 % of what was ``explained`` (N,) is there (default: its squares).
+        It lives where it is so large that 80 % of ``explained`` (N,) is there (default: of its squares).
         """
         squares = self.values**2
         held = squares if explained is None or explained.sum() <= 0.0 else explained
         large = _level_set(squares, held)
-        found = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
-        return tuple(self._told(regime, held) for regime in found or self._sizes(large))
+        stretches = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
+        return tuple(self._complete(regime, held) for regime in stretches or self._force_ranges(large))
 
-    def revealed_over(self, stretches: Sequence[Regime]) -> Abscissa:
+    def abscissa(self, stretches: Sequence[Regime]) -> Abscissa:
         """The coordinate that it follows best; of several the one that its ``stretches`` are of.
 
-        What repeats is laid over one period.
+        An effect that repeats is laid over one period.
         """
         if self.period is not None:
             name, length = self.period
             return Abscissa(f"{name} modulo {length:.3g}", self.coordinates[name] % length, self.units[name])
-        followed = {name: _followed(self.values, self.coordinates[name]) for name in self.units}
+        followed = {name: _correlation_ratio(self.values, self.coordinates[name]) for name in self.units}
         near = [name for name in followed if followed[name] > max(followed.values()) - AS_WELL]
         lived = [regime.coordinate for regime in stretches if regime.coordinate in near]
         name = (lived or near)[0]
         return Abscissa(name, self.coordinates[name], self.units[name])
 
-    def _sizes(self, large: np.ndarray) -> tuple[Regime, ...]:
+    def _force_ranges(self, large: np.ndarray) -> tuple[Regime, ...]:
         """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
         if not self.unit or not 0.0 < np.mean(large) < MOST_SAMPLES:
             return ()
         signs = [self.values[large & (self.values < 0.0)], self.values[large & (self.values > 0.0)]]
-        return tuple(Regime(self.term, float(one.min()), float(one.max()), 0.0) for one in signs if len(one))
+        return tuple(
+            Regime(self.term, float(values.min()), float(values.max()), 0.0)
+            for values in signs
+            if len(values)
+        )
 
-    def _told(self, regime: Regime, held: FloatArray) -> Regime:
-        """A regime with its effect, its unit and its share of what is held."""
-        own = regime.coordinate == self.term
-        values = self.values if own else self.coordinates[regime.coordinate]
+    def _complete(self, regime: Regime, held: FloatArray) -> Regime:
+        """Complete a regime by its effect, its unit and its share of ``held`` (N,)."""
+        over_force = regime.coordinate == self.term
+        values = self.values if over_force else self.coordinates[regime.coordinate]
         inside = (values >= regime.low) & (values <= regime.high)
         share = float(np.clip(held[inside].sum() / held.sum(), 0.0, 1.0)) if held.sum() > 0.0 else 0.0
-        unit = self.unit if own else self.units[regime.coordinate]
+        unit = self.unit if over_force else self.units[regime.coordinate]
         term, joint = unkeyed(self.term)
         return replace(regime, share_of_excess=share, unit=unit, term=term, joint=joint)
 
 
 def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
-    """Where a size (N,) is so large that the share of what is ``held`` (N,) is there, (N,) of bool."""
+    """Where a size (N,) is so large that the share of ``held`` (N,) is there, (N,) of bool."""
     order = np.argsort(-size, kind="stable")
     enough = np.cumsum(held[order]) >= SHARE * held.sum()
     return np.asarray((size >= size[order[int(np.argmax(enough))]]) & (size > 0.0))
 
 
-def lived(
-    final: Fitted, terms: Sequence[str], seen: HeldOut, joint: int | None
+def locate_terms(
+    final: Fitted, terms: Sequence[str], held_out: HeldOut, joint: int | None
 ) -> tuple[dict[str, Contribution], dict[str, tuple[Regime, ...]]]:
-    """What each of some found terms contributes to held-out data, and the regimes where it lives.
+    """The contribution of each of some terms to held-out data, and the regimes where it lives.
 
-    What belongs to no joint of an arm is told of the ``joint`` that is off the most.
+    A term that belongs to no joint of an arm is located on the ``joint`` with the largest error.
     """
-    shares = {term: contribution(final, term, seen.motion, joint) for term in terms}
-    # where several explain the excess, none of it can be told to be of one of them
-    explained = seen.explained(next(iter(shares.values())).joint) if len(shares) == 1 else None
+    shares = {term: contribution(final, term, held_out.motion, joint) for term in terms}
+    # where several terms explain the excess, no part of it belongs to one of them
+    explained = held_out.error_reduction(next(iter(shares.values())).joint) if len(shares) == 1 else None
     return shares, {term: share.regimes(explained) for term, share in shares.items()}
 
 
@@ -197,8 +201,8 @@ def contribution(
     """
     model, problem = final.problem.model, final.problem
     if motion is None:
-        every = np.ones(len(problem.windows.rows), dtype=bool)
-        motion = problem.record, problem.windows, final.solution.point.states, every
+        all_rows = np.ones(len(problem.windows.rows), dtype=bool)
+        motion = problem.record, problem.windows, final.solution.point.states, all_rows
     record, windows, states, counted = motion
     less = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
@@ -212,8 +216,10 @@ def contribution(
         values = values - model.simulate(less, record, windows, states)
     values = values.reshape(len(windows.rows), -1)[counted]
     along = {name: column[counted] for name, column in along.items()}
-    own = model.terms[term].joint
-    return _of_one_joint(model, final.theta, term, values, along, unit, joint if own is None else own)
+    term_joint = model.terms[term].joint
+    return _of_one_joint(
+        model, final.theta, term, values, along, unit, joint if term_joint is None else term_joint
+    )
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
@@ -234,16 +240,16 @@ def _of_one_joint(
     unit: str,
     joint: int | None,
 ) -> Contribution:
-    """The column of the joint that is acted on, with that joint's coordinates where they are told apart."""
+    """The column of the joint that is acted on, with that joint's coordinates where each has its own."""
     strongest = int(np.argmax(np.sum(values**2, axis=0)))
     column = joint if joint is not None and joint < values.shape[1] else strongest
     units = {}
     for name in along:
-        whole, _, number = name.rpartition("_")
+        stem, _, number = name.rpartition("_")
         if name in model.coordinate_units:
             units[name] = model.coordinate_units[name]
-        elif whole in model.coordinate_units and number == str(column):
-            units[name] = model.coordinate_units[whole]
+        elif stem in model.coordinate_units and number == str(column):
+            units[name] = model.coordinate_units[stem]
     several = values.shape[1] > 1
     period = _period(model, theta, term, units)
     return Contribution(term, values[:, column], unit, along, units, column if several else None, period)
@@ -274,25 +280,25 @@ def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[
         needed = best[0] if not best[1] else CLEARER * best[0]
         if samples < needed:
             total = float(excess.sum())
-            found = tuple(
+            located = tuple(
                 Regime(name, low, high, float(excess[(values >= low) & (values <= high)].sum()) / total)
                 for low, high in stretches
             )
-            best = (samples, found)
+            best = (samples, located)
     return best[1]
 
 
-def _followed(values: FloatArray, coordinate: FloatArray) -> float:
-    """The share of the variance of ``values`` (N,) that their mean in bins of a ``coordinate`` (N,) has."""
+def _correlation_ratio(values: FloatArray, coordinate: FloatArray) -> float:
+    """The share of the variance of ``values`` (N,) that their means in bins of a ``coordinate`` (N,) have."""
     if np.ptp(coordinate) <= 0.0:
         return 0.0
-    _, place = _binned(coordinate)
+    _, place = _quantile_bins(coordinate)
     count = np.maximum(np.bincount(place), 1)
     mean = np.bincount(place, values) / count
     return float(np.var(mean[place]) / max(np.var(values), 1e-300))
 
 
-def _binned(values: FloatArray) -> tuple[FloatArray, np.ndarray]:
+def _quantile_bins(values: FloatArray) -> tuple[FloatArray, np.ndarray]:
     """Edges of bins of equally many samples, and which bin each of ``values`` (N,), not all alike, is in."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
     return edges, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
@@ -304,7 +310,7 @@ def _densest(values: FloatArray, excess: FloatArray) -> tuple[float, list[tuple[
     Bins of equally many samples are taken in the order of their density, and gaps filled until few runs are
     left.
     """
-    edges, place = _binned(values)
+    edges, place = _quantile_bins(values)
     weight = np.bincount(place, excess, len(edges) - 1)
     count = np.bincount(place, minlength=len(edges) - 1)
     chosen = np.zeros(len(weight), dtype=bool)
@@ -368,12 +374,12 @@ def _excess(before: Score, after: Score) -> FloatArray:
     return np.asarray((before.errors / floors) ** 2 - (after.errors / floors) ** 2)
 
 
-def whose(before: Score, after: Score) -> str:
+def recording_shares(before: Score, after: Score) -> str:
     """A sentence: which of several recordings the excess squared error is in; nothing of one."""
     excess = _excess(before, after).sum(axis=1)
-    sums = np.array([max(float(excess[own.places].sum()), 0.0) for own in after.recordings])
+    sums = np.array([max(float(excess[recording.places].sum()), 0.0) for recording in after.recordings])
     if not np.any(sums):
         return ""
     shares = 100.0 * sums / sums.sum()
-    told = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
-    return f" Of the excess error {', '.join(told)}."
+    parts = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
+    return f" Of the excess error {', '.join(parts)}."

@@ -47,13 +47,13 @@ def gaps(record: Record) -> list[Fault]:
     usual = float(np.median(step))
     spread = 1.4826 * float(np.median(np.abs(step - usual)))
     holes = np.flatnonzero(step > LONG_STEP * usual + UNEVEN * spread)
-    whole = float(record.t[-1] - record.t[0])
+    duration = float(record.t[-1] - record.t[0])
     if not len(holes) or usual <= 0.0:
         return []
     missing = step[holes] - usual
     longest = holes[np.argmax(missing)]
-    total, samples = percent(float(missing.sum() / whole)), round(missing.sum() / usual)
-    share = _bridged(record, missing, step[holes] > HOLE * usual) / whole
+    total, samples = percent(float(missing.sum() / duration)), round(missing.sum() / usual)
+    share = _bridged(record, missing, step[holes] > HOLE * usual) / duration
     times = tuple((float(record.t[i]), float(record.t[i + 1])) for i in holes)
     return [
         Fault(
@@ -82,7 +82,7 @@ def not_finite(record: Record) -> list[Fault]:
         *zip(record.output_names, record.outputs.T, strict=True),
         *record.auxiliary.items(),
     ]
-    found = []
+    faults = []
     for name, x in columns:
         bad = ~np.isfinite(x)
         if bad.any():
@@ -92,16 +92,16 @@ def not_finite(record: Record) -> list[Fault]:
                 f"{name} is no finite number at {bad.sum()} samples ({percent(float(bad.mean()))})"
                 f"{when(record, spans)}. Drop these rows where the table is imported."
             )
-            found.append(fault_of(record, channel, Kind.NOT_FINITE, spans, float(bad.mean()), statement))
-    return found
+            faults.append(fault_of(record, channel, Kind.NOT_FINITE, spans, float(bad.mean()), statement))
+    return faults
 
 
 def clock_drifts(record: Record) -> list[Fault]:
     """Rates whose lag behind their own position changes."""
-    whole = ((float(record.t[0]), float(record.t[-1])),)
+    span = ((float(record.t[0]), float(record.t[-1])),)
     return [
         Fault(
-            Kind.CLOCK_DRIFT, pair.rate, None, whole, 1.0,
+            Kind.CLOCK_DRIFT, pair.rate, None, span, 1.0,
             f"{pair.rate} and the derivative of {pair.position} part: the one lags by "
             f"{1e3 * pair.before:.3g} ms at the beginning and by {1e3 * pair.after:.3g} ms at the end. "
             "Stamp both by one clock.",
@@ -115,26 +115,26 @@ def no_excitation(record: Record, sigma: FloatArray) -> list[Fault]:
 
     Or that scatter more from sample to sample than noise does.
     """
-    whole = ((float(record.t[0]), float(record.t[-1])),)
-    found = []
+    span = ((float(record.t[0]), float(record.t[-1])),)
+    faults = []
     if not np.any(np.ptp(record.inputs, axis=0) > 0.0):
         names = ", ".join(record.input_names)
         say = f"No input changes ({names}): nothing can be learnt of how the rig answers. Excite it."
-        found.append(Fault(Kind.NO_EXCITATION, record.input_names[0], None, whole, 1.0, say))
+        faults.append(Fault(Kind.NO_EXCITATION, record.input_names[0], None, span, 1.0, say))
     for j, spread in enumerate(np.std(record.outputs, axis=0)):
         name, joint = record.channel(j)
         scatters = scattering_statement(record, j, float(sigma[j]))
         if scatters is not None:
             # an arm's other joints are no worse for it
-            found.append(Fault(Kind.UNDERSAMPLED, name, joint, whole, float(joint is None), scatters))
+            faults.append(Fault(Kind.UNDERSAMPLED, name, joint, span, float(joint is None), scatters))
         elif spread <= MOVES * sigma[j]:
             where = name if joint is None else f"{name} of joint {joint}"
             say = (
                 f"{where} hardly moves: its standard deviation {spread:.3g} {record.output_units[j]} is "
                 f"{spread / max(float(sigma[j]), 1e-300):.2g} times its noise. Excite more."
             )
-            found.append(Fault(Kind.NO_EXCITATION, name, joint, whole, 1.0, say))
-    return found
+            faults.append(Fault(Kind.NO_EXCITATION, name, joint, span, 1.0, say))
+    return faults
 
 
 def leads(record: Record) -> list[Fault]:
@@ -144,7 +144,7 @@ def leads(record: Record) -> list[Fault]:
     lead = lead_of(record)
     if lead is None:
         return []
-    whole = ((float(record.t[0]), float(record.t[-1])),)
+    span = ((float(record.t[0]), float(record.t[-1])),)
     name, joint = record.channel(lead.output)
     source = record.input_names[lead.input]
     shift = -record.period * max(1, round(lead.samples))
@@ -155,4 +155,4 @@ def leads(record: Record) -> list[Fault]:
         f"so the stamps of {source} are late. Stamp both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
     )
-    return [Fault(Kind.LEAD, name, joint, whole, 1.0, say)]
+    return [Fault(Kind.LEAD, name, joint, span, 1.0, say)]

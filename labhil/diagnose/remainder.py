@@ -21,10 +21,10 @@ DRY_FRICTION = ("coulomb_friction", "stribeck_friction", "static_friction")
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """What remains of the error beside what was found.
+    """The error that the named effects leave.
 
     Attributes:
-        explained: share of the squared error beyond the noise that is gone, of the worst output.
+        explained: share of the squared error beyond the noise that is explained, of the worst output.
         noise_floors: RMSE that remains there, over the noise floor.
         is_noise: whether nothing remains but noise.
         channel: that output.
@@ -45,10 +45,10 @@ class Remainder:
 def find_remainder(
     names: Sequence[str], model: Model, theta: FloatArray, held_out: Record, before: Score, after: Score
 ) -> Remainder | None:
-    """Say what the found effects explain of held-out data, and where the rest of the error is.
+    """Say what the named effects explain of held-out data, and where the rest of the error is.
 
     Args:
-        names: what was found, each by its key.
+        names: the effects, each by its key.
         model: the final model, with a curve where there is one.
         theta: its vector.
         held_out: data that the search never saw.
@@ -56,15 +56,15 @@ def find_remainder(
         after: errors of the final model on the same windows.
 
     Returns:
-        None where nothing was found, or where the baseline leaves no more than noise.
+        None without any effect, or where the baseline leaves no more than noise.
     """
-    excess = [(c.rmse / c.noise_floor) ** 2 - 1.0 for c in before.channels]
-    left = [(c.rmse / c.noise_floor) ** 2 - 1.0 for c in after.channels]
-    worst = int(np.argmax(excess))
-    if not names or excess[worst] <= 0.0:
+    excess_before = [(c.rmse / c.noise_floor) ** 2 - 1.0 for c in before.channels]
+    excess_after = [(c.rmse / c.noise_floor) ** 2 - 1.0 for c in after.channels]
+    worst = int(np.argmax(excess_before))
+    if not names or excess_before[worst] <= 0.0:
         return None
     channel = after.channels[worst]
-    explained = float(np.clip(1.0 - left[worst] / excess[worst], 0.0, 1.0))
+    explained = float(np.clip(1.0 - excess_after[worst] / excess_before[worst], 0.0, 1.0))
     floors = channel.rmse / channel.noise_floor
     is_noise = floors <= NOISE
     places = () if is_noise else _places(model, theta, HeldOut(held_out, before, after), worst)
@@ -73,18 +73,18 @@ def find_remainder(
     return Remainder(explained, floors, is_noise, channel.channel, channel.joint, places, statement)
 
 
-def _places(model: Model, theta: FloatArray, seen: HeldOut, worst: int) -> tuple[Regime, ...]:
+def _places(model: Model, theta: FloatArray, held_out: HeldOut, worst: int) -> tuple[Regime, ...]:
     """The stretches of one coordinate that hold most of what remains in an output."""
-    record, windows, states, counted = seen.motion
+    record, windows, states, counted = held_out.motion
     along = model.coordinates(theta, record, windows, states)
-    floor = seen.after.channels[worst].noise_floor
-    rest = np.maximum((seen.after.errors[:, worst] / floor) ** 2 - 1.0, 0.0)
+    floor = held_out.after.channels[worst].noise_floor
+    rest = np.maximum((held_out.after.errors[:, worst] / floor) ** 2 - 1.0, 0.0)
     units = {name: unit_of(model.coordinate_units, name) for name in along}
-    found = regimes({name: along[name][counted] for name in along if units[name] is not None}, rest)
-    return tuple(replace(regime, unit=units[regime.coordinate] or "") for regime in found)
+    stretches = regimes({name: along[name][counted] for name in along if units[name] is not None}, rest)
+    return tuple(replace(regime, unit=units[regime.coordinate] or "") for regime in stretches)
 
 
-def _rounded(value: float) -> str:
+def _two_digits(value: float) -> str:
     """Two digits, without an exponent."""
     return f"{float(f'{value:.2g}'):,g}" if value < 1e6 else f"{value:.2g}"
 
@@ -97,7 +97,7 @@ def _statement(
     text = f"{text} {verb} {100.0 * explained:.0f} % of the error in {channel} beyond its noise"
     if floors is None:
         return f"{text}; what remains is noise."
-    text += f"; {_rounded(floors)} noise floors remain"
+    text += f"; {_two_digits(floors)} noise floors remain"
     if not places:
         return f"{text}, spread over all that was visited."
     coordinate, unit = places[0].coordinate, places[0].unit

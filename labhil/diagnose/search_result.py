@@ -1,4 +1,4 @@
-"""What a search for missing terms stands at, and what it found."""
+"""The steps and the result of a search for missing terms."""
 
 from __future__ import annotations
 
@@ -17,14 +17,12 @@ from labhil.identify.fitted import Fitted
 class Step:
     """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
 
-    ``told``: it explains enough to be worth telling, and a size of it is told from zero. ``probability`` is
-    that of all likely structures that have it, where these were compared.
+    ``probability`` is that of all likely structures that have it, where these were compared.
     """
 
     terms: tuple[str, ...]
     evidence: Evidence
     p_search: float
-    told: bool
     probability: float | None = None
 
 
@@ -93,33 +91,36 @@ class SearchResult:
     alternatives: tuple[Alternative, ...] = ()
 
     @property
-    def nothing(self) -> SearchResult:
-        """The same search if nothing of what it found is told."""
+    def without_claims(self) -> SearchResult:
+        """The same search if it names nothing."""
         return replace(self, final=self.baseline, missing=(), rivals=())
 
     def ending(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
         """The same search if it ends at ``final`` with these of its steps, and their rivals."""
-        there = {step.terms[0] for step in steps}
-        rivals = tuple(rival for rival in self.rivals if rival.instead_of in there)
-        return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.nothing
+        named = {step.terms[0] for step in steps}
+        rivals = tuple(rival for rival in self.rivals if rival.instead_of in named)
+        return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.without_claims
 
     def between_structures(self, key: str) -> float:
-        """How far other likely structures' estimates of a parameter are from the final one, RMS.
+        """RMS distance of other likely structures' estimates of a parameter from the final one.
 
         The part of an estimate's variance that is between models (Hoeting and others 1999).
         """
-        own = self.final.estimates
-        having = [each for each in self.alternatives if key in each.values]
-        if key not in own or not having:
+        estimates = self.final.estimates
+        having = [alternative for alternative in self.alternatives if key in alternative.values]
+        if key not in estimates or not having:
             return 0.0
-        squares = [each.probability * (each.values[key] - own[key]) ** 2 for each in having]
-        return float(np.sqrt(sum(squares) / sum(each.probability for each in having)))
+        squares = [
+            alternative.probability * (alternative.values[key] - estimates[key]) ** 2
+            for alternative in having
+        ]
+        return float(np.sqrt(sum(squares) / sum(alternative.probability for alternative in having)))
 
     @property
     def possible(self) -> frozenset[str]:
-        """Terms that may be there though they are not named: rivals, open ones, those that explain little."""
+        """Terms that may be present though not named: rivals, open ones, those that explain little."""
         named = (rival.term for rival in self.rivals)
-        return frozenset((*named, *self.open, *(each.term for each in self.minor)))
+        return frozenset((*named, *self.open, *(minor.term for minor in self.minor)))
 
     def step(self, term: str) -> Step:
         """The step that added a term; StopIteration where it was none that counts."""

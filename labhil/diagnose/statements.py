@@ -1,4 +1,4 @@
-"""What a search found, told: terms, rivals, where they live, and what could still hide."""
+"""The result of a search in words: terms, rivals, where they live, and what could still hide."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ WIDER = (
 
 
 def missing(
-    model: Model, step: Step, found: SearchResult, final: list[Estimate], excess: float, claims: int
+    model: Model, step: Step, result: SearchResult, final: list[Estimate], excess: float, claims: int
 ) -> Missing:
-    """One found term of so many ``claims``, with its parameters among the rows ``final``.
+    """One missing term of so many ``claims``, with its parameters among the rows ``final``.
 
-    ``excess`` is what is left of the worst output, over its noise floor.
+    ``excess`` is the final RMSE of the worst output over its noise floor.
     """
     (key,) = step.terms
     term = model.terms[key]
@@ -47,7 +47,7 @@ def missing(
     return Missing(
         term=term.name,
         joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_how_known(found.final, rows)}",
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_how_known(result.final, rows)}",
         equation=term.equation,
         probability=claim_probability(step.evidence, excess, claims) * among,
         parameters=rows,
@@ -60,14 +60,14 @@ def _unit(row: Estimate) -> str:
 
 
 def _how_known(fitted: Fitted, rows: Sequence[Estimate]) -> str:
-    """What to know of sizes that are not known each by itself."""
-    together = _together(fitted, rows)
+    """A sentence on sizes that are not identifiable each by itself."""
+    together = _combined_size(fitted, rows)
     if together or any(row.identifiable for row in rows):
         return together
     return " These data show that it is there, not how large it is."
 
 
-def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:
+def _combined_size(fitted: Fitted, rows: Sequence[Estimate]) -> str:
     """The sum or difference of two sizes where only that is known: how wide a dead zone is, not where."""
     if len(rows) != 2 or rows[0].unit != rows[1].unit or any(row.significant for row in rows):
         return ""
@@ -75,10 +75,12 @@ def _together(fitted: Fitted, rows: Sequence[Estimate]) -> str:
     if any(row.key not in keys for row in rows):
         return ""
     robust, _, _ = covariances(fitted)
-    own = [keys.index(row.key) for row in rows]
-    name, value, error = sum_or_difference(np.array([row.value for row in rows]), robust[np.ix_(own, own)])
-    known = f"{value:.4g} ± {quantile() * error:.2g} {_unit(rows[0])}".rstrip()
-    return f" Only their {name} is known: {known} (99 %)."
+    places = [keys.index(row.key) for row in rows]
+    name, value, error = sum_or_difference(
+        np.array([row.value for row in rows]), robust[np.ix_(places, places)]
+    )
+    interval = f"{value:.4g} ± {quantile() * error:.2g} {_unit(rows[0])}".rstrip()
+    return f" Only their {name} is known: {interval} (99 %)."
 
 
 def sum_or_difference(values: FloatArray, covariance: FloatArray) -> tuple[str, float, float]:
@@ -94,40 +96,41 @@ def _short(row: Estimate) -> str:
     return keyed(row.name.partition(".")[2], None, row.recording)
 
 
-def unnamed(beyond: ForceCurve, excess: float, claims: int) -> Missing:
-    """The entry of what no named term explains; see :func:`missing`."""
-    formula = f"; about {beyond.formula}" if beyond.formula else ""
+def missing_curve(force_curve: ForceCurve, excess: float, claims: int) -> Missing:
+    """The entry of a force that no named term explains; see :func:`missing`."""
+    formula = f"; about {force_curve.formula}" if force_curve.formula else ""
     return Missing(
-        term=beyond.term,
-        joint=beyond.joint,
-        statement=beyond.statement,
-        equation=f"a curve over {', '.join(beyond.depends_on)}{formula}",
-        probability=claim_probability(beyond.evidence, excess, claims) * (beyond.probability or 1.0),
+        term=force_curve.term,
+        joint=force_curve.joint,
+        statement=force_curve.statement,
+        equation=f"a curve over {', '.join(force_curve.depends_on)}{formula}",
+        probability=claim_probability(force_curve.evidence, excess, claims)
+        * (force_curve.probability or 1.0),
         parameters=[],
-        evidence=beyond.evidence,
+        evidence=force_curve.evidence,
     )
 
 
-def curve(beyond: ForceCurve) -> Curve:
-    """Its curve as the answer states it."""
+def curve(force_curve: ForceCurve) -> Curve:
+    """The curve of a force as the answer states it."""
     return Curve(
-        depends_on=beyond.depends_on[0],
-        acts=beyond.acts.name.lower(),
-        x=beyond.x,
-        value=beyond.value,
-        low=beyond.low,
-        high=beyond.high,
-        unit=beyond.unit,
-        x_unit=beyond.x_unit,
-        formula=beyond.formula,
-        share=beyond.share,
-        joint=beyond.joint,
+        depends_on=force_curve.depends_on[0],
+        acts=force_curve.acts.name.lower(),
+        x=force_curve.x,
+        value=force_curve.value,
+        low=force_curve.low,
+        high=force_curve.high,
+        unit=force_curve.unit,
+        x_unit=force_curve.x_unit,
+        formula=force_curve.formula,
+        share=force_curve.share,
+        joint=force_curve.joint,
     )
 
 
-def rival_term(model: Model, rival: Rival, found: SearchResult, excess: float, claims: int) -> RivalTerm:
-    """A rival with its probability and the excitation that would tell; see :func:`missing`."""
-    step = found.step(rival.instead_of)
+def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, claims: int) -> RivalTerm:
+    """A rival with its probability and the excitation that would decide; see :func:`missing`."""
+    step = result.step(rival.instead_of)
     term = model.terms[rival.term]
     return RivalTerm(
         term=term.name,
@@ -140,30 +143,30 @@ def rival_term(model: Model, rival: Rival, found: SearchResult, excess: float, c
     )
 
 
-def too_little(found: SearchResult) -> tuple[Undecided, ...]:
-    """Terms that were seen, but that an imperfect law of a larger one could stand for."""
+def too_little(result: SearchResult) -> tuple[Undecided, ...]:
+    """Terms that show, but that an imperfect law of a larger one could stand for."""
     share = f"{100.0 * LEAST_SHARE:.0f} %"
     reason = (
         f"below the noise and {share} of the mismatch, as what an imperfect law of a larger effect leaves"
     )
-    terms = sorted(unkeyed(minor.term) for minor in found.minor)
+    terms = sorted(unkeyed(minor.term) for minor in result.minor)
     return tuple(Undecided(*term, (), reason) for term in terms)
 
 
-def as_likely_as_not(found: SearchResult) -> tuple[Undecided, ...]:
+def as_likely_as_not(result: SearchResult) -> tuple[Undecided, ...]:
     """Terms that are neither named nor a rival's, and that the searched data leave open."""
-    told = {*found.final.terms, *(rival.term for rival in found.rivals)}
+    listed = {*result.final.terms, *(rival.term for rival in result.rivals)}
     reason = "these data speak neither for nor against"
-    return tuple(Undecided(*unkeyed(term), (), reason) for term in found.open if term not in told)
+    return tuple(Undecided(*unkeyed(term), (), reason) for term in result.open if term not in listed)
 
 
-def undecided(model: Model) -> tuple[Undecided, ...]:
+def unobservable(model: Model) -> tuple[Undecided, ...]:
     """Terms of which no recording of this rig can speak, with the reason."""
     return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.unobservable_terms.items())
 
 
 def location(
-    found: SearchResult,
+    result: SearchResult,
     before: Score,
     after: Score,
     held_out: Record,
@@ -171,33 +174,35 @@ def location(
     *,
     wider: bool,
 ) -> locate.Location | None:
-    """Where the mismatch lives; None where none was found. The strongest of the ``curves`` comes first.
+    """Where the mismatch lives; None where there is none. The strongest of the ``curves`` comes first.
 
-    ``wider``: half of what was held out was searched, too.
+    ``wider``: half of the held-out data were searched, too.
     """
-    if found.missing:
-        place = _named_location(found, before, after, held_out)
+    if result.missing:
+        place = _named_location(result, before, after, held_out)
     elif curves:
-        place = _beyond_location(found, before, after, held_out, curves[0])
+        place = _curve_location(result, before, after, held_out, curves[0])
     else:
         return None
-    return replace(place, statement=place.statement + (WIDER if wider else locate.whose(before, after)))
+    return replace(
+        place, statement=place.statement + (WIDER if wider else locate.recording_shares(before, after))
+    )
 
 
-def _named_location(found: SearchResult, before: Score, after: Score, held_out: Record) -> locate.Location:
-    model = found.final.problem.model
-    strongest = model.terms[found.missing[0].terms[0]]
-    seen = locate.HeldOut(held_out, before, after)
-    terms = [step.terms[0] for step in found.missing]
+def _named_location(result: SearchResult, before: Score, after: Score, held_out: Record) -> locate.Location:
+    model = result.final.problem.model
+    strongest = model.terms[result.missing[0].terms[0]]
+    scores = locate.HeldOut(held_out, before, after)
+    terms = [step.terms[0] for step in result.missing]
     channel, joint = _channel(before, after)
-    _, regimes = locate.lived(found.final, terms, seen, joint)
+    _, regimes = locate.locate_terms(result.final, terms, scores, joint)
     times, recordings = locate.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,
         enters=strongest.enters.value,
         times=times,
-        regimes=tuple(regime for found in regimes.values() for regime in found),
+        regimes=tuple(regime for stretches in regimes.values() for regime in stretches),
         statement=statement(keyed(channel, joint), strongest, regimes),
         recordings=recordings,
     )
@@ -218,7 +223,7 @@ KINDS = {
 def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.Regime, ...]]) -> str:
     """Say in two sentences which effect is the strongest, where it enters, and where an effect acts."""
     begin = f"The error in {channel} is {KINDS[strongest.enters]}, mostly {strongest.key}."
-    named = next(((term, found) for term, found in regimes.items() if found), None)
+    named = next(((term, ranges) for term, ranges in regimes.items() if ranges), None)
     if named is None:
         return f"{begin} It is spread over all that was visited."
     term, stretches = named
@@ -230,37 +235,40 @@ def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.
     return f"{begin} {effect}."
 
 
-def _beyond_location(
-    found: SearchResult, before: Score, after: Score, held_out: Record, beyond: ForceCurve
+def _curve_location(
+    result: SearchResult, before: Score, after: Score, held_out: Record, force_curve: ForceCurve
 ) -> locate.Location:
-    name, model = beyond.depends_on[0], beyond.model
+    name, model = force_curve.depends_on[0], force_curve.model
     record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
-    motion = model.coordinates(beyond.fit.theta, record, windows, states)
+    motion = model.coordinates(force_curve.fit.theta, record, windows, states)
     along = model.coordinate.of(motion)[counted]
-    regimes = locate.regimes({name: along}, np.interp(along, beyond.x, beyond.value) ** 2)
+    regimes = locate.regimes({name: along}, np.interp(along, force_curve.x, force_curve.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,
-        enters=beyond.enters,
+        enters=force_curve.enters,
         times=times,
         regimes=tuple(
-            replace(regime, unit=beyond.x_unit, term=beyond.term, joint=beyond.joint) for regime in regimes
+            replace(regime, unit=force_curve.x_unit, term=force_curve.term, joint=force_curve.joint)
+            for regime in regimes
         ),
-        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(beyond.enters)]} that follows "
-        f"{name}.{_not_all(after)}",
+        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(force_curve.enters)]} that follows "
+        f"{name}.{_remaining_joints(after)}",
         recordings=recordings,
     )
 
 
-def _not_all(after: Score) -> str:
+def _remaining_joints(after: Score) -> str:
     """A sentence: which joints still leave more than noise, since a curve over one coordinate may not do."""
     ratios = {
         keyed(c.channel, c.joint): c.rmse / c.noise_floor for c in after.channels if c.joint is not None
     }
-    left = [f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > MISNAMED]
-    return f" That is not all: it leaves {', '.join(left)}." if left else ""
+    remaining = [
+        f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > MISNAMED
+    ]
+    return f" That is not all: it leaves {', '.join(remaining)}." if remaining else ""
 
 
 def _channel(before: Score, after: Score) -> tuple[str, int | None]:
@@ -275,8 +283,8 @@ def exclusions(
 ) -> tuple[tuple[Excluded, ...], tuple[Undecided, ...]]:
     """The largest size of every absent term that could hide beside the final model (99 %).
 
-    And those that any size of could hide. ``possible`` are keys of terms that may well be there: they are in
-    neither.
+    And the terms that could hide at any size. ``possible`` are keys of terms that may well be present: they
+    are in neither.
     """
     at_bound, motion = _sizes_at_bound(absent.fitted), _motion(absent.fitted)
     reason = (
@@ -289,7 +297,7 @@ def exclusions(
         term, parameter = effect.term, effect.parameter
         if term.key in possible:
             continue
-        if at_bound or _goes_unseen(effect, largest, motion):
+        if at_bound or _is_beyond_linear(effect, largest, motion):
             unseen[term.name, term.joint] = Undecided(term.name, term.joint, (), reason)
         else:
             limits.append(Excluded(term.name, term.joint, largest, parameter.unit, 0.99, parameter.recording))
@@ -299,20 +307,20 @@ def exclusions(
 def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float]]:
     """Linearised estimate of every absent term beside the final model, ± its 99 % error, in SI units.
 
-    What the model leaves goes together within a window; the error is the larger of what noise makes of it and
-    of what the windows themselves differ by (clustered errors: Liang and Zeger 1986).
+    Residuals are correlated within a window; the error is the larger of that by noise and that by the
+    differences between windows (clustered errors: Liang and Zeger 1986).
     """
-    problem, residuals, own = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
-    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+    problem, residuals, slopes = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
+    basis, _ = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
     for effect in absent.effects:
         column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)
         if power <= 1e-12:  # a little of it does nothing: a threshold that is not reached
             continue
         value = -float(column @ residuals) / power
-        left = column * (residuals + value * column)
+        contributions = column * (residuals + value * column)
         noise = absent.fitted.noise / np.sqrt(power)
-        error = max(noise, float(np.linalg.norm(problem.per_window(left))) / power)
+        error = max(noise, float(np.linalg.norm(problem.per_window(contributions))) / power)
         yield effect, float((abs(value) + stats.norm.ppf(0.995) * error) * effect.parameter.scale)
 
 
@@ -322,10 +330,10 @@ def _motion(fitted: Fitted) -> float:
     return float(np.linalg.norm(outputs - outputs.mean(axis=0)))
 
 
-def _goes_unseen(effect: AbsentEffect, size: float, motion: float) -> bool:
+def _is_beyond_linear(effect: AbsentEffect, size: float, motion: float) -> bool:
     """Whether an effect of that size is more than it can be, or moves outputs as much as they move at all.
 
-    There responses are linear no longer, and a limit would exclude nothing.
+    Responses are no longer linear there, and a limit would exclude nothing.
     """
     parameter = effect.parameter
     if size > max(abs(parameter.lower), abs(parameter.upper)):

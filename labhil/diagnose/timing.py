@@ -4,9 +4,9 @@ Half a sample is little beside what physics a model may lack, so nothing is conc
 fits leaves no more than noise.
 
 In closed loop the fit of the outputs alone prefers an input that is too early: the command a sample later is
-made of the noise of the output, and tells of it. So what is compared is how probable outputs and input are
-together: with an input that is stamped late it can have been made of older outputs only, and what a newer one
-tells of it is lost (the direct method needs the order of causes right: Söderström and Stoica 1989, ch. 10).
+made of the noise of the output, and predicts it. So the joint likelihood of outputs and input is compared:
+an input that is stamped late can have been made of older outputs only, and the information of a newer one
+is lost (the direct method needs the order of causes right: Söderström and Stoica 1989, ch. 10).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ FURTHEST = 2
 """Samples of lead that are tried."""
 
 PAST = 10
-"""Samples of an input and of the outputs that tell what a controller does next."""
+"""Samples of an input and of the outputs that predict what a controller does next."""
 
 SMALLEST = 1e-6
 """Share of an input's spread below which what is left of a prediction is rounding."""
@@ -70,18 +70,18 @@ PLAY = ("backlash", "dead_zone")
 
 def all_faults(model: Model, record: Record) -> tuple[Fault, ...]:
     """The faults that a record shows by itself, and a late input that only the rig's model shows."""
-    found = faults_of(record)
-    if any(fault.share > TOLERATED.get(fault.kind, 1.0) for fault in found):
-        return found
+    faults = faults_of(record)
+    if any(fault.share > TOLERATED.get(fault.kind, 1.0) for fault in faults):
+        return faults
     try:
         late = late_input(model, record)
     except EndedEarly:  # whatever comes next ends as well, and has a result to show
         late = None
-    return found if late is None else (*found, late)
+    return faults if late is None else (*faults, late)
 
 
 def better_hold(model: Model, record: Record) -> Hold | None:
-    """How the one input of a record runs between samples, as fits tell; None where they are not sure."""
+    """How the one input of a record runs between samples, by fits; None where they do not decide."""
     part = _part(model, record) if len(record.input_names) == 1 else None
     if part is None:
         return None
@@ -98,17 +98,17 @@ def late_input(model: Model, record: Record) -> Fault | None:
     part = _part(model, record)
     if part is None:
         return None
-    found: list[tuple[float, int, int]] = []
+    candidates: list[tuple[float, int, int]] = []
     for place in range(len(record.input_names)):
         if np.ptp(part.inputs[:, place]) == 0.0:
             continue
         tried = [(_earlier(part, place, samples), samples) for samples in range(FURTHEST + 1)]
         best = _best_of(model, tried, place)
         if best is not None and best[0]:
-            found.append((best[1], place, best[0]))
-    if not found:
+            candidates.append((best[1], place, best[0]))
+    if not candidates:
         return None
-    cost, place, samples = min(found)
+    cost, place, samples = min(candidates)
     return None if _is_play(model, part, cost) else _late(record, record.input_names[place], samples)
 
 
@@ -120,14 +120,14 @@ def _late(record: Record, name: str, samples: int) -> Fault:
         f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by "
         f"one clock, or import the table again with `[channels] {name} = {{ …, shift = {shift:.6g} }}`."
     )
-    whole = ((float(record.t[0]), float(record.t[-1])),)
-    return Fault(Kind.LEAD, name, None, whole, 1.0, say)
+    span = ((float(record.t[0]), float(record.t[-1])),)
+    return Fault(Kind.LEAD, name, None, span, 1.0, say)
 
 
 def why_untimed(model: Model, record: Record) -> str | None:
-    """Why nothing is known of whether an input is stamped late; None where the model was asked.
+    """Why it is unknown whether an input is stamped late; None where the model was compared.
 
-    What drives an arm is timed by no simulation, and is not asked about either.
+    No simulation times the drive of an arm, so there the question does not arise.
     """
     if model.metric is not Metric.WINDOWED_SIMULATION:
         return None
@@ -166,20 +166,25 @@ def _busiest(record: Record) -> Record:
 
 
 def _surprise(record: Record, place: int, newest: int) -> float:
-    """Twice the negative log likelihood of the input ``place``, but for a constant, given what made it.
+    """Twice the negative log likelihood of the input ``place``, but for a constant, given its causes.
 
-    That is its own past and the outputs up to the one ``newest`` samples earlier. One that is held in levels
-    counts as made of nothing: a relay's jumps are too few to tell much of the noise.
+    These are its own past and the outputs up to the one ``newest`` samples earlier. An input that is held in
+    levels counts as having none: a relay's jumps are too few to say much of the noise.
     """
     u = record.inputs[:, place]
     if len(jumps_of_levels(u)):
         return 0.0
     rows = np.arange(PAST, len(u))[:, None]
-    # the oldest are the same ones whatever the newest, so that more of them never tell less
-    known = [u[rows - np.arange(1, PAST)], *(y[rows - np.arange(newest, PAST)] for y in record.outputs.T)]
-    a = np.hstack([np.ones_like(rows), *((each - each.mean()) / (np.std(each) or 1.0) for each in known)])
-    left = u[rows[:, 0]] - a @ np.linalg.lstsq(a, u[rows[:, 0]], rcond=None)[0]
-    return float(len(u) * np.log(np.mean(left**2) + (SMALLEST * np.std(u)) ** 2))
+    # the oldest are the same ones whatever the newest, so that more of them never predict less
+    regressors = [
+        u[rows - np.arange(1, PAST)],
+        *(y[rows - np.arange(newest, PAST)] for y in record.outputs.T),
+    ]
+    a = np.hstack(
+        [np.ones_like(rows), *((signal - signal.mean()) / (np.std(signal) or 1.0) for signal in regressors)]
+    )
+    residuals = u[rows[:, 0]] - a @ np.linalg.lstsq(a, u[rows[:, 0]], rcond=None)[0]
+    return float(len(u) * np.log(np.mean(residuals**2) + (SMALLEST * np.std(u)) ** 2))
 
 
 def _earlier(record: Record, place: int, samples: int) -> Record:
@@ -200,14 +205,14 @@ def _best_of(model: Model, records: Sequence[tuple[Record, int]], place: int) ->
     Brief fits propose it, thorough ones confirm it: a brief fit may stay in a local minimum, which is far
     worse than another's best.
     """
-    # of an input that is straight between samples an output knows one more
+    # an output depends on one more sample of an input that is straight between samples
     newest = [earlier + (record.input_holds[place] is Hold.LINEAR) for record, earlier in records]
     original = records[0][0]
     surprises = np.array([_surprise(original, place, n) for n in newest])
-    fitted = [record for record, _ in records]
-    if _clearly_best(_fits(model, fitted, thorough=False), surprises) is None:
+    candidates = [record for record, _ in records]
+    if _clearly_best(_fits(model, candidates, thorough=False), surprises) is None:
         return None
-    fits = _fits(model, fitted, thorough=True)
+    fits = _fits(model, candidates, thorough=True)
     best = _clearly_best(fits, surprises)
     return None if best is None else (best, fits[best].solution.cost + float(surprises[best] - surprises[0]))
 
@@ -240,6 +245,6 @@ def _clearly_best(fits: list[Fitted], surprises: FloatArray) -> int | None:
         return None
     costs = np.array([fit.solution.cost for fit in fits]) + surprises
     best = int(np.argmin(costs))
-    other = costs[0] if best else np.min(costs[1:])
-    sure = other - costs[best] > 2.0 * FAR_BETTER and fits[best].noise < TO_THE_NOISE
+    rival_cost = costs[0] if best else np.min(costs[1:])
+    sure = rival_cost - costs[best] > 2.0 * FAR_BETTER and fits[best].noise < TO_THE_NOISE
     return best if sure else None

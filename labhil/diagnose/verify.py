@@ -17,9 +17,9 @@ from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
 from labhil.identify.adequacy import FLOOR_KNOWN_TO, Adequacy, adequacy_of
-from labhil.identify.fit import WINDOW_IN_HORIZONS
 from labhil.identify.fitted import Fitted, covariances, free_of
 from labhil.identify.identifiability import lost_directions
+from labhil.identify.ladder import WINDOW_IN_HORIZONS
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
@@ -131,9 +131,9 @@ def verify(
     before = accepted.covariance_of(keys)
     channels = _channels(model, record, accepted, marks, theta, before, refit, jacobian)
     values_p, changes = _changes(refit, theta, before + robust, alpha)
-    found = [min(1.0, len(channels) * min(c.rmse_p for c in channels))]
-    found += [min(1.0, len(channels) * min(c.structure_p for c in channels)), values_p]
-    p_value = float(min(1.0, QUESTIONS * min(found)))
+    p_values = [min(1.0, len(channels) * min(c.rmse_p for c in channels))]
+    p_values += [min(1.0, len(channels) * min(c.structure_p for c in channels)), values_p]
+    p_value = float(min(1.0, QUESTIONS * min(p_values)))
     return Verification(
         consistent=p_value >= alpha,
         alpha=alpha,
@@ -157,35 +157,35 @@ def _refit(
     """The model's free parameters on this record, from the accepted values."""
     dynamics = model.metric is Metric.INVERSE_DYNAMICS
     length = float(record.t[-1] - record.t[0]) if dynamics else window
-    fitted = _fitted(model, record, accepted, theta, length, sigma)
+    fitted = _fit(model, record, accepted, theta, length, sigma)
     for _ in range(2 if dynamics else 0):
         spread = np.sqrt(np.mean(fitted.solution.residuals.reshape(-1, len(sigma)) ** 2, axis=0))
         sigma = sigma * np.maximum(spread, 1e-6)
-        fitted = _fitted(model, record, accepted, theta, length, sigma)
+        fitted = _fit(model, record, accepted, theta, length, sigma)
     return fitted
 
 
-def _fitted(
+def _fit(
     model: Model, record: Record, accepted: Accepted, theta: FloatArray, length: float, sigma: FloatArray
 ) -> Fitted:
-    """Least squares from ``theta``; where the data know nothing of a direction, one of it stays there."""
+    """Least squares from ``theta``; one parameter of a direction that the data do not know stays there."""
     windows = fit_windows(record, length)
     free = free_of(model, accepted.terms)
-    whole = Problem(model, record, windows, free, theta, sigma)
-    z = whole.start().z
-    states = estimate_states(whole, z, thorough=False).states
-    residuals = whole.residuals(Point(z, states))
+    problem = Problem(model, record, windows, free, theta, sigma)
+    z = problem.start().z
+    states = estimate_states(problem, z, thorough=False).states
+    residuals = problem.residuals(Point(z, states))
     noise = float(np.sqrt(np.mean(residuals**2)))
-    slopes = sensitivities(whole, Point(z, states), residuals, noise) / whole.scale
+    slopes = sensitivities(problem, Point(z, states), residuals, noise) / problem.scale
     lost, _ = lost_directions([model.parameters[i] for i in free], theta[free], slopes, noise)
-    kept = np.delete(np.arange(len(free)), lost)
-    pinned = whole.pinned(lost, theta)
-    solution = least_squares(pinned, Point(z[kept], states), settled=True)
-    found = z.copy()
-    found[kept] = solution.point.z
-    point = Point(found, solution.point.states)
-    ended = type(solution)(point, solution.residuals, solution.iterations, solution.converged)
-    return Fitted(accepted.terms, whole.theta(found), whole, ended, length)
+    known = np.delete(np.arange(len(free)), lost)
+    pinned = problem.pin(lost, theta)
+    solution = least_squares(pinned, Point(z[known], states), settled=True)
+    estimate = z.copy()
+    estimate[known] = solution.point.z
+    point = Point(estimate, solution.point.states)
+    extended = type(solution)(point, solution.residuals, solution.iterations, solution.converged)
+    return Fitted(accepted.terms, problem.theta(estimate), problem, extended, length)
 
 
 def _channels(
@@ -204,16 +204,18 @@ def _channels(
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     solution = refit.solution
     structure = contradiction.structure_p_value(refit.problem, solution.point, solution.residuals, jacobian)
-    found = []
+    verdicts = []
     for j, channel in enumerate(marks.channels):
         ratio_key = keyed(channel.channel, channel.joint)
         reached = float(refit.problem.sigma[j]) / channel.noise_floor
         dynamics = model.metric is Metric.INVERSE_DYNAMICS
         allowed = accepted.allowed_ratio(ratio_key, reached if dynamics else None)
-        own = slopes[j :: len(sigma)] * sigma[j]
+        channel_slopes = slopes[j :: len(sigma)] * sigma[j]
         limited = FLOOR_KNOWN_TO * allowed
-        p_value, limit = contradiction.excess_p_value(marks, j, own, finite, limited, allowed > 1.0)
-        found.append(
+        p_value, limit = contradiction.excess_p_value(
+            marks, j, channel_slopes, finite, limited, allowed > 1.0
+        )
+        verdicts.append(
             ChannelVerdict(
                 channel=channel.channel,
                 joint=channel.joint,
@@ -227,7 +229,7 @@ def _channels(
                 structure_p=structure[j],
             )
         )
-    return tuple(found)
+    return tuple(verdicts)
 
 
 def _changes(
@@ -263,37 +265,37 @@ def _changes(
 def _worst(marks: Score, record: Record) -> tuple[WorstWindow, ...]:
     """The scored stretches that are simulated worst, the worst first."""
     floor = np.array([channel.noise_floor for channel in marks.channels])
-    found = []
+    stretches = []
     for w in np.unique(marks.window):
         rows = marks.window == w
         ratio = float(np.mean(np.sqrt(np.mean(marks.errors[rows] ** 2, axis=0)) / floor))
         times = record.t[marks.rows[rows]]
-        found.append(WorstWindow(float(times[0]), float(times[-1]), ratio))
-    return tuple(sorted(found, key=lambda each: -each.ratio)[:MOST_WINDOWS])
+        stretches.append(WorstWindow(float(times[0]), float(times[-1]), ratio))
+    return tuple(sorted(stretches, key=lambda stretch: -stretch.ratio)[:MOST_WINDOWS])
 
 
 def _reasons(
     channels: tuple[ChannelVerdict, ...], values_p: float, changes: tuple[ValueChange, ...], level: float
 ) -> tuple[str, ...]:
-    found = []
-    each = level / len(channels)
+    reasons = []
+    threshold = level / len(channels)
     for c in channels:
         name = keyed(c.channel, c.joint)
-        if c.rmse_p < each:
-            found.append(
+        if c.rmse_p < threshold:
+            reasons.append(
                 f"The simulation of {name} misses by {c.rmse:.4g} {c.unit}, {c.ratio:.3g} times the noise "
                 f"floor; noise and the errors of the values explain at most {c.limit:.3g} times."
             )
-        if c.structure_p < each:
-            found.append(
+        if c.structure_p < threshold:
+            reasons.append(
                 f"Whatever its parameters, the model leaves residuals of {name} that go with the input "
                 f"(p = {c.structure_p:.2g}): physics is missing. `labhil diagnose` looks for it."
             )
     if values_p < level:
         names = [keyed(c.name, c.joint) for c in changes if c.changed]
         say = ", ".join(names) or "no single one beyond doubt, but a combination of them"
-        found.append(f"Values have changed (p = {values_p:.2g}): {say}.")
-    return tuple(found)
+        reasons.append(f"Values have changed (p = {values_p:.2g}): {say}.")
+    return tuple(reasons)
 
 
 def _notes(accepted: Accepted, model: Model) -> tuple[str, ...]:

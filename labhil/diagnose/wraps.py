@@ -53,12 +53,12 @@ def wraps_of(x: FloatArray) -> Wraps | None:
     if falls[count - 1] < STANDS_OUT:
         return None
     places = np.sort(order[:count])
-    if _drops_out(x, places):
+    if _is_dropout(x, places):
         return None
     usual = float(size[order[count]])
-    beside = 0.5 * (change[np.maximum(places - 1, 0)] + change[np.minimum(places + 1, len(change) - 1)])
+    motion = 0.5 * (change[np.maximum(places - 1, 0)] + change[np.minimum(places + 1, len(change) - 1)])
     clean = ~np.isin(np.maximum(places - 1, 0), places) & ~np.isin(places + 1, places)
-    periods = np.abs(change[places] - beside)[clean]
+    periods = np.abs(change[places] - motion)[clean]
     if not len(periods) or np.ptp(periods) > 2.0 * usual:
         return None
     period = float(np.median(periods))
@@ -69,7 +69,7 @@ def wraps_of(x: FloatArray) -> Wraps | None:
     return Wraps(places + 1, period) if np.ptp(x) <= period + usual else None
 
 
-def _drops_out(x: FloatArray, places: IntArray) -> bool:
+def _is_dropout(x: FloatArray, places: IntArray) -> bool:
     """Whether a reading (n,) goes away and comes back each time, and is one and the same value meanwhile.
 
     What turns on through the end of a turn reads something else there every time.

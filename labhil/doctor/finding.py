@@ -20,7 +20,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at: ``found`` in words, ``advice`` where there is something to do."""
+    """One check: what it ``found``, in words, ``advice`` where there is something to do."""
 
     subject: str
     state: State

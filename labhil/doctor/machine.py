@@ -30,27 +30,31 @@ FEWEST_CORES = 2
 def check_cores() -> Iterator[Finding]:
     """How many cores may be used, and how busy they are."""
     usable, load = cores(), os.getloadavg()[0]
-    found = f"{usable} for this process, load {load:.1f}"
+    summary = f"{usable} for this process, load {load:.1f}"
     if usable < FEWEST_CORES:
-        yield note("cores", found, "record or fit, not both at once: one core has to do all of it")
+        yield note("cores", summary, "record or fit, not both at once: one core has to do all of it")
     elif load > 2 * usable:
-        yield note("cores", found, "wait for other work to end before a run in real time")
+        yield note("cores", summary, "wait for other work to end before a run in real time")
     else:
-        yield fine("cores", found)
+        yield fine("cores", summary)
 
 
 def check_clock() -> Iterator[Finding]:
     """What the kernel takes the time from, and how finely it counts."""
     tick = time.get_clock_info("monotonic").resolution
     name = _text(CLOCKS / "current_clocksource")
-    found = f"{name or 'unknown to this system'}, counts in {1e9 * tick:.0f} ns"
+    summary = f"{name or 'unknown to this system'}, counts in {1e9 * tick:.0f} ns"
     if tick > 1e-5:
-        yield broken("clock", found, "stamps need 10 µs or finer: choose another clock source in the kernel")
+        yield broken(
+            "clock", summary, "stamps need 10 µs or finer: choose another clock source in the kernel"
+        )
     elif name and name not in GOOD_CLOCKS:
-        there = _text(CLOCKS / "available_clocksource")
-        yield note("clock", found, f"each stamp costs microseconds; tsc is cheaper (available: {there})")
+        available = _text(CLOCKS / "available_clocksource")
+        yield note(
+            "clock", summary, f"each stamp costs microseconds; tsc is cheaper (available: {available})"
+        )
     else:
-        yield fine("clock", found)
+        yield fine("clock", summary)
 
 
 def check_timer() -> Iterator[Finding]:
@@ -66,17 +70,17 @@ def check_timer() -> Iterator[Finding]:
     share = sum(tick > LATE for tick in late) / len(late)
     median, high = 1e6 * statistics.median(late), 1e6 * late[int(0.99 * len(late))]
     worst = 1e6 * late[-1]
-    found = (
+    summary = (
         f"{TIMER_RATE:g} Hz: late by {median:.0f} µs (median), {high:.0f} µs (99 %), {worst:.0f} µs at worst"
     )
     if share > MANY_LATE:
         yield note(
             "timer",
-            f"{found}; {100 * share:.1f} % of the ticks came more than 1 ms late",
+            f"{summary}; {100 * share:.1f} % of the ticks came more than 1 ms late",
             "end other work, or allow real-time priority (below); samples are stamped, so gaps are seen",
         )
     else:
-        yield fine("timer", found)
+        yield fine("timer", summary)
 
 
 def check_disk(folder: Path) -> Iterator[Finding]:
@@ -97,13 +101,13 @@ def check_disk(folder: Path) -> Iterator[Finding]:
         )
         return
     free = shutil.disk_usage(folder).free
-    found = f"{free / 1e9:.1f} GB free in {folder.resolve()}, a forced write took {1e3 * took:.1f} ms"
+    summary = f"{free / 1e9:.1f} GB free in {folder.resolve()}, a forced write took {1e3 * took:.1f} ms"
     if free < SMALLEST_DISK:
-        yield broken("disk", found, "make room: the recorder ends a recording with less than 16 MB left")
+        yield broken("disk", summary, "make room: the recorder ends a recording with less than 16 MB left")
     elif free < LITTLE_DISK:
-        yield note("disk", found, "make room before long recordings (500 Hz of an arm: about 1 GB an hour)")
+        yield note("disk", summary, "make room before long recordings (500 Hz of an arm: about 1 GB an hour)")
     else:
-        yield fine("disk", found)
+        yield fine("disk", summary)
 
 
 def check_serial() -> Iterator[Finding]:
@@ -149,12 +153,12 @@ def check_real_time() -> Iterator[Finding]:
     kernel = "a PREEMPT_RT kernel" if _text(Path("/sys/kernel/realtime")) == "1" else "an ordinary kernel"
     memory = "unlimited" if locked == resource.RLIM_INFINITY else f"{locked // 1024} kB"
     allowed = "any" if priority == resource.RLIM_INFINITY else str(priority)
-    found = f"{kernel}; priority {allowed}, locked memory {memory}"
+    summary = f"{kernel}; priority {allowed}, locked memory {memory}"
     if priority == 0 and os.geteuid() != 0:
         advice = "not needed; for less jitter: '@labhil - rtprio 80' in /etc/security/limits.d/labhil.conf"
-        yield note("real time", found, advice)
+        yield note("real time", summary, advice)
     else:
-        yield fine("real time", found)
+        yield fine("real time", summary)
 
 
 def _text(path: Path) -> str:

@@ -24,12 +24,14 @@ _BOUND = re.compile(r"(>=|==|>|<=|<|!=|~=)\s*([0-9][0-9A-Za-z.]*)")
 
 def check_python() -> Iterator[Finding]:
     """Which Python runs, and whether it is new enough."""
-    found = f"{platform.python_implementation()} {platform.python_version()} at {sys.executable}"
-    wanted = ".".join(map(str, OLDEST_PYTHON))
+    interpreter = f"{platform.python_implementation()} {platform.python_version()} at {sys.executable}"
+    oldest = ".".join(map(str, OLDEST_PYTHON))
     if sys.version_info < OLDEST_PYTHON:
-        yield broken("python", f"{found}, expected {wanted} or newer", f"install Python {wanted} or newer")
+        yield broken(
+            "python", f"{interpreter}, expected {oldest} or newer", f"install Python {oldest} or newer"
+        )
     else:
-        yield fine("python", f"{found} on {platform.platform()}")
+        yield fine("python", f"{interpreter} on {platform.platform()}")
 
 
 def check_packages() -> Iterator[Finding]:
@@ -50,7 +52,7 @@ def check_packages() -> Iterator[Finding]:
     for requirement in declared:
         if not _meant_for_this_machine(requirement):
             continue
-        finding, extra = checked(requirement)
+        finding, extra = check_requirement(requirement)
         (extras.setdefault(extra, []) if extra else needed).append(finding)
     yield from (finding for finding in needed if finding.state is State.BROKEN)
     good = [f"{finding.subject} {finding.found}" for finding in needed if finding.state is State.FINE]
@@ -59,18 +61,18 @@ def check_packages() -> Iterator[Finding]:
     for extra, findings in sorted(extras.items()):
         missing = [finding for finding in findings if finding.state is not State.FINE]
         if missing:
-            found = ", ".join(f"{finding.subject} {finding.found}" for finding in missing)
-            yield note(f"extra {extra}", found, f"pip install '{name}[{extra}]'")
+            summary = ", ".join(f"{finding.subject} {finding.found}" for finding in missing)
+            yield note(f"extra {extra}", summary, f"pip install '{name}[{extra}]'")
         else:
             names = ", ".join(f"{finding.subject} {finding.found}" for finding in findings)
             yield fine(f"extra {extra}", names)
 
 
-def checked(requirement: str) -> tuple[Finding, str]:
-    """The finding on one declared requirement, and the extra that it belongs to ("" for none)."""
-    matched = _REQUIREMENT.match(requirement)
-    assert matched is not None, requirement
-    name, bounds, marker = matched.group(1), matched.group(2).strip(), matched.group(3) or ""
+def check_requirement(requirement: str) -> tuple[Finding, str]:
+    """Check one declared requirement; returns the finding and the extra that it belongs to ("" for none)."""
+    match = _REQUIREMENT.match(requirement)
+    assert match is not None, requirement
+    name, bounds, marker = match.group(1), match.group(2).strip(), match.group(3) or ""
     extra = _EXTRA.search(marker)
     try:
         installed = version(name)

@@ -39,7 +39,7 @@ def check_probes() -> Iterator[Finding]:
 
 
 def probe(name: str) -> Finding:
-    """The finding of one probe; what it printed last is what was found."""
+    """Run one probe in a process of its own; the last line that it prints is the finding."""
     command = [sys.executable, "-P", "-m", "labhil.doctor.probes", name]
     try:
         if name in NEEDED:
@@ -48,16 +48,16 @@ def probe(name: str) -> Finding:
         what, _, advice = str(error).partition(": ")
         return note(name, f"not tried: {what}", advice)
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command, capture_output=True, text=True, timeout=TIMEOUT, check=False, stdin=subprocess.DEVNULL
         )
     except subprocess.TimeoutExpired:
         return broken(name, f"did not end within {TIMEOUT:g} s", ADVICE[name])
     except OSError as error:
         return broken(name, f"no process could be started: {error}", ADVICE[name])
-    said = (done.stdout if done.returncode == 0 else done.stderr).strip().splitlines()
-    last = said[-1] if said else f"ended with status {done.returncode} without a word"
-    return fine(name, last) if done.returncode == 0 else broken(name, last, ADVICE[name])
+    lines = (process.stdout if process.returncode == 0 else process.stderr).strip().splitlines()
+    last = lines[-1] if lines else f"ended with status {process.returncode} without a word"
+    return fine(name, last) if process.returncode == 0 else broken(name, last, ADVICE[name])
 
 
 def _compiler() -> str:
@@ -167,6 +167,6 @@ PROBES: Mapping[str, Callable[[], str]] = {
 if __name__ == "__main__":
     try:
         show(PROBES[sys.argv[1]]())
-    except Exception as fault:  # noqa: BLE001 - whatever a library raises is what was found
+    except Exception as fault:  # noqa: BLE001 - whatever a library raises is the finding
         complain(f"{type(fault).__name__}: {fault}")
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""Before a run's clock starts: what has to stand where the steps begin; and how often a path is told."""
+"""Before a run's clock starts: what has to stand where the steps begin; and how often a path is sent."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEADY = 0.1
 
 
 class Approach:
-    """Whether what ``spec.approach`` names is where it is asked to be, and all is ready, for a while."""
+    """Whether what ``spec.approach`` names has been where the command wants it, and is ready, for a while."""
 
     def __init__(self, spec: DriverSpec, stream: Stream) -> None:
         columns = stream.columns()

@@ -55,22 +55,22 @@ class AroundSteps:
     ) -> LabhilError | None:
         """Wait for what has to hold after the steps, then call the hook; return the first failure.
 
-        A run that has failed already (``error``) is not checked; its hook is told.
+        A run that has failed already (``error``) is not checked; its hook is called all the same.
         """
         failure: LabhilError | None = None
         if error is None:
             try:
                 self._wait("after", devices, look)
-            except LabhilError as found:
-                failure = found
+            except LabhilError as exc:
+                failure = exc
         if self._hook is None or not self._was_called:
             return failure
         failed = error or failure
         context = self._context("after", devices, failed, reason if failed is None else str(failed))
         try:
             self._hook.call(context, lambda: None)  # whatever ended the run is no reason to cut this short
-        except LabhilError as found:
-            failure = failure or found
+        except LabhilError as exc:
+            failure = failure or exc
         return failure
 
     def _wait(self, at: Moment, devices: Devices, look: Look) -> None:

@@ -85,12 +85,12 @@ class Bench:
     @property
     def signals(self) -> Mapping[str, Signal]:
         """What the device says, by name, each with its unit."""
-        return {signal.name: signal for signal in self._connected().stream.signals}
+        return {signal.name: signal for signal in self._require_device().stream.signals}
 
     @property
     def rate(self) -> float:
         """Samples per second of the device's clock."""
-        return self._connected().stream.rate
+        return self._require_device().stream.rate
 
     def __enter__(self) -> Self:
         with ExitStack() as resources:
@@ -126,7 +126,7 @@ class Bench:
         Raises:
             DeviceSilentError: Nothing came.
         """
-        self._connected()
+        self._require_device()
         self._arrived.clear()
         self._wait(1, timeout)
         t, row = self._arrived[-1]
@@ -147,7 +147,7 @@ class Bench:
         """
         if not 0.0 < duration < float("inf"):
             raise UsageError(f"duration: expected more than 0 s, found {duration!r}")
-        self._connected()
+        self._require_device()
         self._arrived.clear()
         time.sleep(duration)
         self._wait(1, 1.0)
@@ -185,10 +185,10 @@ class Bench:
         if not values:
             raise UsageError(f"command: expected a value for at least one of {', '.join(known)}")
         numbers = {name: float(value) for name, value in values.items()}
-        end = time.monotonic() + hold
+        deadline = time.monotonic() + hold
         applied = self._set(numbers)
-        while (left := end - time.monotonic()) > 0.0:
-            time.sleep(min(left, KEEP * WATCHDOG))
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            time.sleep(min(remaining, KEEP * WATCHDOG))
             applied = self._set(numbers)
         return applied
 
@@ -202,8 +202,8 @@ class Bench:
         Raises:
             CommandRefusedError: What stopped it still stands, or somebody else commands it.
         """
-        asked = {"action": "take", "holder": HOLDER}
-        answer = ask(self._on_bus(), command_key(self._plan.name, "lease"), asked, patience=PATIENCE)
+        request = {"action": "take", "holder": HOLDER}
+        answer = ask(self._on_bus(), command_key(self._plan.name, "lease"), request, patience=PATIENCE)
         self._token = str(answer["token"])
 
     def _start_twin(self, resources: ExitStack) -> str:
@@ -213,7 +213,7 @@ class Bench:
         resources.callback(twin.stop)
         return address
 
-    def _connected(self) -> ConnectedDevice:
+    def _require_device(self) -> ConnectedDevice:
         if self._device is None:
             raise UsageError("the device is not connected: use `with labhil.connect(…) as bench:`")
         failure = None if self._host is None else self._host.failure()
@@ -222,7 +222,7 @@ class Bench:
         return self._device
 
     def _on_bus(self) -> Bus:
-        self._connected()
+        self._require_device()
         assert self._bus is not None
         return self._bus
 
@@ -235,18 +235,18 @@ class Bench:
         deadline = time.monotonic() + timeout
         while len(self._arrived) < samples:
             self._news.clear()
-            left = deadline - time.monotonic()
-            if left <= 0.0:
-                self._connected()
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                self._require_device()
                 raise DeviceSilentError(
                     f"{self._plan.name}: expected a sample within {timeout:g} s, found none"
                 )
-            self._news.wait(min(left, 0.1))
+            self._news.wait(min(remaining, 0.1))
 
     def _columns(self, rows: FloatArray) -> dict[str, FloatArray]:
-        stream = self._connected().stream
-        found = {signal.name: rows[:, stream.columns_of(signal.name)] for signal in stream.signals}
-        return {name: x[:, 0] if x.shape[1] == 1 else x for name, x in found.items()}
+        stream = self._require_device().stream
+        columns = {signal.name: rows[:, stream.columns_of(signal.name)] for signal in stream.signals}
+        return {name: x[:, 0] if x.shape[1] == 1 else x for name, x in columns.items()}
 
     def _set(self, values: Mapping[str, float]) -> dict[str, float]:
         """Send values; the lease is taken anew where the watchdog has ended it, but not after a trip."""

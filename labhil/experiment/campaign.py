@@ -112,8 +112,8 @@ def run_campaign(
     Args:
         experiment: The file, with ``repeat`` or ``[sweep]``.
         out_dir: Where the campaign file and the recordings go.
-        progress: Is told how far each run has come.
-        announce: Is told which run begins, and what an earlier process had done.
+        progress: Is called with the progress of each run.
+        announce: Is called with a line when a run begins, and about the runs that were done before.
         anew: Begin a new campaign where one stands; its recordings stay.
 
     Raises:
@@ -128,13 +128,13 @@ def run_campaign(
     except OSError as error:
         raise UsageError(f"{out_dir}: expected a directory for the recordings, found {error}") from error
     path = campaign_path(experiment, out_dir)
-    with _alone(path):
+    with _lock(path):
         file = _begin(experiment, points, path, anew=anew)
         return _Campaign(path, file, points, experiment, progress, announce).run()
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
+def _lock(path: Path) -> Iterator[None]:
     """Let no other process work on this campaign; the lock goes with the process that holds it."""
     with path.with_name(f".{path.name}.lock").open("w", encoding="utf-8") as file:
         try:
@@ -236,7 +236,7 @@ class _Campaign:
         entry.status, entry.reason = "running", ""
         entry.path = str(path.relative_to(self._path.parent))
         self._save()
-        told = {
+        campaign = {
             "name": self._file.experiment,
             "file": self._path.name,
             "run": str(point.number),
@@ -245,7 +245,7 @@ class _Campaign:
             **point.public_settings(),
         }
         result = run_experiment(
-            point.experiment, self._path.parent, self._progress, path=path, metadata={"campaign": told}
+            point.experiment, self._path.parent, self._progress, path=path, metadata={"campaign": campaign}
         )
         entry.status = "done" if result.error is None else "failed"
         entry.reason = result.reason
@@ -259,7 +259,7 @@ class _Campaign:
 
 
 def _is_done(path: Path) -> bool:
-    """Whether a recording has its end, and that says that all went well."""
+    """Whether a recording has an end record that says "done"."""
     try:
         return ending_of(read_metadata(path)) == "done"
     except RecordingError:

@@ -69,9 +69,9 @@ class CheckWatch:
 
     def _complaint(self, values: Sequence[float]) -> str:
         check = self._check
-        found = values_in_words(check.condition.names, self._columns, values)
+        readings = values_in_words(check.condition.names, self._columns, values)
         what_to_do = f": {check.message}" if check.message else ""
         return (
             f"the check {check.at} the steps failed{what_to_do} (expected {check.condition} within "
-            f"{check.within:g} s, found {found})"
+            f"{check.within:g} s, found {readings})"
         )

@@ -112,11 +112,14 @@ def _test(node: ast.expr, places: Mapping[str, int]) -> Test:
             return lambda values: not inner(values)
         case ast.Compare(left=left, ops=ops, comparators=rights):
             terms = [_term(part, places) for part in (left, *rights)]
-            compare = [_comparison(op) for op in ops]
+            comparisons = [_comparison(op) for op in ops]
 
             def holds(values: Values) -> bool:
-                found = [term(values) for term in terms]
-                return all(one(a, b) for one, a, b in zip(compare, found[:-1], found[1:], strict=True))
+                results = [term(values) for term in terms]
+                return all(
+                    compare(a, b)
+                    for compare, a, b in zip(comparisons, results[:-1], results[1:], strict=True)
+                )
 
             return holds
     raise ValueError(f"expected a comparison with <, <=, > or >=, found `{ast.unparse(node)}`")

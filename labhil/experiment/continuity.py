@@ -43,22 +43,23 @@ def _compare(
     later: tuple[TimedStep, Excitation],
     near: float,
 ) -> None:
-    (one, leaving), (two, entering) = earlier, later
-    place = f"{path}: steps.{two.index}: {column}"
-    if two.start < one.end:
+    (first, leaving), (second, entering) = earlier, later
+    place = f"{path}: steps.{second.index}: {column}"
+    if second.start < first.end:
         raise ExperimentFileError(
-            f"{place} is driven by steps.{one.index} at the same time ({two.start:g} s)"
+            f"{place} is driven by steps.{first.index} at the same time ({second.start:g} s)"
         )
-    end = one.step.duration
-    ends, begins = leaving(end), entering(0.0)
+    duration = first.step.duration
+    ends, begins = leaving(duration), entering(0.0)
     if abs(begins - ends) > near:
         raise ExperimentFileError(
-            f"{place} begins at {begins:.4g}, but steps.{one.index} ends at {ends:.4g}: a path has no jumps; "
-            "give both the same `centre` or `offset`, or make two experiments of them"
+            f"{place} begins at {begins:.4g}, but steps.{first.index} ends at {ends:.4g}: a path has no "
+            "jumps; give both the same `centre` or `offset`, or make two experiments of them"
         )
-    speed = max(abs(ends - leaving(end - WITHIN)), abs(entering(WITHIN) - begins)) / WITHIN
+    speed = max(abs(ends - leaving(duration - WITHIN)), abs(entering(WITHIN) - begins)) / WITHIN
     if speed > NEARLY_STILL:
         raise ExperimentFileError(
             f"{place} would have to change its speed at once by up to {speed:.3g} per second between "
-            f"steps.{one.index} and steps.{two.index}: let both end at rest, for instance with `fade = 2.0`"
+            f"steps.{first.index} and steps.{second.index}: let both end at rest, for instance "
+            "with `fade = 2.0`"
         )

@@ -29,7 +29,7 @@ class RunState(StrEnum):
     PAUSED = "paused"
     """Every device is in its safe state and the clocks of the steps stand still; samples are recorded."""
     STOPPING = "stopping"
-    """The orderly end: the steps are done, or somebody said that they are enough."""
+    """The orderly end: the steps are done, or were ended by request."""
     ABORTING = "aborting"
     """The end by an error, an interruption or :meth:`RunControl.abort`."""
     FINISHED = "finished"
@@ -153,7 +153,7 @@ class RunControl:
     def _want(self, state: RunState, reason: str, participle: str) -> None:
         with self._condition:
             if state not in TRANSITIONS[self._state]:
-                possible = ", ".join(found.value for found in _before(state))
+                possible = ", ".join(origin.value for origin in _predecessors(state))
                 raise CommandRefusedError(
                     f"a run that is {self._state.value} cannot be {participle}; only one that is {possible}"
                 )
@@ -169,14 +169,14 @@ class RunControl:
     # the run's side
 
     def is_to_end(self) -> bool:
-        """Whether somebody has asked for the end, which the run has not begun yet."""
+        """Whether an end is requested that the run has not begun yet."""
         return self._wanted in _ENDS
 
     def take_request(self) -> tuple[RunState, str] | None:
-        """Return the state that was asked for last and why, once; None when nothing was. For the run."""
+        """Return the last requested state and its reason, once; None without a request. For the run."""
         with self._condition:
-            wanted, self._wanted = self._wanted, None
-            return None if wanted is None else (wanted, self._because)
+            state, self._wanted = self._wanted, None
+            return None if state is None else (state, self._because)
 
     def take_marks(self) -> list[tuple[int, str]]:
         """Return the markers that were set since, each with its Unix time in ns. For the run."""
@@ -202,7 +202,7 @@ class RunControl:
 _ENDS = (RunState.STOPPING, RunState.ABORTING)
 
 
-def _before(state: RunState) -> Iterator[RunState]:
+def _predecessors(state: RunState) -> Iterator[RunState]:
     return (before for before, following in TRANSITIONS.items() if state in following)
 
 

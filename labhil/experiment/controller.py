@@ -1,4 +1,4 @@
-"""What a device is asked for at each of its samples: its steps, and the PD that keeps the plant in range."""
+"""The setpoints of a device at each of its samples: its steps, and the PD that keeps the plant in range."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class _Drive:
 class Controller:
     """Turns the samples of one device into what is requested of it.
 
-    Outside its steps a signal is asked for its safe value. Times are s of the device's clock since
+    Outside its steps a signal has its safe value. Times are s of the device's clock since
     the run began. ExperimentFileError for a step that is to follow a channel that is not fitted.
     """
 
@@ -72,13 +72,13 @@ class Controller:
         Every sample is to be shown, in order: derivatives are made of them. While a step is ``waiting`` to
         begin at ``t``, its signal has the safe value, less the effort that keeps the plant in range.
         """
-        wanted = dict(self._safe)
+        setpoints = dict(self._safe)
         for drive in self._drives:
             effort = drive.feedback.effort(t, values) if drive.feedback is not None else 0.0
             if drive.start <= t < drive.end:
-                rest = self._safe.get(drive.column, 0.0)
-                wanted[drive.column] = (rest if waiting else drive.excitation(t - drive.start)) - effort
-        return wanted
+                safe = self._safe.get(drive.column, 0.0)
+                setpoints[drive.column] = (safe if waiting else drive.excitation(t - drive.start)) - effort
+        return setpoints
 
     def forget(self) -> None:
         """Forget what was shown before: samples from before a pause make no derivative."""

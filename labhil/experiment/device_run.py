@@ -40,7 +40,7 @@ from labhil.service.messages import Setpoint
 from labhil.signals import Batch
 
 PATIENCE = 10.0
-"""How long the bus may take to find a host that has said that it is ready, s."""
+"""How long the bus may take to find a host that has reported ready, s."""
 
 ASK_TIMEOUT = 2.0
 
@@ -86,7 +86,7 @@ class DeviceRun:
         """Whether it will say when it can again; else somebody has to resume the run."""
         self.heard_at = time.monotonic()
         self.ends = False
-        """Whether its host has said that it failed; why, it says when it has ended."""
+        """Whether its host has reported a failure; the reason comes when it has ended."""
         self._bus, self._duration, self._changed = bus, duration, changed
         self._refusals = refusals
         self._codec = Codec(device.stream)
@@ -195,15 +195,17 @@ class DeviceRun:
             self.rests = ""
         ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
 
-    def _own(self, key: str, payloads: list[bytes]) -> Batch | None:
-        """The samples among these that are the device's own and new; None where there are none."""
-        own = [payload for payload in payloads if self._codec.is_own(payload)]
-        if len(own) < len(payloads):
-            self._refusals.note(key, f"{len(payloads) - len(own)} messages are no samples of this device")
-        if not own:
+    def _decode_own(self, key: str, payloads: list[bytes]) -> Batch | None:
+        """Decode the samples that are the device's own and new; None where there are none."""
+        own_payloads = [payload for payload in payloads if self._codec.is_own(payload)]
+        if len(own_payloads) < len(payloads):
+            self._refusals.note(
+                key, f"{len(payloads) - len(own_payloads)} messages are no samples of this device"
+            )
+        if not own_payloads:
             return None
-        batch = self._codec.decode(own)
-        # the device's clock only goes on; a sample of before is a copy, and would turn the steps back
+        batch = self._codec.decode(own_payloads)
+        # the device's clock only advances: an older sample is a copy, and would turn the steps back
         latest = np.maximum.accumulate(np.concatenate([[self._newest_ns], batch.t_hw_ns]))
         new = batch.t_hw_ns > latest[:-1]
         if not new.all():
@@ -213,7 +215,7 @@ class DeviceRun:
         return batch if len(batch) else None
 
     def _take_samples(self, key: str, payloads: list[bytes]) -> None:
-        batch = self._own(key, payloads)
+        batch = self._decode_own(key, payloads)
         if batch is None:
             return
         self.heard_at = time.monotonic()
@@ -232,10 +234,10 @@ class DeviceRun:
         for t_ns, values in samples:
             if not self.clock.is_going:
                 requested = self._controller.requested(self.elapsed, values)
-                there = self._approach.is_there(requested, values)
+                in_place = self._approach.is_there(requested, values)
                 # the steps begin where their first setpoint can act: samples that waited on a busy machine
-                # may be as many as a step is long, and it would be over before it was asked for
-                if not there or t_ns < newest_ns:
+                # may be as many as a step is long, and the step would be over before its first setpoint
+                if not in_place or t_ns < newest_ns:
                     continue
                 self.clock.start(t_ns)
                 if self._waypoints.rate:
@@ -300,7 +302,7 @@ class DeviceRun:
         if kind in ALWAYS:
             return ALWAYS[kind](message)
         if self._resting:
-            return None  # the device is in its safe state, and whoever takes the lease is told what stands
+            return None  # the device is in its safe state, and whoever takes the lease next learns the reason
         if kind in UNLESS_RESTING:
             return UNLESS_RESTING[kind](message)
         if self._running and kind == "quiet":

@@ -28,7 +28,7 @@ SILENCE = 3.0
 
 
 ENDING = 10.0
-"""How long they may once its host has said that it failed: it has to bring its device to safety first, s."""
+"""The same once its host has reported a failure, s: it has to bring its device to safety first."""
 
 
 class Devices:
@@ -96,10 +96,10 @@ class Devices:
 
     def watch(self, checks: Sequence[CheckSection], at: Literal["before", "after"]) -> bool:
         """Look from now on for whether the checks ``at`` this time hold; returns whether there are any."""
-        own = [check for check in checks if check.at == at]
+        due = [check for check in checks if check.at == at]
         for run in self.runs:
-            run.watch([check for check in own if check.device in (None, run.plan.name)])
-        return bool(own)
+            run.watch([check for check in due if check.device in (None, run.plan.name)])
+        return bool(due)
 
     def checks_hold(self) -> bool:
         """Whether all conditions have held; raises ConditionError for one whose time is over."""

@@ -96,7 +96,7 @@ class TwinSection(_Section):
 
     @field_validator("set", mode="before")
     @classmethod
-    def _flattened(cls, value: object) -> object:
+    def _flatten_set(cls, value: object) -> object:
         return dict(_flatten(value)) if isinstance(value, Mapping) else value
 
 
@@ -178,7 +178,7 @@ class Step(_Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _knows_its_keys(cls, data: object) -> object:
+    def _refuse_unknown_keys(cls, data: object) -> object:
         """Answer a wrong key with those that this excitation takes, not with those of all of them."""
         name = data.get("excitation") if isinstance(data, Mapping) else None
         if not isinstance(data, Mapping) or not isinstance(name, str) or name not in EXCITATIONS:
@@ -196,7 +196,7 @@ class Step(_Section):
         return data
 
     @model_validator(mode="after")
-    def _can_be_made(self) -> Step:
+    def _check_excitation(self) -> Step:
         if (self.when is None) != (self.wait is None):
             raise ValueError("expected `when` and `wait` (s, at most) together, found one of them")
         try:
@@ -228,7 +228,7 @@ class RecordSection(_Section):
 
     @field_validator("path")
     @classmethod
-    def _formats(cls, value: str) -> str:
+    def _check_path(cls, value: str) -> str:
         try:
             value.format(name="name", start="start")
         except (KeyError, IndexError, ValueError) as error:
@@ -269,7 +269,7 @@ class WithDevices(_Section):
 
     @field_validator("devices")
     @classmethod
-    def _named_plainly(cls, value: dict[str, DeviceSection]) -> dict[str, DeviceSection]:
+    def _check_device_names(cls, value: dict[str, DeviceSection]) -> dict[str, DeviceSection]:
         for name in value:
             if not DEVICE_NAME.match(name) or name in RESERVED_NAMES:
                 raise ValueError(
@@ -288,9 +288,9 @@ class WithDevices(_Section):
             return default_rig(kind)
         file = self.path.parent / name
         if not is_simulator(str(file)) and not file.is_file():
-            found = "something else" if file.exists() else "none"
+            actual = "something else" if file.exists() else "none"
             raise ExperimentFileError(
-                f"{self.path}: devices.{device}.rig: expected the rig file {file}, found {found}"
+                f"{self.path}: devices.{device}.rig: expected the rig file {file}, found {actual}"
             )
         rig = load_rig(file)
         if rig.kind.name != kind:
@@ -314,7 +314,7 @@ class Experiment(WithDevices):
     sweep: SweepSection | None = None
 
     @model_validator(mode="after")
-    def _steps_fit(self) -> Experiment:
+    def _check_steps(self) -> Experiment:
         if not self.steps:
             raise ValueError("steps: there are none; give at least one [[steps]]")
         for index, step in enumerate(self.steps):
@@ -329,11 +329,11 @@ class Experiment(WithDevices):
     def schedule(self) -> tuple[TimedStep, ...]:
         """Return the steps with their starts, in the order of the file."""
         timed: list[TimedStep] = []
-        end = 0.0
+        latest_end = 0.0
         for index, step in enumerate(self.steps):
-            start = end if step.at is None else step.at
+            start = latest_end if step.at is None else step.at
             timed.append(TimedStep(index, step, start, (self.experiment.seed, index), self.path.parent))
-            end = max(end, timed[-1].end)
+            latest_end = max(latest_end, timed[-1].end)
         return tuple(timed)
 
     @property

@@ -111,7 +111,7 @@ class Hook:
 def _function_of(stated: str, folder: Path) -> Callable[[RunContext], object]:
     module_name, _, name = stated.rpartition(":")
     if module_name.endswith(".py"):
-        found = object_of(stated, folder)
+        function = object_of(stated, folder)
     else:
         try:
             module = importlib.import_module(module_name)
@@ -120,7 +120,7 @@ def _function_of(stated: str, folder: Path) -> Callable[[RunContext], object]:
                 f"expected a module that can be imported, or a file like lab.py:{name}, found "
                 f"{module_name!r}: {type(error).__name__}: {error}"
             ) from error
-        found = getattr(module, name, None)
-    if not callable(found):
-        raise UsageError(f"expected {stated!r} to be a function of one argument, found {found!r:.100}")
-    return found
+        function = getattr(module, name, None)
+    if not callable(function):
+        raise UsageError(f"expected {stated!r} to be a function of one argument, found {function!r:.100}")
+    return function

@@ -70,7 +70,7 @@ class LabService:
                 self._stop()
 
     def _start(self, plan: DevicePlan, twins: ExitStack, ended: Callable[[], bool]) -> None:
-        """Start a device and wait for it; one that cannot be had is told, and the others go on."""
+        """Start a device and wait for it; one that cannot be reached is reported, and the others go on."""
         try:
             address = plan.section.address
             if address == TWIN:
@@ -146,7 +146,7 @@ class LabService:
         """Begin a recording, then end the one before it: a few samples are in both, none is in neither."""
         if not self._lab.lab.record or not self._plans:
             return
-        before = self._recorder
+        previous = self._recorder
         path = free_path(self._folder, RecordSection().path, self._lab.lab.name)
         attachments: dict[str, bytes] = {}
         for index, plan in enumerate(self._plans):
@@ -154,8 +154,8 @@ class LabService:
         metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
         self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
         self._began = time.monotonic()
-        if before is not None:
-            self._tell(before.finish("0", "the next recording began"))
+        if previous is not None:
+            self._tell(previous.finish("0", "the next recording began"))
             give_back()
 
     def _tell(self, summary: RecordingSummary) -> None:
@@ -184,7 +184,7 @@ class LabService:
 
 
 def folder_of(lab: Lab, given: Path | None) -> Path:
-    """Where recordings go: as asked for, or as the lab file says; UsageError where it cannot be made."""
+    """Where recordings go: ``given``, or as the lab file says; UsageError where it cannot be made."""
     folder = given if given is not None else lab.path.parent / lab.lab.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)

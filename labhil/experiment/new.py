@@ -10,7 +10,7 @@ from pathlib import Path
 from labhil.errors import UnknownNameError, UsageError
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import make_plan
-from labhil.whole import unwritten
+from labhil.whole import write_error
 
 EXAMPLES = files("labhil.experiment") / "examples"
 
@@ -46,7 +46,7 @@ def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
         rig.write_text(_rig_text(kind, address), encoding="utf-8")
         experiment.write_text(_experiment_text(kind, address), encoding="utf-8")
     except OSError as error:
-        raise unwritten(Path(str(error.filename or folder)), error) from error
+        raise write_error(Path(str(error.filename or folder)), error) from error
     make_plan(load_experiment(experiment))
     return rig, experiment
 

@@ -35,9 +35,9 @@ def refuse_conditions_beside_others(schedule: Sequence[TimedStep], devices: int)
             raise ValueError(
                 f"steps.{timed.index}.{key}: expected an experiment with one device, found {devices}"
             )
-        for other in schedule:
-            if other is not timed and other.start < timed.end and timed.start < other.end:
+        for neighbour in schedule:
+            if neighbour is not timed and neighbour.start < timed.end and timed.start < neighbour.end:
                 raise ValueError(
-                    f"steps.{timed.index}.{key}: expected a step that runs alone, found steps.{other.index} "
-                    "at the same time"
+                    f"steps.{timed.index}.{key}: expected a step that runs alone, found "
+                    f"steps.{neighbour.index} at the same time"
                 )

@@ -56,7 +56,7 @@ class Plan:
     duration: float
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what will be different from what was asked for, or goes unchecked."""
+        """Return what will differ from the experiment file, or goes unchecked."""
         return tuple(warning for step in self.steps for warning in step.warnings)
 
     def describe(self) -> str:
@@ -134,7 +134,7 @@ def _check_twin(section: DeviceSection) -> None:
 
 def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     step, place = timed.step, f"{path}: steps.{timed.index}"
-    commands = {signal.name: signal for signal in _commanded(device.spec)}
+    commands = {signal.name: signal for signal in _drivable_signals(device.spec)}
     if step.signal not in commands:
         raise ExperimentFileError(f"{place}.signal: {UnknownNameError('command', step.signal, commands)}")
     names = device.spec.stream.names()
@@ -149,11 +149,11 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     before = np.vstack([safe, values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - before))) * rate
-    _within_range(place, command, lowest, highest, device.spec)
+    _check_range(place, command, lowest, highest, device.spec)
     limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
     reach = (lowest, highest, fastest)
-    warnings = () if limit is None else _against(place, step.signal, command.unit, reach, limit)
-    away = _longest_away(values, safe) / rate
+    warnings = () if limit is None else _check_limit(place, step.signal, command.unit, reach, limit)
+    away = _longest_excursion(values, safe) / rate
     if away > device.spec.longest_output:
         warnings += (
             f"{place}: {step.signal} is not at its safe value for {away:g} s without a break; the device "
@@ -183,12 +183,12 @@ def _check_signals(place: str, condition: Condition, spec: DriverSpec) -> None:
 
 def _refuse_unknown_signals(experiment: Experiment, devices: tuple[DevicePlan, ...]) -> None:
     for number, check in enumerate(experiment.checks or ()):
-        (device,) = [one for one in devices if check.device in (None, one.name)]
+        (device,) = [candidate for candidate in devices if check.device in (None, candidate.name)]
         _check_signals(f"{experiment.path}: checks.{number}.condition", check.condition, device.spec)
 
 
-def _commanded(spec: DriverSpec) -> Iterator[Signal]:
-    """What a step can drive: the commands, and each column of one that is a vector."""
+def _drivable_signals(spec: DriverSpec) -> Iterator[Signal]:
+    """The signals that a step can drive: the commands, and each column of a vector command."""
     for signal in spec.commands:
         yield signal
         if signal.width > 1:
@@ -206,10 +206,10 @@ def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> Float
         excitation = timed.make()
     except ValueError as error:
         raise ExperimentFileError(f"{place}: {error}") from error
-    found = len(columns_of(excitation))
-    if found != command.width:
+    width = len(columns_of(excitation))
+    if width != command.width:
         raise ExperimentFileError(
-            f"{place}: {command.name} has {command.width} columns, but the excitation has {found}"
+            f"{place}: {command.name} has {command.width} columns, but the excitation has {width}"
         )
     if command.width > 1 and timed.step.stabilise is not None:
         raise ExperimentFileError(f"{place}.stabilise: only for a plain signal, {command.name} is a vector")
@@ -230,38 +230,38 @@ def _safe_values(spec: DriverSpec, command: Signal, values: FloatArray) -> Float
     )
 
 
-def _longest_away(values: FloatArray, safe: FloatArray) -> int:
+def _longest_excursion(values: FloatArray, safe: FloatArray) -> int:
     """How many samples in a row, at most, are not at the safe values."""
     at_rest = np.flatnonzero(np.all(values == safe, axis=1))
     return int(np.diff(np.concatenate([[-1], at_rest, [len(values)]])).max()) - 1
 
 
-def _within_range(place: str, command: Signal, lowest: float, highest: float, spec: DriverSpec) -> None:
-    """Refuse what the device would refuse, limits or none."""
+def _check_range(place: str, command: Signal, lowest: float, highest: float, spec: DriverSpec) -> None:
+    """Refuse values beyond the device's own range, whatever the limits."""
     low, high = spec.ranges.get(command.name, (-math.inf, math.inf))
     if lowest < low or highest > high:
         allowed = f"{spec.name} takes {low:.4g} to {high:.4g} {command.unit}"
-        raise _too_far(place, command.name, command.unit, (lowest, highest), allowed)
+        raise _range_error(place, command.name, command.unit, (lowest, highest), allowed)
 
 
-def _too_far(
+def _range_error(
     place: str, signal: str, unit: str, reach: tuple[float, float], allowed: str
 ) -> ExperimentFileError:
-    """The refusal of an excitation, with what is allowed."""
+    """The error for an excitation beyond its range, with the allowed range."""
     lowest, highest = reach
     return ExperimentFileError(
         f"{place}: the excitation of {signal} reaches from {lowest:.4g} to {highest:.4g} {unit}; {allowed}"
     )
 
 
-def _against(
+def _check_limit(
     place: str, signal: str, unit: str, reach: tuple[float, float, float], limit: Limit
 ) -> tuple[str, ...]:
     """Refuse what lies beyond min and max; what is too fast is slowed, which is worth a warning."""
     lowest, highest, fastest = reach
     if lowest < limit.min or highest > limit.max:
         allowed = f"its limits are {limit.min:g} to {limit.max:g} {unit}"
-        raise _too_far(place, signal, unit, (lowest, highest), allowed)
+        raise _range_error(place, signal, unit, (lowest, highest), allowed)
     if fastest > limit.rate:
         return (
             f"{place}: {signal} changes by up to {fastest:.4g} {unit}/s and will be slowed to its "
@@ -285,19 +285,19 @@ def _interlock_in_words(lock: Interlock) -> str:
 
 
 def _step_in_words(step: StepPlan) -> str:
-    timed, asked = step.timed, step.timed.step
+    timed, settings = step.timed, step.timed.step
     words = (
-        f"{timed.start:g}–{timed.end:g} s: {asked.device}.{asked.signal} {asked.excitation}, "
+        f"{timed.start:g}–{timed.end:g} s: {settings.device}.{settings.signal} {settings.excitation}, "
         f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
         f"crest factor {step.spectrum.crest_factor:.2f}, RMS {step.spectrum.rms:.4g} {step.unit}"
     )
-    if asked.when is not None:
-        words = f"{words}; begins once {asked.when}, waits {asked.wait:g} s at most"
-    if asked.until is not None:
-        words = f"{words}; ends early once {asked.until}"
-    if asked.stabilise is None:
+    if settings.when is not None:
+        words = f"{words}; begins once {settings.when}, waits {settings.wait:g} s at most"
+    if settings.until is not None:
+        words = f"{words}; ends early once {settings.until}"
+    if settings.stabilise is None:
         return words
-    return f"{words}; kp {asked.stabilise.kp:g}, kd {asked.stabilise.kd:g} on {asked.stabilise.on}"
+    return f"{words}; kp {settings.stabilise.kp:g}, kd {settings.stabilise.kd:g} on {settings.stabilise.on}"
 
 
 def _spectrum_in_words(step: StepPlan) -> Iterator[str]:

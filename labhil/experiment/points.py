@@ -64,22 +64,24 @@ def points_of(experiment: Experiment) -> tuple[Point, ...]:
             f"{experiment.path}: expected at most {MOST_RUNS} runs, found {len(combinations)} combinations, "
             f"each repeated {repeat} times"
         )
-    return tuple(_numbered(experiment, combinations, repeat, count))
+    return tuple(_number_points(experiment, combinations, repeat, count))
 
 
-def _numbered(
+def _number_points(
     experiment: Experiment, combinations: list[dict[str, Any]], repeat: int, count: int
 ) -> Iterator[Point]:
     data = experiment.model_dump(mode="json", exclude_none=True, exclude={"sweep"})
     number = 0
     for settings in combinations:
-        made = _with(experiment, data, settings)
+        variant = _with_settings(experiment, data, settings)
         for repetition in range(1, repeat + 1):
             number += 1
-            yield Point(number, count, repetition, repeat, settings, made)
+            yield Point(number, count, repetition, repeat, settings, variant)
 
 
-def _with(experiment: Experiment, data: Mapping[str, Any], settings: Mapping[str, Any]) -> Experiment:
+def _with_settings(
+    experiment: Experiment, data: Mapping[str, Any], settings: Mapping[str, Any]
+) -> Experiment:
     changed = deepcopy(dict(data))
     changed["experiment"]["repeat"] = 1  # a recording holds the file of its own run
     for place, value in settings.items():

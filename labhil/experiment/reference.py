@@ -121,26 +121,26 @@ def _in_words(annotation: Any, metadata: Any = ()) -> str:
 def _plural(words: str) -> str:
     if words.startswith("list of "):
         return f"lists{words.removeprefix('list')}"
-    for one, many in (("whole number", "whole numbers"), ("number", "numbers"), ("value", "values")):
-        if words.startswith(one):
-            return many + words.removeprefix(one)
+    for singular, plural in (("whole number", "whole numbers"), ("number", "numbers"), ("value", "values")):
+        if words.startswith(singular):
+            return plural + words.removeprefix(singular)
     return words + "s" if words == "text" else words
 
 
 def _bounds(metadata: Any) -> str:
-    found = []
+    bounds = []
     for item in metadata:
         for bound in getattr(item, "metadata", [item]):
             match bound:
                 case Gt(gt=low):
-                    found.append(f"more than {low}")
+                    bounds.append(f"more than {low}")
                 case Ge(ge=low):
-                    found.append(f"{low} or more")
+                    bounds.append(f"{low} or more")
                 case Le(le=high):
-                    found.append(f"at most {high}")
+                    bounds.append(f"at most {high}")
                 case _:
                     pass
-    return f", {', '.join(found)}" if found else ""
+    return f", {', '.join(bounds)}" if bounds else ""
 
 
 def _default(field: FieldInfo) -> str:

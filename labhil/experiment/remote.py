@@ -16,7 +16,7 @@ from labhil.errors import CommandRefusedError
 from labhil.experiment.control import RunControl, RunState
 
 ANSWER_WITHIN = 1.5
-"""How long an answer waits for the run to have done what was asked of it, s."""
+"""How long an answer waits for the run to carry out the request, s."""
 
 LONGEST_REASON = 200
 """Characters of a reason that are kept."""
@@ -31,17 +31,17 @@ def offer_control(
 ) -> Iterator[None]:
     """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort,mark}`` as long as the context lasts.
 
-    Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has done what was
-    asked, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
+    Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has carried out the
+    request, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
     ``reason``, ``mark`` a ``text``. What the run's state does not allow, or the run refuses, is answered as
     refused; so is all but ``status`` where it is not signed with the session's key.
     """
-    end = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
+    endings = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
     requests: dict[str, tuple[Callable[[str], None], tuple[RunState, ...]]] = {
-        "pause": (control.pause, (RunState.PAUSED, *end)),
-        "resume": (lambda _reason: control.resume(), (RunState.RUNNING, *end)),
-        "stop": (control.stop, end),
-        "abort": (control.abort, end),
+        "pause": (control.pause, (RunState.PAUSED, *endings)),
+        "resume": (lambda _reason: control.resume(), (RunState.RUNNING, *endings)),
+        "stop": (control.stop, endings),
+        "abort": (control.abort, endings),
     }
 
     def status() -> dict[str, Any]:
@@ -50,8 +50,8 @@ def offer_control(
     def handler(name: str) -> Callable[[RunRequest], dict[str, Any]]:
         request, awaited = requests[name]
 
-        def handle(asked: RunRequest) -> dict[str, Any]:
-            request((asked.reason or f"told to {name} over the bus")[:LONGEST_REASON])
+        def handle(message: RunRequest) -> dict[str, Any]:
+            request((message.reason or f"told to {name} over the bus")[:LONGEST_REASON])
             control.wait_for(*awaited, timeout=ANSWER_WITHIN)
             if control.refusal:
                 raise CommandRefusedError(control.refusal)
@@ -59,8 +59,8 @@ def offer_control(
 
         return handle
 
-    def mark(asked: MarkRequest) -> dict[str, Any]:
-        control.mark(asked.text)
+    def mark(message: MarkRequest) -> dict[str, Any]:
+        control.mark(message.text)
         return status()
 
     refusals = refusals or Refusals()

@@ -31,7 +31,7 @@ class RunResult:
     """What came of a run. ``path`` is None when nothing was recorded.
 
     ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
-    ``error`` is why it came to grief, None when all went well; ``reason`` says either in words.
+    ``error`` is why it failed, None when all went well; ``reason`` says either in words.
     ``warnings`` say what is wrong with the clocks that stamped the recording.
     """
 
@@ -74,11 +74,11 @@ def recording_path(experiment: Experiment, out_dir: Path) -> Path:
 def free_path(folder: Path, pattern: str, name: str) -> Path:
     """Return ``pattern`` in ``folder`` with ``{name}`` and ``{start}`` filled in, and a number if taken."""
     plain, start = re.sub(r"[^\w.+-]+", "_", name), time.strftime("%Y%m%dT%H%M%S")
-    wanted = folder / pattern.format(name=plain, start=start)
-    path, number = wanted, 1
+    preferred = folder / pattern.format(name=plain, start=start)
+    path, number = preferred, 1
     while path.exists() or path.with_name(path.name + ".part").exists():
         number += 1
-        path = wanted.with_name(f"{wanted.stem}-{number}{wanted.suffix}")
+        path = preferred.with_name(f"{preferred.stem}-{number}{preferred.suffix}")
     return path
 
 

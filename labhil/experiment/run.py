@@ -61,7 +61,7 @@ AFTER_EMERGENCY_STOP = 2.0
 LONGEST_HOLDER = 200
 """Characters of a run's name that stand with the lease."""
 COMING_TO_REST = 0.5
-"""How long what moves along a path is recorded after it was told to stop, s."""
+"""How long a device that follows a path is recorded after the order to stop, s."""
 
 
 class _Enough(Exception):  # noqa: N818 - no error: somebody said that the steps so far are enough
@@ -137,17 +137,17 @@ class _Run:
     def run(self) -> RunResult:
         with ExitStack() as twins:
             try:
-                with open_bus() as self._bus, self._reachable(self._bus):
-                    return self._recorded(self._bus, twins)
+                with open_bus() as self._bus, self._make_reachable(self._bus):
+                    return self._record(self._bus, twins)
             except LabhilError as error:
                 # only what happens before there is a recorder, or to the recorder itself, comes by here
                 self._give_up(str(error))
-                return RunResult(self._kept(), error.exit_status, 0.0, (), str(error), error)
+                return RunResult(self._existing_recording(), error.exit_status, 0.0, (), str(error), error)
             finally:
                 self._bus = None
 
     @contextmanager
-    def _reachable(self, bus: Bus) -> Iterator[None]:
+    def _make_reachable(self, bus: Bus) -> Iterator[None]:
         """Let other processes find this run and control it."""
         names = [device.name for device in self._plan.devices]
         section = self._plan.experiment.experiment
@@ -157,7 +157,7 @@ class _Run:
         ):
             yield
 
-    def _recorded(self, bus: Bus, twins: ExitStack) -> RunResult:
+    def _record(self, bus: Bus, twins: ExitStack) -> RunResult:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         recorder = Recorder(
             bus,
@@ -184,11 +184,11 @@ class _Run:
                 self._follow(recorder, devices)
             except _Enough as enough:
                 reason = str(enough)
-            except LabhilError as found:
-                error = in_place_of(found)
-            except Exception as found:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
-                error = RunError(f"the run itself failed: {found!r}")
-                error.__cause__ = found
+            except LabhilError as exc:
+                error = in_place_of(exc)
+            except Exception as exc:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
+                error = RunError(f"the run itself failed: {exc!r}")
+                error.__cause__ = exc
             finally:
                 failure = self._stop(recorder, devices, error, reason)
             error = in_place_of(error or failure)
@@ -216,20 +216,20 @@ class _Run:
 
     def _addresses(self, twins: ExitStack) -> dict[str, str]:
         """Where every device is; simulated ones are started, all at once."""
-        found = {device.name: device.section.address for device in self._plan.devices}
-        simulated = [device for device in self._plan.devices if found[device.name] == TWIN]
+        addresses = {device.name: device.section.address for device in self._plan.devices}
+        simulated = [device for device in self._plan.devices if addresses[device.name] == TWIN]
 
         def start(device: DevicePlan) -> None:
-            found[device.name] = self._start_twin(device, twins)
+            addresses[device.name] = self._start_twin(device, twins)
 
         outcomes = at_once([partial(start, device) for device in simulated])
         for error in outcomes:
             if error is not None:
                 raise error
-        return found
+        return addresses
 
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
-        several = sum(other.section.address == TWIN for other in self._plan.devices) > 1
+        several = sum(candidate.section.address == TWIN for candidate in self._plan.devices) > 1
         answer = answer_path(self._path, device.name, several)
         twin, address = start_twin(
             device.name,
@@ -253,11 +253,11 @@ class _Run:
 
     def _metadata(self) -> dict[str, dict[str, str]]:
         section = self._plan.experiment.experiment
-        told = {"name": section.name, "duration": repr(self._plan.duration)}
+        experiment = {"name": section.name, "duration": repr(self._plan.duration)}
         for key, value in section.metadata().items():
             if value:
-                told[key] = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        return {"experiment": told, **{name: dict(more) for name, more in self._more_metadata.items()}}
+                experiment[key] = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+        return {"experiment": experiment, **{name: dict(more) for name, more in self._more_metadata.items()}}
 
     # running
 
@@ -276,7 +276,7 @@ class _Run:
             self._publish("step", text)
 
     def _look(self, recorder: Recorder, devices: Devices) -> None:
-        """Do what was asked for, and raise what has gone wrong anywhere."""
+        """Carry out requests, and raise what has gone wrong anywhere."""
         self._look_at_requests()
         self._check(recorder, devices)
 
@@ -288,20 +288,20 @@ class _Run:
         raise_standing_stop()
 
     def _look_at_requests(self) -> None:
-        """Do what was asked for; raises _Enough or RunStoppedError where that is to end."""
+        """Carry out requests; raises _Enough or RunStoppedError for one to end."""
         for t_ns, text in self._control.take_marks():
             self._publish("mark", text, t_ns)
         if self._interrupted():
             raise RunStoppedError(f"stopped by {self._interrupted.reason}")
-        wanted, reason = self._control.take_request() or (None, "")
-        if wanted is RunState.STOPPING:
+        state, reason = self._control.take_request() or (None, "")
+        if state is RunState.STOPPING:
             raise _Enough(reason)
-        if wanted is RunState.ABORTING:
+        if state is RunState.ABORTING:
             raise RunStoppedError(reason)
-        if wanted is RunState.PAUSED:
+        if state is RunState.PAUSED:
             self._goes_on_alone = False
             self._pause(reason)
-        elif wanted is RunState.RUNNING:
+        elif state is RunState.RUNNING:
             self._resume(reason)
 
     def _wait_or_go_on(self, devices: Devices) -> None:
@@ -393,6 +393,6 @@ class _Run:
             "refused": dict(self._refusals.counts),
         }
 
-    def _kept(self) -> Path | None:
+    def _existing_recording(self) -> Path | None:
         part = self._path.with_name(self._path.name + ".part")
         return next((path for path in (self._path, part) if path.exists()), None)

@@ -103,9 +103,10 @@ class StepClock:
         self, timed: TimedStep, condition: Condition, waited: float, values: Sequence[float]
     ) -> None:
         if timed.step.wait is not None and waited >= timed.step.wait:
-            found = values_in_words(condition.names, self._columns, values)
+            readings = values_in_words(condition.names, self._columns, values)
             raise ConditionError(
-                f"steps.{timed.index}.when: expected {condition} within {timed.step.wait:g} s, found {found}"
+                f"steps.{timed.index}.when: expected {condition} within {timed.step.wait:g} s, "
+                f"found {readings}"
             )
 
     def _set(self, elapsed: float, t_ns: int) -> None:

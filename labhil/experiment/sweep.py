@@ -33,7 +33,7 @@ class SweepSection(BaseModel):
 
     @field_validator("over")
     @classmethod
-    def _can_be_swept(cls, value: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+    def _check_values(cls, value: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
         for place, values in value.items():
             if not values:
                 raise ValueError(f"{place!r}: expected at least one value, found none")
@@ -42,11 +42,11 @@ class SweepSection(BaseModel):
         return value
 
     @model_validator(mode="after")
-    def _combines(self) -> SweepSection:
+    def _check_lengths(self) -> SweepSection:
         lengths = {place: len(values) for place, values in self.over.items()}
         if self.kind == "list" and len(set(lengths.values())) > 1:
-            found = ", ".join(f"{place}: {length}" for place, length in lengths.items())
-            raise ValueError(f'kind = "list" expects lists of one length, found {found}')
+            actual = ", ".join(f"{place}: {length}" for place, length in lengths.items())
+            raise ValueError(f'kind = "list" expects lists of one length, found {actual}')
         if self.count > MOST_RUNS:
             raise ValueError(f"expected at most {MOST_RUNS} runs, found {self.count} combinations")
         return self
@@ -86,9 +86,9 @@ def replace_value(data: dict[str, Any], place: str, value: object) -> None:
             key: Any = int(part)
         elif isinstance(current, Mapping):
             # dotted names, such as those of a twin's `set`, are one key
-            rest = ".".join(parts[depth:])
-            if rest in current:
-                current[rest] = value  # type: ignore[index]
+            dotted_key = ".".join(parts[depth:])
+            if dotted_key in current:
+                current[dotted_key] = value  # type: ignore[index]
                 return
             if part not in current and not is_last:
                 near = suggestion(part, current)

@@ -2,7 +2,7 @@
 
 A model explains a recording when what it leaves is noise. The measure is RMSE over noise floor, by channel,
 in the windows by which the rig is scored: ``labhil fit``, ``labhil verify``, the worker of a lab, the screen
-and the pages all state the answer of :func:`adequacy_of`.
+and the pages all state the verdict of :func:`adequacy_of`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from labhil.identify.score import ChannelScore, Score
 from labhil.physics.terms import keyed
 
 FLOOR_KNOWN_TO = 1.15
-"""Factor to which the noise floor is known: a controller that answers noise makes it look too small."""
+"""Factor to which the noise floor is known: a controller that reacts to noise makes it look too small."""
 
 MISFIT_AS_LARGE_AS_NOISE = sqrt(2.0)
 """RMSE over noise where noise and misfit have the same variance: beyond it, most of the rest is misfit."""
@@ -39,7 +39,7 @@ class FitVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """The answer of the gate.
+    """The verdict of the gate.
 
     ``residual_over_noise`` maps channels (with the joint, as ``keyed``) to the ratio; ``worst`` is the one
     with the largest, ``r2`` the smallest R² of any channel that is not explained, a fraction (not a

@@ -50,9 +50,9 @@ class Coordinate:
         if self.part.joint is None:
             return np.asarray(generalised_force + force)
         # of an arm it is what the drives have to exert
-        whole = generalised_force.copy()
-        whole[:, self.part.joint] -= force
-        return whole
+        torques = generalised_force.copy()
+        torques[:, self.part.joint] -= force
+        return torques
 
     def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
         """Its values where a model's coordinates are ``along``, (N,)."""
@@ -131,22 +131,22 @@ class ExtendedModel:
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Simulated outputs of all windows, (N, channels)."""
-        own, coefficients = self.split(theta)
-        return self._under(coefficients, record).simulate(own, record, windows, states)
+        inner_theta, coefficients = self.split(theta)
+        return self._under(coefficients, record).simulate(inner_theta, record, windows, states)
 
     def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
         """The inner model's slopes by parameters that it is linear in, under the force."""
-        own, coefficients = self.split(theta)
+        inner_theta, coefficients = self.split(theta)
         inner = self._under(coefficients, record)
         assert isinstance(inner, PartlyLinear)
-        return inner.regressor(own, record, free_keys)
+        return inner.regressor(inner_theta, record, free_keys)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
         """Coordinates along the simulation under the force, each (N,)."""
-        own, coefficients = self.split(theta)
-        return self._under(coefficients, record).coordinates(own, record, windows, states)
+        inner_theta, coefficients = self.split(theta)
+        return self._under(coefficients, record).coordinates(inner_theta, record, windows, states)
 
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
@@ -156,8 +156,8 @@ class ExtendedModel:
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force and the curve's, (N,)."""
-        own, coefficients = self.split(theta)
-        generalised_force = self.inner.generalised_force(own, coordinates)
+        inner_theta, coefficients = self.split(theta)
+        generalised_force = self.inner.generalised_force(inner_theta, coordinates)
         if self.coordinate.name not in coordinates:
             return generalised_force
         curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients

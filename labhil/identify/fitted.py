@@ -141,8 +141,8 @@ def fit_terms(
     """
     begin = start_theta(model) if start is None else start
     windows = fit_windows(record, window)
-    every = free_of(model, terms, held)
-    free = every if shapes else every[[not model.parameters[i].shape for i in every]]
+    estimated = free_of(model, terms, held)
+    free = estimated if shapes else estimated[[not model.parameters[i].shape for i in estimated]]
     if starts is None:
         fresh = terms_named(model, terms if new_terms is None else new_terms)
         starts = starts_of(model, fresh, record) if fresh else [{}]
@@ -165,10 +165,10 @@ def fit_terms(
         )
     theta = problem.theta(solution.point.z)
     if not shapes:
-        whole = Problem(model, record, windows, every, theta, sigma)
-        whole.evaluations = problem.evaluations
-        solution = replace(solution, point=Point(whole.start().z, solution.point.states))
-        problem = whole
+        full_problem = Problem(model, record, windows, estimated, theta, sigma)
+        full_problem.evaluations = problem.evaluations
+        solution = replace(solution, point=Point(full_problem.start().z, solution.point.states))
+        problem = full_problem
     return Fitted(tuple(terms), theta, problem, solution, window)
 
 
@@ -177,20 +177,20 @@ def _best_scout(
 ) -> tuple[Problem, Solution]:
     """The best fit of ``limit`` steps from where each problem begins; of many only the better go so far."""
     many = len(problems) > LED_ON
-    go = partial(least_squares, tolerance=tolerance, thorough=False)
+    solve = partial(least_squares, tolerance=tolerance, thorough=False)
 
-    def begun(problem: Problem) -> tuple[Problem, Solution]:
+    def start_scout(problem: Problem) -> tuple[Problem, Solution]:
         begin = problem.start() if states is None else Point(problem.start().z, states)
         steps = FIRST_ITERATIONS if many else limit
-        return problem, go(problem, begin, iterations=steps, settled=states is not None)
+        return problem, solve(problem, begin, iterations=steps, settled=states is not None)
 
-    def led_on(scout: tuple[Problem, Solution]) -> tuple[Problem, Solution]:
-        problem, found = scout
-        return problem, go(problem, found.point, iterations=limit - FIRST_ITERATIONS, settled=True)
+    def continue_scout(scout: tuple[Problem, Solution]) -> tuple[Problem, Solution]:
+        problem, solution = scout
+        return problem, solve(problem, solution.point, iterations=limit - FIRST_ITERATIONS, settled=True)
 
-    scouts = sorted(side_by_side(begun, problems), key=lambda scout: scout[1].cost)
+    scouts = sorted(side_by_side(start_scout, problems), key=lambda scout: scout[1].cost)
     if many:
-        scouts = list(side_by_side(led_on, scouts[:LED_ON]))
+        scouts = list(side_by_side(continue_scout, scouts[:LED_ON]))
     return min(scouts, key=lambda scout: scout[1].cost)
 
 
@@ -248,22 +248,22 @@ def fit_by_continuation(
             tolerance=ON_THE_WAY if k + 1 < len(lengths) else TOLERANCE,
         )
         rung = fit(start=begin)
-        back = _off_bounds(rung, begin)
-        if back is not None:
-            rung = min(rung, fit(start=back), key=lambda each: each.solution.cost)
+        restart = _restart_off_bounds(rung, begin)
+        if restart is not None:
+            rung = min(rung, fit(start=restart), key=lambda fitted: fitted.solution.cost)
         rungs.append(rung)
     return rungs
 
 
-def _off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
+def _restart_off_bounds(rung: Fitted, begin: FloatArray) -> FloatArray | None:
     """The vector with the rig's sizes that ended at a bound at their start; None if they began there."""
     parameters = rung.problem.model.parameters
-    lost = [
+    at_bound = [
         i for i in rung.problem.free if parameters[i].term is None and parameters[i].at_bound(rung.theta[i])
     ]
-    back = rung.theta.copy()
-    back[lost] = start_values(parameters)[lost]
-    return None if np.array_equal(back[lost], begin[lost]) else back
+    restart = rung.theta.copy()
+    restart[at_bound] = start_values(parameters)[at_bound]
+    return None if np.array_equal(restart[at_bound], begin[at_bound]) else restart
 
 
 def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: float) -> int:
@@ -282,8 +282,8 @@ def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: flo
     return max(trusted)
 
 
-def settled(fitted: Fitted) -> Fitted:
-    """The same model where it has settled in the lowest minimum within its own uncertainty."""
+def settle_fit(fitted: Fitted) -> Fitted:
+    """The same model, settled in the lowest minimum within its own uncertainty."""
     _, classical, _ = covariances(fitted)
     scale = fitted.problem.scale
     relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)

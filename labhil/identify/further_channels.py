@@ -1,4 +1,4 @@
-"""Which further channel, or which known value, would let the data know what they do not know now."""
+"""Which further channel, or which known value, would free the directions that the data do not know."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUPPOSED_NOISE = 0.02
 """Noise of a channel that nobody has measured yet, as a share of its RMS."""
 
 
-def with_help(found: Identifiability, rig: RigFile, fitted: Fitted) -> Identifiability:
+def with_help(finding: Identifiability, rig: RigFile, fitted: Fitted) -> Identifiability:
     """The same finding with what would help: outputs of the rig that are not recorded, own parameters."""
     options: dict[str, Callable[[], Identifiability]] = {}
     record = fitted.problem.record
@@ -34,11 +34,11 @@ def with_help(found: Identifiability, rig: RigFile, fitted: Fitted) -> Identifia
         parameter = fitted.problem.model.parameters[place]
         if parameter.term is None:
             option = keyed(f"known.{parameter.name}", None, parameter.recording)
-            options[option] = partial(_knowing, fitted, j)
-    return what_would_help(found, options)
+            options[option] = partial(_with_known, fitted, j)
+    return what_would_help(finding, options)
 
 
-def _knowing(fitted: Fitted, j: int) -> Identifiability:
+def _with_known(fitted: Fitted, j: int) -> Identifiability:
     """Identifiability when the free parameter ``j`` is known."""
     problem = fitted.problem
     _, _, jacobian = covariances(fitted)
@@ -53,7 +53,7 @@ def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiabili
     old = fitted.problem
     further = _with_column(old.record, signal)
     model = model_for(rig, further, names_per_recording(old.model))
-    theta = _carried(fitted, model.parameters)
+    theta = _carry_over(fitted, model.parameters)
     states = fitted.solution.point.states
     simulated = model.simulate(theta, further, old.windows, states)
     measured = np.zeros((len(further), simulated.shape[1]))
@@ -82,7 +82,7 @@ def _with_column(record: Record, signal: Signal) -> Record:
     )
 
 
-def _carried(fitted: Fitted, parameters: Sequence[Parameter]) -> FloatArray:
+def _carry_over(fitted: Fitted, parameters: Sequence[Parameter]) -> FloatArray:
     """The fitted vector in another model of the same rig, by key; what only that one has is neutral."""
     theta = start_values(parameters)
     places = index_of(parameters)

@@ -28,7 +28,7 @@ INVOLVED = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What the sensitivities say.
+    """What the data can know of the parameters, by their sensitivities.
 
     ``rank`` of the directions ``of`` so many parameters are known; ``combinations`` are products of powers
     that are known where single values are not; ``would_help`` names channels and values that would free
@@ -93,17 +93,19 @@ def lost_directions(
 
 
 def what_would_help(
-    found: Identifiability, options: Mapping[str, Callable[[], Identifiability]]
+    finding: Identifiability, options: Mapping[str, Callable[[], Identifiability]]
 ) -> Identifiability:
     """Try each option (a further channel, a known value) and keep the names of those that free a direction.
 
-    An option is told by what identifiability would be with it; ``of`` may be smaller there.
+    An option gives the identifiability that it would lead to, where ``of`` may be smaller.
     """
-    lacking = found.of - found.rank
+    lacking = finding.of - finding.rank
     if not lacking:
-        return found
-    helpful = [name for name, judge in options.items() if (seen := judge()).of - seen.rank < lacking]
-    return replace(found, would_help=tuple(helpful))
+        return finding
+    helpful = [
+        name for name, judge in options.items() if (alternative := judge()).of - alternative.rank < lacking
+    ]
+    return replace(finding, would_help=tuple(helpful))
 
 
 def relative_svd(
@@ -145,12 +147,12 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
 
 def _pivots(directions: FloatArray) -> list[int]:
     """Columns (as many as rows) that together move in all directions: the strongest, the first of equals."""
-    left = directions.copy()
+    remaining = directions.copy()
     chosen: list[int] = []
     for _ in range(len(directions)):
-        best = int(np.argmax(np.round(np.linalg.norm(left, axis=0), 2)))
-        column = left[:, best] / max(float(np.linalg.norm(left[:, best])), 1e-300)
-        left = left - np.outer(column, column @ left)
+        best = int(np.argmax(np.round(np.linalg.norm(remaining, axis=0), 2)))
+        column = remaining[:, best] / max(float(np.linalg.norm(remaining[:, best])), 1e-300)
+        remaining = remaining - np.outer(column, column @ remaining)
         chosen.append(best)
     return chosen
 

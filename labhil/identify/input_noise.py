@@ -36,8 +36,10 @@ def responses_to_input_noise(problem: Problem, point: Point) -> FloatArray:
         return np.empty((len(problem.owner), 0))
     simulated = problem.model.simulate(theta, record, problem.windows, states)
     changes = [
-        ((problem.model.simulate(theta, other, problem.windows, states) - simulated) / problem.noise).ravel()
-        for other in _with_more_noise(record)
+        (
+            (problem.model.simulate(theta, noisy_record, problem.windows, states) - simulated) / problem.noise
+        ).ravel()
+        for noisy_record in _with_more_noise(record)
     ]
     return np.column_stack(changes)
 
@@ -48,8 +50,8 @@ def variance_by_input_noise(problem: Problem, point: Point, residuals: FloatArra
     if not changes.size:
         return np.zeros(channels)
     lin = Linearised(residuals, np.empty((len(residuals), 0)), problem.state_slopes(point, residuals))
-    left = problem.project(lin, changes).reshape(-1, channels, changes.shape[1])
-    return np.asarray(np.mean(left**2, axis=(0, 2)))
+    remaining = problem.project(lin, changes).reshape(-1, channels, changes.shape[1])
+    return np.asarray(np.mean(remaining**2, axis=(0, 2)))
 
 
 def _with_more_noise(record: Record) -> Iterator[Record]:

@@ -43,7 +43,7 @@ class Intervals(StrEnum):
 def interval_method(name: str) -> Intervals:
     """The method of that name; UnknownNameError lists those that exist."""
     if name not in set(Intervals):
-        raise UnknownNameError("interval method", name, [each.value for each in Intervals])
+        raise UnknownNameError("interval method", name, [method.value for method in Intervals])
     return Intervals(name)
 
 
@@ -112,7 +112,7 @@ def profile_interval(
 ) -> tuple[float, float]:
     """Where the profile of parameter ``j`` (its place among the free ones) crosses ``reach``² (SI units).
 
-    The classical ``covariance`` (P, P), in scaled units, tells how far to look and how the others go
+    The classical ``covariance`` (P, P), in scaled units, gives the first step and how the others go
     along; ``inflation`` is the robust over the classical variance, by which the threshold grows where
     residuals are correlated.
     """
@@ -121,7 +121,7 @@ def profile_interval(
     along = covariance[:, j] / covariance[j, j]
     error = float(np.sqrt(inflation * covariance[j, j]))
     if problem.model.parameters[problem.free[j]].in_steps:
-        error = max(error, problem.step[j])  # the slope within a step says nothing of its width
+        error = max(error, problem.step[j])  # the slope within a step is unrelated to its width
     path = _path_of(problem, j, along)
     ends = [
         _crossing(problem, solution, j, path, side * reach * error, threshold) * problem.scale[j]
@@ -155,7 +155,7 @@ def _crossing(
     problem: Problem, solution: Solution, j: int, path: Path, step: float, threshold: float
 ) -> float:
     """Scaled value of parameter ``j`` at which its profile has risen by ``threshold``; a bound ends it."""
-    centre, near = solution.point.z[j], solution.point
+    centre, point = solution.point.z[j], solution.point
     sized = problem.is_size(j)
     if sized:
         step = float(np.clip(step / centre, -FARTHEST, FARTHEST))
@@ -163,28 +163,28 @@ def _crossing(
     for number in range(STEPS):
         wanted = centre * np.exp(step) if sized else centre + step
         z = float(np.clip(wanted, problem.lower[j], problem.upper[j]))
-        near, cost = _refit_at(problem, Point(path(near.z, z), near.states), j, z, thorough=number == 0)
+        point, cost = _refit_at(problem, Point(path(point.z, z), point.states), j, z, thorough=number == 0)
         rise = float(np.sqrt(max(cost - solution.cost, 0.0) / threshold))
         if abs(rise - 1.0) < CLOSE or (z != wanted and rise < 1.0):
             break
         step *= float(np.clip(1.0 / max(rise, 1e-3), 0.4, 2.5))
         # a refit that went too far may have fallen into a worse minimum
-        near = solution.point if rise > 1.0 else near
+        point = solution.point if rise > 1.0 else point
     return z
 
 
-def _refit_at(problem: Problem, near: Point, j: int, z: float, *, thorough: bool) -> tuple[Point, float]:
+def _refit_at(problem: Problem, point: Point, j: int, z: float, *, thorough: bool) -> tuple[Point, float]:
     """All other parameters and all states refitted with parameter ``j`` held at ``z``, and the cost there."""
-    theta = problem.theta(near.z)
+    theta = problem.theta(point.z)
     theta[problem.free[j]] = z * problem.scale[j]
-    pinned = problem.pinned(np.array([j]), theta)
-    others, states = np.delete(near.z, j), near.states
+    held_problem = problem.pin(np.array([j]), theta)
+    others, states = np.delete(point.z, j), point.states
     if thorough:
-        states = search_states(pinned, others, states, np.random.default_rng(0), trials=TRIALS)
+        states = search_states(held_problem, others, states, np.random.default_rng(0), trials=TRIALS)
     begin = Point(others, states)
-    found = least_squares(pinned, begin, iterations=40, tolerance=1e-5, settled=True, thorough=False)
-    problem.evaluations += pinned.evaluations
-    return Point(np.insert(found.point.z, j, z), found.point.states), found.cost
+    refit = least_squares(held_problem, begin, iterations=40, tolerance=1e-5, settled=True, thorough=False)
+    problem.evaluations += held_problem.evaluations
+    return Point(np.insert(refit.point.z, j, z), refit.point.states), refit.cost
 
 
 def cramer_rao(problem: Problem, point: Point) -> FloatArray:

@@ -51,8 +51,8 @@ class Known:
         """That of functions with slopes (m, P) to first order, (m, m); infinite where one is not known."""
         scaled = slopes * self.scale
         along = scaled @ self.rows.T
-        found = along @ self.spread @ along.T
+        covariance = along @ self.spread @ along.T
         size = np.linalg.norm(scaled, axis=1)
         lost = np.linalg.norm(scaled @ self.unknown.T, axis=1) > FAINT * size
-        found[lost, lost] = np.inf
-        return np.asarray(found)
+        covariance[lost, lost] = np.inf
+        return np.asarray(covariance)

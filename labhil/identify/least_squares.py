@@ -17,7 +17,7 @@ from labhil.identify.window_states import (
     fit_states,
     reestimate,
     refine,
-    rescued_states,
+    rescue_states,
     search_states,
 )
 from labhil.signals import FloatArray
@@ -32,7 +32,7 @@ DAMPING = 1e-3
 """Of the first step, in diagonals of the normal equations."""
 
 MOST_DAMPING = 1e4
-"""A step as short as this lets nobody come any lower."""
+"""A step as short as this lowers no cost any more."""
 
 TOLERANCE = 1e-6
 """Share of the cost that a step has to gain for another one to follow."""
@@ -80,28 +80,28 @@ def least_squares(
     # The measurement is a candidate too: a window that once was taken for a body at rest has no slope
     # by which it would ever move again.
     if settled:
-        begun = refine(problem, z, evaluate(problem, z, start.states), evaluate(problem, z, problem.guess))
+        estimate = refine(problem, z, evaluate(problem, z, start.states), evaluate(problem, z, problem.guess))
     else:
-        begun = evaluate(problem, z, fit_states(problem, z, start.states))
-    begun = rescued_states(problem, z, begun) if thorough else begun
-    point, residuals = Point(z, begun.states), begun.residuals
+        estimate = evaluate(problem, z, fit_states(problem, z, start.states))
+    estimate = rescue_states(problem, z, estimate) if thorough else estimate
+    point, residuals = Point(z, estimate.states), estimate.residuals
     damping = DAMPING
     for iteration in range(iterations):
         cost = float(residuals @ residuals)
-        found = _lower(problem, point, residuals, damping, tolerance)
-        if found is None and thorough:
-            found = _rescued(problem, point, residuals)
-        if found is None:
+        step = _lower(problem, point, residuals, damping, tolerance)
+        if step is None and thorough:
+            step = _rescue(problem, point, residuals)
+        if step is None:
             return Solution(point, residuals, iteration, True)
-        point, residuals, damping = found
+        point, residuals, damping = step
         gained = cost - float(residuals @ residuals)
         if on_step is not None:
             on_step(cost - gained)
         if gained < tolerance * cost:
-            rescued = _rescued(problem, point, residuals) if thorough else None
-            if rescued is None:
+            rescue = _rescue(problem, point, residuals) if thorough else None
+            if rescue is None:
                 return Solution(point, residuals, iteration + 1, True)
-            point, residuals, damping = rescued
+            point, residuals, damping = rescue
     return Solution(point, residuals, iterations, False)
 
 
@@ -114,17 +114,17 @@ def settle(problem: Problem, solution: Solution, spread: FloatArray, *, seed: in
     """
     random = np.random.default_rng(seed)
     same = SAME * max(1.0, solution.cost / max(len(solution.residuals), 1))
-    best = _deepened(problem, solution, same, random)
+    best = _deepen(problem, solution, same, random)
     for _ in range(SHAKES):
         z = best.point.z + spread @ random.standard_normal(len(best.point.z))
         begin = Point(np.clip(z, problem.lower, problem.upper), best.point.states)
         trial = least_squares(problem, begin, iterations=12, settled=True, thorough=False)
         if trial.cost < best.cost - same:
-            best = _deepened(problem, trial, same, random)
+            best = _deepen(problem, trial, same, random)
     return best
 
 
-def _deepened(problem: Problem, solution: Solution, same: float, random: np.random.Generator) -> Solution:
+def _deepen(problem: Problem, solution: Solution, same: float, random: np.random.Generator) -> Solution:
     """Better states and better parameters in turn, until neither lowers the cost any more."""
     best = solution
     for _ in range(6):
@@ -137,7 +137,7 @@ def _deepened(problem: Problem, solution: Solution, same: float, random: np.rand
     return best
 
 
-def _rescued(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
+def _rescue(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
     """The same parameters with better states of some windows, or None when there are none."""
     better = reestimate(problem, point.z, States(point.states, residuals))
     if better.cost < (1.0 - RESCUED) * float(residuals @ residuals):

@@ -2,7 +2,7 @@
 
 Differences of neighbouring samples (:func:`labhil.identify.windows.noise_of`) know noise of one sample only:
 of noise that lasts for a few samples they see too little. On short windows with initial states of their own
-a model that is wrong by a force is off by that force times half of the window squared, which is little; noise
+a model that is wrong by a force errs by that force times half of the window squared, which is little; noise
 is all there but for what the windows' states take of it, and of noise that lasts they take more. Taken for an
 autoregression of first order it is found from the variance and the covariance of neighbours that are left.
 """
@@ -74,34 +74,36 @@ def estimate_coloured_noise(model: Model, theta: FloatArray, record: Record, sig
     problem = Problem(model, record, fit_windows(record, length), np.empty(0, dtype=np.int64), theta, sigma)
     point = Point(np.empty(0), fit_states(problem, np.empty(0), problem.guess))
     residuals = problem.residuals(point)
-    left = _Left.of(problem, residuals.reshape(-1, len(sigma)))
-    kept = _kept(problem, problem.linearise(point, residuals).by_states)
-    power, neighbours = kept[:, 0], kept[:, 1]
+    typical = _ResidualPower.of(problem, residuals.reshape(-1, len(sigma)))
+    after_states = _noise_after_states(problem, problem.linearise(point, residuals).by_states)
+    power, neighbours = after_states[:, 0], after_states[:, 1]
     correlation = np.array(
-        [np.interp(left.ratio[j], neighbours[:, j] / power[:, j], CORRELATIONS) for j in range(len(sigma))]
+        [np.interp(typical.ratio[j], neighbours[:, j] / power[:, j], CORRELATIONS) for j in range(len(sigma))]
     )
     share = np.array([np.interp(correlation[j], CORRELATIONS, power[:, j]) for j in range(len(sigma))])
-    return Noise(np.asarray(sigma * np.clip(np.sqrt(left.power / share), 1.0, MOST)), correlation)
+    return Noise(np.asarray(sigma * np.clip(np.sqrt(typical.power / share), 1.0, MOST)), correlation)
 
 
 def _filtered_noise(model: Model, theta: FloatArray, record: Record) -> FloatArray:
     """Noise (c,) of what inverse dynamics leaves, where there is no motion."""
-    every = Windows.of(record.spans)
-    left = record.outputs - model.simulate(theta, record, every, model.initial_states(record, every))
+    recordings = Windows.of(record.spans)
+    residuals = record.outputs - model.simulate(
+        theta, record, recordings, model.initial_states(record, recordings)
+    )
     # of white noise 20; a filter takes away most where differences are the largest
-    taken = np.sqrt(THIRD[0] / np.dot(THIRD, record.alike))
-    return np.asarray(noise_of(replace(record, outputs=left)) * taken)
+    attenuation = np.sqrt(THIRD[0] / np.dot(THIRD, record.alike))
+    return np.asarray(noise_of(replace(record, outputs=residuals)) * attenuation)
 
 
 @dataclass(frozen=True, slots=True)
-class _Left:
+class _ResidualPower:
     """Of typical windows and each channel, squares per sample (c,), and neighbours' products over these."""
 
     power: FloatArray
     ratio: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, residuals: FloatArray) -> _Left:
+    def of(cls, problem: Problem, residuals: FloatArray) -> _ResidualPower:
         """Of residuals (N, c)."""
         owner = problem.windows.owner
         counts = np.bincount(owner)
@@ -117,7 +119,7 @@ class _Left:
         )
 
 
-def _kept(problem: Problem, by_states: FloatArray) -> FloatArray:
+def _noise_after_states(problem: Problem, by_states: FloatArray) -> FloatArray:
     """What windows' states leave of unit noise, (R, 2, c) for R correlations.
 
     Squares and products of neighbours, per sample; ``by_states`` (N·c, S) are the residuals' slopes.
@@ -125,16 +127,16 @@ def _kept(problem: Problem, by_states: FloatArray) -> FloatArray:
     c = len(problem.sigma)
     edges = np.append(problem.edges, len(by_states))
     chosen = np.unique(np.linspace(0, len(edges) - 2, COUNTED).astype(int))
-    found, samples = np.zeros((len(CORRELATIONS), 2, c)), 0
+    sums, samples = np.zeros((len(CORRELATIONS), 2, c)), 0
     for w in chosen:
-        own = by_states[edges[w] : edges[w + 1]]
-        n = len(own) // c
-        basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
-        apart = np.eye(len(own)) - basis @ basis.T
+        slopes = by_states[edges[w] : edges[w + 1]]
+        n = len(slopes) // c
+        basis, _ = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
+        projector = np.eye(len(slopes)) - basis @ basis.T
         lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         for k, rho in enumerate(CORRELATIONS):
-            left = apart @ np.kron(rho**lag, np.eye(c)) @ apart
-            found[k, 0] += np.diag(left).reshape(n, c).sum(axis=0)
-            found[k, 1] += np.diag(left, c).reshape(n - 1, c).sum(axis=0)
+            covariance = projector @ np.kron(rho**lag, np.eye(c)) @ projector
+            sums[k, 0] += np.diag(covariance).reshape(n, c).sum(axis=0)
+            sums[k, 1] += np.diag(covariance, c).reshape(n - 1, c).sum(axis=0)
         samples += n
-    return found / samples
+    return sums / samples

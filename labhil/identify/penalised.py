@@ -56,20 +56,20 @@ class Projected:
         """The ``z`` (P,) at which the linearised, penalised cost is least, or ``damping`` short of it."""
         normal = self.slopes.T @ self.slopes
         gradient = self.slopes.T @ self.residuals + penalty @ self.z
-        curvature = normal + penalty + _least(normal)
+        curvature = normal + penalty + _regularisation(normal)
         curvature = curvature + damping * np.diag(np.diag(curvature))
         return np.asarray(self.z - np.linalg.solve(curvature, gradient))
 
-    def left(self, z: FloatArray) -> FloatArray:
+    def residuals_at(self, z: FloatArray) -> FloatArray:
         """Residuals (N,) that the linearised model has at ``z``."""
         return np.asarray(self.residuals + self.slopes @ (z - self.z))
 
     def degrees(self, penalty: FloatArray) -> float:
         """Effective degrees of freedom, the trace of (JᵀJ + Π)⁻¹·JᵀJ (Hastie and Tibshirani 1990)."""
         normal = self.slopes.T @ self.slopes
-        return float(np.trace(np.linalg.solve(normal + penalty + _least(normal), normal)))
+        return float(np.trace(np.linalg.solve(normal + penalty + _regularisation(normal), normal)))
 
-    def crossed(self, penalties: Sequence[FloatArray]) -> FloatArray:
+    def cross_validate(self, penalties: Sequence[FloatArray]) -> FloatArray:
         """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them.
 
         One sum for each of the ``penalties``.
@@ -77,13 +77,13 @@ class Projected:
         folds = min(FOLDS, int(self.owner.max()) + 1)
         both = np.column_stack([self.slopes, self.residuals - self.slopes @ self.z])
         parts = [rows.T @ rows for rows in (both[self.owner % folds == fold] for fold in range(folds))]
-        whole = np.sum(parts, axis=0)
+        total = np.sum(parts, axis=0)
         totals = np.zeros(len(penalties))
         for i, penalty in enumerate(penalties):
             for part in parts:
-                seen = whole - part
-                normal = seen[:-1, :-1]
-                z = np.linalg.solve(normal + penalty + _least(normal), -seen[:-1, -1])
+                training = total - part
+                normal = training[:-1, :-1]
+                z = np.linalg.solve(normal + penalty + _regularisation(normal), -training[:-1, -1])
                 moved = np.r_[z, 1.0]
                 totals[i] += float(moved @ part @ moved)
         return totals
@@ -92,22 +92,22 @@ class Projected:
         """Covariance (P, P) of the estimate, in units of the parameters' scales."""
         n = len(self.residuals)
         normal = self.slopes.T @ self.slopes
-        inverse = np.linalg.inv(normal + penalty + _least(normal))
+        inverse = np.linalg.inv(normal + penalty + _regularisation(normal))
         power = float(self.residuals @ self.residuals) / dof
         scores = (self.slopes * self.residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
         classical = power * inverse
-        found = [
+        variances = [
             long_run_variance(scores, self.begins),
             modelled_variance(self.slopes, self.residuals, channels, self.begins),
         ]
-        spreads = [inverse @ (s * (n / dof) + power * penalty) @ inverse for s in found] + [classical]
+        spreads = [inverse @ (s * (n / dof) + power * penalty) @ inverse for s in variances] + [classical]
         widest = np.max([np.diag(spread) for spread in spreads], axis=0)
         robust = spreads[0]
         raised = np.sqrt(widest / np.maximum(np.diag(robust), 1e-300))
         return np.asarray(robust * np.outer(raised, raised))
 
 
-def _least(normal: FloatArray) -> FloatArray:
+def _regularisation(normal: FloatArray) -> FloatArray:
     """Enough on the diagonal that directions of which the data know nothing do no harm."""
     return np.diag(1e-9 * np.diag(normal) + 1e-12 * max(float(np.diag(normal).max()), 1e-300))
 
@@ -117,9 +117,9 @@ def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: in
     point, residuals, damping = start, problem.residuals(start), DAMPED
     for iteration in range(iterations):
         cost = _cost(point.z, residuals, penalty)
-        found = _lower(problem, point, residuals, penalty, damping)
-        if found is not None:
-            point, residuals, damping = found
+        lower = _lower(problem, point, residuals, penalty, damping)
+        if lower is not None:
+            point, residuals, damping = lower
         if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
             better = reestimate(problem, point.z, States(point.states, residuals))
             if better.cost > (1.0 - RESCUED) * float(residuals @ residuals):
@@ -132,11 +132,11 @@ def _lower(
     problem: Problem, point: Point, residuals: FloatArray, penalty: FloatArray, damping: float
 ) -> tuple[Point, FloatArray, float] | None:
     """A point of lower cost, its residuals and the next damping; None when no damping finds one."""
-    near, lin = Projected.at(problem, point, residuals)
+    projected, lin = Projected.at(problem, point, residuals)
     cost = _cost(point.z, residuals, penalty)
     while damping < MOST_DAMPED:
-        z = np.clip(near.solve(penalty, damping), problem.lower, problem.upper)
-        followed = evaluate(problem, z, _followed(problem, lin, point, residuals, z))
+        z = np.clip(projected.solve(penalty, damping), problem.lower, problem.upper)
+        followed = evaluate(problem, z, _follow_states(problem, lin, point, residuals, z))
         trial = refine(problem, z, evaluate(problem, z, point.states), followed)
         if _cost(z, trial.residuals, penalty) < cost:
             return Point(z, trial.states), trial.residuals, max(0.1 * damping, LEAST_DAMPED)
@@ -148,13 +148,13 @@ def _cost(z: FloatArray, residuals: FloatArray, penalty: FloatArray) -> float:
     return float(residuals @ residuals + z @ penalty @ z)
 
 
-def _followed(
+def _follow_states(
     problem: Problem, lin: Linearised, point: Point, residuals: FloatArray, z: FloatArray
 ) -> FloatArray:
     """The windows' states (W, S) that the linearised model has best at ``z``."""
     if not point.states.shape[1]:
         return point.states
-    moved = residuals + lin.by_parameters @ (z - point.z)
-    pull = problem.per_window(lin.by_states * moved[:, None])
+    linearised = residuals + lin.by_parameters @ (z - point.z)
+    pull = problem.per_window(lin.by_states * linearised[:, None])
     step = np.linalg.solve(problem.state_gram(lin.by_states), pull[:, :, None])[:, :, 0]
     return np.asarray(point.states - step * problem.model.state_scale)

@@ -92,15 +92,19 @@ def doubts_of(
     if TIME not in rig.channels:
         rig = rig.model_copy(update={"channels": {**rig.channels, TIME: Channel(column=time_column)}})
     several = len(record.begins) > 1
-    found = [doubt for each in record.recordings() if (doubt := _doubt(each, rig, misfit)) is not None]
+    doubts = {
+        recording.begins[0].number: doubt
+        for recording in record.recordings()
+        if (doubt := _doubt(recording, rig, misfit)) is not None
+    }
     return tuple(
         replace(doubt, statement=f"Recording {number}: {doubt.statement}") if several else doubt
-        for number, doubt in enumerate(found, 1)
+        for number, doubt in doubts.items()
     )
 
 
 def _doubt(record: Record, rig: RigFile, misfit: bool) -> Doubt | None:
-    if len(record) < FEWEST or not _finite(record):
+    if len(record) < FEWEST or not _is_finite(record):
         return None
     facts = _facts(record, rig)
     wrong = [fact for fact in facts if not fact.holds()]
@@ -111,25 +115,25 @@ def _doubt(record: Record, rig: RigFile, misfit: bool) -> Doubt | None:
         reasons or "the model does not explain them as they are, and all that is known fits after a swap"
     )
     explained = _explanations(facts, _units(record, rig), rig)
-    turned = bool(explained) and all(slip.factor < 0.0 for slip in explained[0])
-    swapped = () if turned else _swapped(record, rig, facts)
-    if swapped:
-        # a bound on a size alone would be met by many a factor, too: what is compared says more
-        named = " and ".join(swapped)
-        pairs = ((one, _channel(rig, other)) for one, other in (swapped, swapped[::-1]))
-        lines = tuple(_written(name, channel) for name, channel in pairs)
+    only_signs = bool(explained) and all(slip.factor < 0.0 for slip in explained[0])
+    swap = () if only_signs else _find_swap(record, rig, facts)
+    if swap:
+        # many a factor would meet a bound on a size alone, too: signals that are compared are better evidence
+        named = " and ".join(swap)
+        pairs = ((first, _channel(rig, second)) for first, second in (swap, swap[::-1]))
+        lines = tuple(_toml_line(name, channel) for name, channel in pairs)
         return Doubt(f"The columns of {named} look swapped. {_advice([lines])} Why: {reasons}.", lines)
     if not wrong:
         return None
     if not explained:
         return Doubt(f"Implausible: {reasons}. Check units, signs and the order of the columns.", ())
     options = [tuple(_line(rig, slip) for slip in slips) for slips in explained]
-    named = ", or ".join(" and ".join(_named(slip) for slip in slips) for slips in explained)
+    named = ", or ".join(" and ".join(_describe_slip(slip) for slip in slips) for slips in explained)
     lines = tuple(dict.fromkeys(line for option in options for line in option))
     return Doubt(f"This looks like {named}. {_advice(options)} Why: {reasons}.", lines)
 
 
-def _finite(record: Record) -> bool:
+def _is_finite(record: Record) -> bool:
     columns = [record.t, record.inputs, record.outputs]
     return all(bool(np.all(np.isfinite(x))) for x in columns) and bool(np.all(np.diff(record.t) > 0.0))
 
@@ -137,21 +141,23 @@ def _finite(record: Record) -> bool:
 def _facts(record: Record, rig: RigFile) -> list[Fact]:
     known = {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
     with np.errstate(all="ignore"):
-        return rig_model(rig.kind.name).facts_of(replace(record, outputs=_calm(record.outputs)), known)
+        return rig_model(rig.kind.name).facts_of(
+            replace(record, outputs=_without_bursts(record.outputs)), known
+        )
 
 
-def _calm(outputs: FloatArray) -> FloatArray:
+def _without_bursts(outputs: FloatArray) -> FloatArray:
     """Outputs (n, channels) without bursts of up to three samples: these are a fault of their own."""
     middle = np.stack([median_filter(column, 2 * BURST + 1, mode="nearest") for column in outputs.T], axis=1)
-    off = np.abs(outputs - middle)
-    return np.where(off > SPIKE * np.mean(off, axis=0), middle, outputs)
+    deviation = np.abs(outputs - middle)
+    return np.where(deviation > SPIKE * np.mean(deviation, axis=0), middle, outputs)
 
 
 def _units(record: Record, rig: RigFile) -> dict[str, str]:
     """Unit of each signal that a record has, and of the time."""
     columns = {*record.input_names, *record.output_names, *record.auxiliary}
-    there = {s.name: s.unit for s in rig.kind.signals() if columns.intersection(s.columns())}
-    return {TIME: "s", **there}
+    recorded = {s.name: s.unit for s in rig.kind.signals() if columns.intersection(s.columns())}
+    return {TIME: "s", **recorded}
 
 
 def _slips(name: str, unit: str, *, converted: bool) -> Iterator[Slip]:
@@ -173,30 +179,30 @@ def _explanations(facts: Sequence[Fact], units: Mapping[str, str], rig: RigFile)
         if name in touched
         for slip in _slips(name, unit, converted=_channel(rig, name).scale != 1.0)
     ]
-    found = _ranked(facts, single)
-    if not found:
+    explanations = _rank(facts, single)
+    if not explanations:
         scales = [slip for (slip,) in single if slip.factor > 0.0]
         pairs = [pair for pair in combinations(scales, 2) if pair[0].channel != pair[1].channel]
-        found = _ranked(facts, pairs)
-    return found if len(found) <= MOST else []
+        explanations = _rank(facts, pairs)
+    return explanations if len(explanations) <= MOST else []
 
 
-def _ranked(facts: Sequence[Fact], options: Sequence[tuple[Slip, ...]]) -> list[tuple[Slip, ...]]:
+def _rank(facts: Sequence[Fact], options: Sequence[tuple[Slip, ...]]) -> list[tuple[Slip, ...]]:
     """Of what puts every fact right those that make it most typical."""
     costs = {}
     for slips in options:
         factors = {slip.channel: slip.factor for slip in slips}
         if all(fact.holds(factors) for fact in facts):
-            costs[slips] = sum(_far(fact.scaled(factors), fact.typical) for fact in facts)
+            costs[slips] = sum(_distance(fact.scaled(factors), fact.typical) for fact in facts)
     least = min(costs.values(), default=0.0)
     return sorted((s for s, cost in costs.items() if cost <= least + LIKELY), key=lambda s: costs[s])
 
 
-def _far(value: float, typical: float | None) -> float:
+def _distance(value: float, typical: float | None) -> float:
     return abs(log(value / typical)) if typical and value > 0.0 else 0.0
 
 
-def _swapped(record: Record, rig: RigFile, facts: Sequence[Fact]) -> tuple[str, str] | tuple[()]:
+def _find_swap(record: Record, rig: RigFile, facts: Sequence[Fact]) -> tuple[str, str] | tuple[()]:
     """The only two signals without a violated fact after a swap; nothing where there is not just one pair.
 
     As much has to be compared as before, and more where no fact was violated before.
@@ -205,19 +211,19 @@ def _swapped(record: Record, rig: RigFile, facts: Sequence[Fact]) -> tuple[str, 
         return ()
     needed = sum(fact.dynamic for fact in facts)
     needed = max(needed + all(fact.holds() for fact in facts), 1)
-    found = []
-    for one, other in combinations([*record.input_names, *record.output_names], 2):
-        swapped = _facts(_with_swapped(record, one, other), rig)
-        if sum(fact.dynamic for fact in swapped) >= needed and all(fact.holds() for fact in swapped):
-            found.append((one, other))
-    return found[0] if len(found) == 1 else ()
+    swaps = []
+    for first, second in combinations([*record.input_names, *record.output_names], 2):
+        facts_after = _facts(_swap_columns(record, first, second), rig)
+        if sum(fact.dynamic for fact in facts_after) >= needed and all(fact.holds() for fact in facts_after):
+            swaps.append((first, second))
+    return swaps[0] if len(swaps) == 1 else ()
 
 
-def _with_swapped(record: Record, one: str, other: str) -> Record:
+def _swap_columns(record: Record, first: str, second: str) -> Record:
     """The record with the columns of two signals in each other's place."""
     names = [*record.input_names, *record.output_names]
     order = list(range(len(names)))
-    i, j = names.index(one), names.index(other)
+    i, j = names.index(first), names.index(second)
     order[i], order[j] = j, i
     columns = np.hstack([record.inputs, record.outputs])[:, order]
     m = len(record.input_names)
@@ -233,7 +239,7 @@ def _complaint(fact: Fact) -> str:
     return f"{fact.what} is {fact.value:.4g}{unit}, expected {wanted} ({fact.because})"
 
 
-def _named(slip: Slip) -> str:
+def _describe_slip(slip: Slip) -> str:
     name = "the time" if slip.channel == TIME else slip.channel
     return f"{slip.called} in {name}"
 
@@ -246,12 +252,12 @@ def _advice(options: Sequence[Sequence[str]]) -> str:
 def _line(rig: RigFile, slip: Slip) -> str:
     """The line of ``[channels]`` that undoes a slip."""
     channel = _channel(rig, slip.channel)
-    return _written(
+    return _toml_line(
         slip.channel,
         channel.model_copy(
             update={
-                "scale": _times(channel.scale, slip.factor),
-                "offset": _times(channel.offset, slip.factor),
+                "scale": _rescale(channel.scale, slip.factor),
+                "offset": _rescale(channel.offset, slip.factor),
             }
         ),
     )
@@ -262,11 +268,11 @@ def _channel(rig: RigFile, name: str) -> Channel:
     return rig.channels.get(name) or Channel(column=name)
 
 
-def _times(value: float | list[float], factor: float) -> float | list[float]:
-    return [each * factor for each in value] if isinstance(value, list) else value * factor
+def _rescale(value: float | list[float], factor: float) -> float | list[float]:
+    return [item * factor for item in value] if isinstance(value, list) else value * factor
 
 
-def _written(name: str, channel: Channel) -> str:
+def _toml_line(name: str, channel: Channel) -> str:
     """A line of the rig file: ``servo_angle = { column = "gamma", scale = 0.017453293 }``."""
     parts = [f"column = {_toml(channel.column)}"] if channel.columns is None else []
     parts += [f"columns = {_toml(channel.columns)}"] if channel.columns is not None else []
@@ -278,7 +284,7 @@ def _written(name: str, channel: Channel) -> str:
 
 def _toml(value: object) -> str:
     if isinstance(value, list):
-        return f"[{', '.join(_toml(each) for each in value)}]"
+        return f"[{', '.join(_toml(item) for item in value)}]"
     if isinstance(value, str):
         return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return f"{value:.8g}" if isinstance(value, float) else str(value)

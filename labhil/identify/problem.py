@@ -105,7 +105,7 @@ class Problem:
         """The same problem on other windows."""
         return Problem(self.model, self.record, windows, self.free, self.base, self.sigma)
 
-    def pinned(self, places: IntArray, theta: FloatArray) -> Problem:
+    def pin(self, places: IntArray, theta: FloatArray) -> Problem:
         """The same problem with the free parameters at ``places`` held where the vector ``theta`` is."""
         others = np.delete(self.free, places)
         return Problem(self.model, self.record, self.windows, others, theta, self.sigma)
@@ -145,7 +145,7 @@ class Problem:
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
         """Differences of the simulation; ``central`` where the bounds leave room, else one-sided.
 
-        By parameters in which the model says that it is linear the slopes are its own.
+        The slopes by parameters that the model is linear in are its own, exact ones.
         """
         by_parameters = np.empty((residuals.size, len(self.free)))
         by_parameters[:, self._linear] = self._exact_slopes(point, residuals)
@@ -159,8 +159,8 @@ class Problem:
             return np.empty((residuals.size, 0))
         keys = [self.model.parameters[i].key for i in self.free[self._linear]]
         outputs = self.record.outputs.shape
-        whole = self.model.regressor(self.theta(point.z), self.record, keys).reshape(*outputs, len(keys))
-        slopes = whole[self.windows.rows] * self.scale[self._linear]
+        regressor = self.model.regressor(self.theta(point.z), self.record, keys).reshape(*outputs, len(keys))
+        slopes = regressor[self.windows.rows] * self.scale[self._linear]
         slopes /= np.broadcast_to(self.noise, slopes.shape[:2])[:, :, None]
         if self._censored is not None:
             beyond = (self._censored != 0) & (residuals.reshape(-1, outputs[1]) == 0.0)

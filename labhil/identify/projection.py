@@ -28,11 +28,11 @@ class Unexplained:
     @classmethod
     def of(cls, fitted: Fitted) -> Unexplained:
         """Linearise a fit where it stands."""
-        near, lin = Projected.at(fitted.problem, fitted.solution.point, fitted.solution.residuals)
-        basis = orthonormal(near.slopes)
-        return cls(fitted, lin, basis, near.residuals - basis @ (basis.T @ near.residuals))
+        projected, lin = Projected.at(fitted.problem, fitted.solution.point, fitted.solution.residuals)
+        basis = orthonormal(projected.slopes)
+        return cls(fitted, lin, basis, projected.residuals - basis @ (basis.T @ projected.residuals))
 
-    def changed(self, theta: FloatArray) -> FloatArray:
+    def residual_change(self, theta: FloatArray) -> FloatArray:
         """What another vector ``theta`` changes in the residuals, (N·c,), all states held."""
         solution = self.fitted.solution
         return self.fitted.problem.residuals_at(theta, solution.point.states) - solution.residuals

@@ -16,7 +16,7 @@ UNUSUAL_HOLD = 5.0
 """… and so many times what is usual in its channel: slow sensors repeat readings, coarse ones stay."""
 
 COUNTS = 6
-"""Counts up to which uneven steps are told apart: 5 % of jitter is a third of a step at six of them."""
+"""Counts up to which uneven steps are distinct: 5 % of jitter is a third of a step at six of them."""
 
 NEAR_A_COUNT = 0.1
 """Steps within which readings of few counts lie about whole ones; by chance a fifth of them would."""
@@ -93,8 +93,8 @@ def uneven_step(x: FloatArray) -> float:
         counts = np.maximum(np.rint(few), 1.0)
         step *= float(np.median(few / counts))
         few = few * (smallest / count) / step
-        off = np.mean(np.abs(few - np.rint(few)) > NEAR_A_COUNT)
-        if off <= OFF_COUNT and len(np.unique(np.rint(few))) >= 2 and _toggles(x, step) >= TOGGLES:
+        stray_share = np.mean(np.abs(few - np.rint(few)) > NEAR_A_COUNT)
+        if stray_share <= OFF_COUNT and len(np.unique(np.rint(few))) >= 2 and _toggles(x, step) >= TOGGLES:
             return step
     return 0.0
 

@@ -1,6 +1,6 @@
 """What a converter's rounding leaves in readings whose noise is too small to dither it.
 
-Of a value x under Gaussian noise of standard deviation σ, readings in steps of q are off on the average by
+Of a value x under Gaussian noise of standard deviation σ, readings in steps of q have the mean error
 
     e(x) = (q/π)·Σₖ (−1)ᵏ/k·sin(2πkx/q)·exp(−2(πkσ/q)²),   k = 1, 2, …
 
@@ -25,7 +25,7 @@ PLACES = 256
 """Within a step, at which the error is tabulated."""
 
 SMOOTHED = 9
-"""Readings whose mean tells where a channel is, between flips of its last digit by noise."""
+"""Readings whose mean shows where a channel is, between flips of its last digit by noise."""
 
 LEAST = 1e-3
 """Share of the noise's variance below which rounding is as good as independent noise."""

@@ -47,20 +47,22 @@ OTHER = {Hold.ZERO: Hold.LINEAR, Hold.LINEAR: Hold.ZERO}
 
 
 def sampling_notes(fitted: Fitted, *, explained: bool) -> tuple[str, ...]:
-    """What is to be said of the sampling of a fit's recording, a text each; nothing where it is fine.
+    """Faults of the sampling of a fit's recording, a text each; none where it is fine.
 
     A chopped signal takes its own swings for noise, so that also a fit that is ``explained`` may rest on one.
     """
     problem = fitted.problem
-    scatter = [scattering_statement(problem.record, j, each) for j, each in enumerate(problem.sigma.tolist())]
+    scatter = [
+        scattering_statement(problem.record, j, sigma) for j, sigma in enumerate(problem.sigma.tolist())
+    ]
     return (*filter(None, scatter), *(() if explained else _coarse_input(fitted)))
 
 
 def scattering_statement(record: Record, j: int, sigma: float) -> str | None:
-    """What is to be said of an output ``j`` that changes between samples as much as over the recording.
+    """A note on an output ``j`` that changes between samples as much as over the recording, else None.
 
     The noise ``sigma`` is read from third differences. Of white noise alone they give its standard deviation;
-    more than that only a signal gives that swings between samples, as a chopped current does. Else None.
+    only a signal that swings between samples gives more, as a chopped current does.
     """
     spread = float(np.std(record.outputs[:, j]))
     swings = _swings(record, j, sigma)
@@ -78,10 +80,10 @@ def scattering_statement(record: Record, j: int, sigma: float) -> str | None:
 
 
 def _swings(record: Record, j: int, sigma: float) -> str | None:
-    """That an output ``j`` scatters by ``sigma`` on one side of zero only, while its input holds still.
+    """A note on an output ``j`` that scatters by ``sigma`` on one side of zero only while its input is still.
 
     Noise goes both ways. A current that its chopper interrupts is between nothing and what it is while the
-    chopper conducts; sampled at any moment it scatters like white noise. None of others.
+    chopper conducts; sampled at any moment it scatters like white noise. None for other outputs.
     """
     name, joint = record.channel(j)
     x = record.outputs[:, j]
@@ -114,51 +116,51 @@ def _swings(record: Record, j: int, sigma: float) -> str | None:
 
 
 def _coarse_input(fitted: Fitted) -> list[str]:
-    """That what the input does between samples moves the simulation by much of what is left."""
-    moved = moved_between_samples(fitted)
-    left = float(np.sqrt(np.mean(fitted.solution.residuals**2)))
-    if moved is None or not moved > AS_LARGE * left:
+    """A note where the input between samples moves the simulation by much of the residual."""
+    effect = hold_effect(fitted)
+    rms = float(np.sqrt(np.mean(fitted.solution.residuals**2)))
+    if effect is None or not effect > AS_LARGE * rms:
         return []
     rate = 1.0 / fitted.problem.record.period
     return [
-        f"What the input does between samples (held or straight) moves the simulation by {moved:.3g} times "
-        f"the noise, and {left:.3g} times is left: at {rate:.4g} Hz the input is sampled too slowly for this "
+        f"What the input does between samples (held or straight) moves the simulation by {effect:.3g} times "
+        f"the noise, and {rms:.3g} times is left: at {rate:.4g} Hz the input is sampled too slowly for this "
         "model, or its hold is not what the recording says. Record it faster, or as it was held."
     ]
 
 
-def moved_between_samples(fitted: Fitted) -> float | None:
-    """RMS change of the simulation, in units of noise, when held inputs run straight and the other way round.
+def hold_effect(fitted: Fitted) -> float | None:
+    """RMS change of the simulation, in units of noise, with held inputs run straight and straight ones held.
 
     What other initial states of the windows would undo does not count. None by inverse dynamics, which
     simulates nothing.
     """
     if not fitted.problem.model.state_names:
         return None
-    change, _ = _held_otherwise(fitted)
+    change, _ = _change_of_holds(fitted)
     return float(np.sqrt(np.mean(change**2)))
 
 
-def moved_estimates(fitted: Fitted) -> FloatArray:
+def hold_shifts(fitted: Fitted) -> FloatArray:
     """How far the estimates (P,) would move, to first order, if the input ran otherwise between samples (SI).
 
     What it did there was not recorded: that much of an estimate is an assumption.
     """
     if not fitted.problem.model.state_names or not len(fitted.problem.free):
         return np.zeros(len(fitted.problem.free))
-    change, slopes = _held_otherwise(fitted)
+    change, slopes = _change_of_holds(fitted)
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    moved, *_ = np.linalg.lstsq(slopes / length, -change, rcond=1e-4)
-    return np.asarray(np.abs(moved / length * fitted.problem.scale))
+    shifts, *_ = np.linalg.lstsq(slopes / length, -change, rcond=1e-4)
+    return np.asarray(np.abs(shifts / length * fitted.problem.scale))
 
 
-def _held_otherwise(fitted: Fitted) -> tuple[FloatArray, FloatArray]:
+def _change_of_holds(fitted: Fitted) -> tuple[FloatArray, FloatArray]:
     """Change of the residuals (N·c,) and their slopes by the scaled parameters, windows' states taken out."""
     problem, solution = fitted.problem, fitted.solution
     record = problem.record
-    other = replace(record, input_holds=tuple(OTHER[hold] for hold in record.input_holds))
+    other_record = replace(record, input_holds=tuple(OTHER[hold] for hold in record.input_holds))
     theta = problem.theta(solution.point.z)
-    changed = Problem(problem.model, other, problem.windows, problem.free, theta, problem.sigma)
+    changed = Problem(problem.model, other_record, problem.windows, problem.free, theta, problem.sigma)
     difference = changed.residuals(solution.point) - solution.residuals
     lin = problem.linearise(solution.point, solution.residuals)
     both = problem.project(lin, np.column_stack([difference, lin.by_parameters]))

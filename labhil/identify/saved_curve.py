@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.extended import Coordinate
-from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, placed
+from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, with_place
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
@@ -51,7 +51,7 @@ class ModelUnderCurves:
     """
 
     def __init__(self, inner: AcceptsExtraForce, curves: Sequence[SavedCurve]) -> None:
-        inner = placed(inner, [curve.coordinate.name for curve in curves])
+        inner = with_place(inner, [curve.coordinate.name for curve in curves])
         self.inner = inner
         self.curves = tuple(curves)
         self.kind = inner.kind

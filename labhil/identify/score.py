@@ -54,8 +54,8 @@ class Figures:
     beside: tuple[ChannelScore, ...] = field(default=(), kw_only=True)
 
     @property
-    def rows_told(self) -> tuple[ChannelScore, ...]:
-        """All that is reported: the scored channels, then what stands beside them."""
+    def reported(self) -> tuple[ChannelScore, ...]:
+        """The scored channels, then the figures beside them."""
         return self.channels + self.beside
 
     @property
@@ -118,19 +118,19 @@ class Score(Figures):
     recordings: tuple[RecordingScore, ...] = ()
 
     def of_joint(self, joint: int | None) -> Score:
-        """What it says of one joint's output; of None the whole."""
+        """The score of one joint's output; the whole for None."""
         if joint is None:
             return self
-        own = [k for k, channel in enumerate(self.channels) if channel.joint == joint]
-        channels, each = tuple(self.channels[k] for k in own), self.recordings
-        recordings = tuple(replace(r, channels=tuple(r.channels[k] for k in own)) for r in each)
-        return replace(self, channels=channels, errors=self.errors[:, own], recordings=recordings)
+        columns = [k for k, channel in enumerate(self.channels) if channel.joint == joint]
+        channels, scores = tuple(self.channels[k] for k in columns), self.recordings
+        recordings = tuple(replace(r, channels=tuple(r.channels[k] for k in columns)) for r in scores)
+        return replace(self, channels=channels, errors=self.errors[:, columns], recordings=recordings)
 
 
 def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
     """The horizon of a model's metric, s; where it is longer than a recording, one that fits twice.
 
-    A vector with hardly any damping asks for that.
+    A vector with hardly any damping has so long a horizon.
     """
     wanted = model.horizon_at(theta)
     return wanted if wanted <= min(record.durations) else record.countable
@@ -155,15 +155,17 @@ def score(
         windows = all_of(record)
     elif windows is None:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
-    nothing = np.empty(0, dtype=np.int64)
+    no_parameters = np.empty(0, dtype=np.int64)
     states = estimate_states_at(model, theta, record, windows.lead, sigma, thorough=True).states
-    whole = Problem(model, record, windows.whole, nothing, theta, sigma)
-    residuals = whole.residuals(Point(np.empty(0), states))
+    problem = Problem(model, record, windows.whole, no_parameters, theta, sigma)
+    residuals = problem.residuals(Point(np.empty(0), states))
     c = record.outputs.shape[1]
     rows = windows.whole.rows[windows.scored]
     noise = noise_at(record, rows, sigma)
     errors = residuals.reshape(-1, c)[windows.scored] * noise
-    carried = _carried(whole, windows, states, residuals, np.ones(c) if lasts is None else lasts)
+    carried = _state_error_variance(
+        problem, windows, states, residuals, np.ones(c) if lasts is None else lasts
+    )
     owner = windows.whole.owner[windows.scored]
     stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
     return Score(
@@ -179,19 +181,21 @@ def score(
     )
 
 
-def with_forces(found: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Score:
+def with_forces(
+    simulation_score: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray
+) -> Score:
     """The same score with inverse dynamics beside it, where the model can say what its drive had to push."""
     if not isinstance(model, HasInverseDynamics):
-        return found
+        return simulation_score
     try:
         forces = model.balance(theta, record)
     except RecordingError:  # hardly anything moves: there is nothing to show beside
-        return found
+        return simulation_score
     errors = forces.needed - forces.exerted
     spread = float(np.sum((forces.exerted - forces.exerted.mean()) ** 2))
     name, floor = ("drive_force", None, "N"), float(sigma[0]) * forces.noise
     row = _row(name, errors, forces.exerted, spread, floor, Metric.INVERSE_DYNAMICS)
-    return replace(found, beside=(row,))
+    return replace(simulation_score, beside=(row,))
 
 
 def _by_recording(
@@ -205,13 +209,13 @@ def _by_recording(
     """Figures of each recording; none where there is only one."""
     if len(record.begins) == 1:
         return ()
-    found = []
+    scores = []
     for begin, (first, last) in zip(record.begins, record.spans, strict=True):
-        own = slice(*np.searchsorted(rows, [first, last]).tolist())
-        here = noise if noise.ndim == 1 else noise[own]
-        channels = _channels(record, errors[own], rows[own], here, carried[own], metric)
-        found.append(RecordingScore(channels, begin.number, own))
-    return tuple(found)
+        places = slice(*np.searchsorted(rows, [first, last]).tolist())
+        noise_here = noise if noise.ndim == 1 else noise[places]
+        channels = _channels(record, errors[places], rows[places], noise_here, carried[places], metric)
+        scores.append(RecordingScore(channels, begin.number, places))
+    return tuple(scores)
 
 
 def _channels(
@@ -222,9 +226,9 @@ def _channels(
     carried: FloatArray,
     metric: Metric,
 ) -> tuple[ChannelScore, ...]:
-    """How well each output is simulated at these rows (N,); ``carried`` (N, c) as of :func:`_carried`.
+    """How well each output is simulated at these rows (N,); ``noise`` is (c,), or (N, c) by recording.
 
-    ``noise`` is (c,), or (N, c) where recordings differ.
+    ``carried`` (N, c) is as of :func:`_state_error_variance`.
     """
     # the noise floor: the RMSE of a perfect model
     if noise.ndim == 1:
@@ -279,22 +283,22 @@ def _spread(record: Record, j: int, rows: IntArray) -> float:
     return total
 
 
-def _lasting(
-    rounded: Sequence[Rounding | None], simulated: FloatArray, whole: Problem, phase: float
+def _lasting_rounding(
+    rounded: Sequence[Rounding | None], simulated: FloatArray, problem: Problem, phase: float
 ) -> FloatArray:
     """What of rounding lasts, over the noise, (N·c,), with all converters' steps shifted by a ``phase``.
 
     A floor is that of any device like this one, whose steps may lie elsewhere.
     """
     errors = np.zeros_like(simulated)
-    for j, each in enumerate(rounded):
-        if each is not None:
-            errors[:, j] = each.lasting(simulated[:, j], phase)
-    return np.asarray((errors / whole.noise).ravel())
+    for j, rounding in enumerate(rounded):
+        if rounding is not None:
+            errors[:, j] = rounding.lasting(simulated[:, j], phase)
+    return np.asarray((errors / problem.noise).ravel())
 
 
-def _carried(
-    whole: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, lasts: FloatArray
+def _state_error_variance(
+    problem: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, lasts: FloatArray
 ) -> FloatArray:
     """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
 
@@ -302,27 +306,27 @@ def _carried(
     floor is σ·√(1 + its mean). What of rounding lasts goes through the same by itself, and so does what the
     noise of a measured input makes of the simulation, beside that itself.
     """
-    c = len(whole.sigma)
+    c = len(problem.sigma)
     point = Point(np.empty(0), states)
-    lin = whole.linearise(point, residuals)
+    lin = problem.linearise(point, residuals)
     lead = lin.by_states * np.repeat(~windows.scored, c)[:, None]
-    inverse = np.linalg.inv(whole.state_gram(lead))
-    rounded = [Rounding.of(whole.record.outputs[:, j], whole.sigma[j]) for j in range(c)]
-    apart = np.array([1.0 - each.share if each is not None else 1.0 for each in rounded])
-    lasting = whole.state_gram(lead * np.tile(np.sqrt(lasts * apart), len(lead) // c)[:, None])
-    spread = (inverse @ lasting @ inverse)[whole.owner]
+    inverse = np.linalg.inv(problem.state_gram(lead))
+    rounded = [Rounding.of(problem.record.outputs[:, j], problem.sigma[j]) for j in range(c)]
+    apart = np.array([1.0 - rounding.share if rounding is not None else 1.0 for rounding in rounded])
+    lasting = problem.state_gram(lead * np.tile(np.sqrt(lasts * apart), len(lead) // c)[:, None])
+    spread = (inverse @ lasting @ inverse)[problem.owner]
     carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
     if np.any(apart < 1.0):
-        simulated = whole.record.outputs[whole.windows.rows] + residuals.reshape(-1, c) * whole.noise
-        errors = [_lasting(rounded, simulated, whole, phase) for phase in PHASES]
-        moved = [np.einsum("wst,wt->ws", inverse, whole.per_window(lead * e[:, None])) for e in errors]
-        along = [np.sum(lin.by_states * shift[whole.owner], axis=1) for shift in moved]
+        simulated = problem.record.outputs[problem.windows.rows] + residuals.reshape(-1, c) * problem.noise
+        errors = [_lasting_rounding(rounded, simulated, problem, phase) for phase in PHASES]
+        moved = [np.einsum("wst,wt->ws", inverse, problem.per_window(lead * e[:, None])) for e in errors]
+        along = [np.sum(lin.by_states * shift[problem.owner], axis=1) for shift in moved]
         carried += np.mean(np.square(along), axis=0)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
     carried = np.minimum(carried, 100.0)
-    changes = responses_to_input_noise(whole, point)
+    changes = responses_to_input_noise(problem, point)
     if changes.size:
-        shifts = inverse @ whole.per_window(lead[:, :, None] * changes[:, None, :])
-        left = changes - np.einsum("ns,nsd->nd", lin.by_states, shifts[whole.owner])
-        carried += np.mean(left**2, axis=1)
+        shifts = inverse @ problem.per_window(lead[:, :, None] * changes[:, None, :])
+        remaining = changes - np.einsum("ns,nsd->nd", lin.by_states, shifts[problem.owner])
+        carried += np.mean(remaining**2, axis=1)
     return np.asarray(carried.reshape(-1, c)[windows.scored])

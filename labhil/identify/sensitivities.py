@@ -40,19 +40,21 @@ def sensitivities(problem: Problem, point: Point, residuals: FloatArray, noise: 
         columns = left * singular
         for k, s in enumerate(singular):
             length = min(SHARE * noise / max(float(s), 1e-300), LONGEST)
-            found = _stepped(problem, point, residuals, directions[k], length) if length > SHORTEST else None
-            if found is not None:
-                columns[:, k] = problem.project(lin, found[:, None])[:, 0]
+            slope = (
+                _step_slope(problem, point, residuals, directions[k], length) if length > SHORTEST else None
+            )
+            if slope is not None:
+                columns[:, k] = problem.project(lin, slope[:, None])[:, 0]
         slopes = columns @ directions / size
     return np.asarray(slopes)
 
 
-def _stepped(
+def _step_slope(
     problem: Problem, point: Point, residuals: FloatArray, direction: FloatArray, length: float
 ) -> FloatArray | None:
     """Slope (N·c,) along a relative ``direction`` (P,), from both sides where bounds let it."""
-    ends = [_moved(problem, point.z, side * length * direction) for side in (1.0, -1.0)]
-    above, below = (None if z is None else problem.residuals(Point(z, point.states)) for z in ends)
+    points = [_step_relative(problem, point.z, side * length * direction) for side in (1.0, -1.0)]
+    above, below = (None if z is None else problem.residuals(Point(z, point.states)) for z in points)
     if above is not None and below is not None:
         return (above - below) / (2.0 * length)
     if above is not None:
@@ -60,8 +62,8 @@ def _stepped(
     return None if below is None else (residuals - below) / length
 
 
-def _moved(problem: Problem, z: FloatArray, step: FloatArray) -> FloatArray | None:
-    """``z`` after a relative step; None where that is out of bounds."""
+def _step_relative(problem: Problem, z: FloatArray, step: FloatArray) -> FloatArray | None:
+    """``z`` after a relative step; None where it leaves the bounds."""
     size = np.maximum(np.abs(z), 1.0)
     far = np.abs(z) > BY_FACTORS
     moved = np.where(far, z * np.exp(step * size / np.where(far, z, 1.0)), z + step * size)

@@ -45,29 +45,29 @@ ELSEWHERE = 0.5
 
 def over_shapes(fitted: Fitted) -> Fitted:
     """The best of this fit and those that begin at other values of what is scanned, with its rivals."""
-    found = [fitted]
+    fits = [fitted]
     errors = _errors(fitted)
     for j, place in enumerate(fitted.problem.free):
         parameter = fitted.problem.model.parameters[place]
-        best = min(found, key=lambda each: each.solution.cost)
+        best = min(fits, key=lambda fit: fit.solution.cost)
         if parameter.waves_over and fitted.problem.model.state_names:
             values = orders_instead(best, parameter)
         else:
             values = _values(parameter, float(fitted.theta[place]), float(errors[j]))
-        found.extend(_scanned(best, j, values))
-    best = min(found, key=lambda each: each.solution.cost)
-    return replace(best, rivals=tuple(_rivals(best, found)))
+        fits.extend(_scan(best, j, values))
+    best = min(fits, key=lambda fit: fit.solution.cost)
+    return replace(best, rivals=tuple(_rivals(best, fits)))
 
 
 def beside_rivals(fitted: Fitted, places: tuple[Fitted, ...]) -> Fitted:
     """The best of this fit and those that begin where these other fits stand, with its rivals."""
-    problem, found = fitted.problem, [fitted]
+    problem, fits = fitted.problem, [fitted]
     for place in places:
         begin = Point(place.theta[problem.free] / problem.scale, fitted.solution.point.states)
-        let_go = least_squares(problem, begin, iterations=30, settled=True, thorough=False)
-        found.append(replace(fitted, theta=problem.theta(let_go.point.z), solution=let_go))
-    best = min(found, key=lambda each: each.solution.cost)
-    return replace(best, rivals=tuple(_rivals(best, found)))
+        solution = least_squares(problem, begin, iterations=30, settled=True, thorough=False)
+        fits.append(replace(fitted, theta=problem.theta(solution.point.z), solution=solution))
+    best = min(fits, key=lambda fit: fit.solution.cost)
+    return replace(best, rivals=tuple(_rivals(best, fits)))
 
 
 def _values(parameter: Parameter, value: float, error: float) -> FloatArray:
@@ -80,65 +80,70 @@ def _values(parameter: Parameter, value: float, error: float) -> FloatArray:
     return np.empty(0)
 
 
-def _scanned(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
+def _scan(fitted: Fitted, j: int, values: FloatArray) -> Iterator[Fitted]:
     """Where the fit ends from the most promising ``values`` (SI) of free parameter ``j``."""
     problem, solution = fitted.problem, fitted.solution
     begin = Point(_without_amplitude(problem, solution.point.z, j), solution.point.states)
-    held = _held(problem, [(begin, value) for value in values.tolist()], j, AT_FIRST)
-    better = sorted(held, key=lambda found: found.cost)[: (len(held) + 1) // 2]
+    refits = _refit_from(problem, [(begin, value) for value in values.tolist()], j, AT_FIRST)
+    better = sorted(refits, key=lambda refit: refit.cost)[: (len(refits) + 1) // 2]
     scale = problem.scale[j]
     again = [(trial.point, float(trial.point.z[j] * scale)) for trial in better]
-    held = _held(problem, again, j, AFTERWARDS)
-    for trial in sorted(held, key=lambda found: found.cost)[:LET_GO]:
-        let_go = least_squares(
+    refits = _refit_from(problem, again, j, AFTERWARDS)
+    for trial in sorted(refits, key=lambda refit: refit.cost)[:LET_GO]:
+        freed = least_squares(
             problem, trial.point, iterations=30, tolerance=ON_THE_WAY, settled=True, thorough=False
         )
-        yield replace(fitted, theta=problem.theta(let_go.point.z), solution=let_go)
+        yield replace(fitted, theta=problem.theta(freed.point.z), solution=freed)
 
 
 def _without_amplitude(problem: Problem, z: FloatArray, j: int) -> FloatArray:
     """Scaled parameters with the rest of the term of ``j`` at neutral: a level depends on its width."""
     parameters = [problem.model.parameters[i] for i in problem.free]
-    term, own = parameters[j].term, parameters[j].recording
+    term, recording = parameters[j].term, parameters[j].recording
     others = [
         i
         for i, p in enumerate(parameters)
-        if term is not None and p.term == term and not p.shape and (own is None or p.recording in (None, own))
+        if term is not None
+        and p.term == term
+        and not p.shape
+        and (recording is None or p.recording in (None, recording))
     ]
     begin = z.copy()
     begin[others] = [parameters[i].neutral / problem.scale[i] for i in others]
     return begin
 
 
-def _held(problem: Problem, begins: Sequence[tuple[Point, float]], j: int, iterations: int) -> list[Solution]:
-    """What each of these begins with its value of free parameter ``j`` (SI) leads to; points of all."""
-    found = list(side_by_side(lambda begin: _held_at(problem, *begin, j, iterations), begins))
-    problem.evaluations += sum(evaluations for _, evaluations in found)
-    return [solution for solution, _ in found]
+def _refit_from(
+    problem: Problem, begins: Sequence[tuple[Point, float]], j: int, iterations: int
+) -> list[Solution]:
+    """Fits from each of these points, free parameter ``j`` held at the value beside it (SI)."""
+    refits = list(side_by_side(lambda begin: _refit_at(problem, *begin, j, iterations), begins))
+    problem.evaluations += sum(evaluations for _, evaluations in refits)
+    return [solution for solution, _ in refits]
 
 
-def _held_at(problem: Problem, begin: Point, value: float, j: int, iterations: int) -> tuple[Solution, int]:
-    """All but free parameter ``j`` refitted a little, that one held at ``value`` (SI); and simulations."""
+def _refit_at(problem: Problem, begin: Point, value: float, j: int, iterations: int) -> tuple[Solution, int]:
+    """A short fit with free parameter ``j`` held at ``value`` (SI), and how many simulations it took."""
     theta = problem.theta(begin.z)
     theta[problem.free[j]] = value
-    pinned = problem.pinned(np.array([j]), theta)
+    held_problem = problem.pin(np.array([j]), theta)
     start = Point(np.delete(begin.z, j), begin.states)
-    found = least_squares(pinned, start, iterations=iterations, settled=True, thorough=False)
-    whole = np.insert(found.point.z, j, value / problem.scale[j])
-    return replace(found, point=Point(whole, found.point.states)), pinned.evaluations
+    solution = least_squares(held_problem, start, iterations=iterations, settled=True, thorough=False)
+    z = np.insert(solution.point.z, j, value / problem.scale[j])
+    return replace(solution, point=Point(z, solution.point.states)), held_problem.evaluations
 
 
-def _rivals(best: Fitted, found: list[Fitted]) -> Iterator[Fitted]:
+def _rivals(best: Fitted, fits: list[Fitted]) -> Iterator[Fitted]:
     """The other minima that explain the data about as well, each once."""
     errors = _errors(best)
     known: list[Fitted] = [best]
-    for other in sorted(found, key=lambda each: each.solution.cost):
-        if other.solution.cost > best.solution.cost + ABOUT_AS_WELL * best.noise**2:
+    for fit in sorted(fits, key=lambda fit: fit.solution.cost):
+        if fit.solution.cost > best.solution.cost + ABOUT_AS_WELL * best.noise**2:
             return
-        apart = [np.abs(other.theta - each.theta)[best.problem.free] > ELSEWHERE * errors for each in known]
-        if all(np.any(each) for each in apart):
-            known.append(other)
-            yield replace(other, rivals=())
+        apart = [np.abs(fit.theta - rival.theta)[best.problem.free] > ELSEWHERE * errors for rival in known]
+        if all(np.any(places) for places in apart):
+            known.append(fit)
+            yield replace(fit, rivals=())
 
 
 def _errors(fitted: Fitted) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What may be said of an estimate: standard errors, tests, intervals, and what the data cannot know.
+"""Statistics of estimates: standard errors, tests, intervals, and what the data cannot know.
 
 The covariance does not assume white residuals. With the projected Jacobian J (states of the windows
 taken out) and residuals r, both in units of noise,
@@ -6,7 +6,7 @@ taken out) and residuals r, both in units of noise,
     C = (JᵀJ)⁻¹ · S · (JᵀJ)⁻¹,   S = Γ₀ + Σ_l w_l·(Γ_l + Γ_lᵀ),   Γ_l = Σ_t J_t r_t r_{t−l} J_{t−l}ᵀ
 
 with Bartlett's weights (Newey and West 1987) and Andrews' (1991) bandwidth, which lets the spread of the
-residuals change with the regime but is biased low on short records; and, where it says more, the same with
+residuals change with the regime but is biased low on short records; and, where it is larger, the same with
 the autocovariance of an autoregressive model of each channel in the place of r_t r_{t−l}. Negative
 correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
 """
@@ -67,7 +67,7 @@ class Estimate:
 
 
 def runs(begins: Sequence[int], n: int) -> list[slice]:
-    """Rows of each recording among ``n`` samples, which ``begins`` says where they begin."""
+    """Rows of each recording among ``n`` samples, the recordings beginning at the rows ``begins``."""
     edges = [*begins, n]
     return [slice(a, b) for a, b in pairwise(edges)]
 
@@ -93,19 +93,19 @@ def robust_covariance(
     robust = inverse @ long_run_variance(scores, begins) @ inverse * (n / dof)
     modelled = inverse @ modelled_variance(jacobian, residuals, channels, begins) @ inverse * (n / dof)
     robust = _at_least(modelled, robust)
-    least, found = np.diag(classical), np.diag(robust)
-    lost = ~(found > 1e-12 * least)
+    floor, variances = np.diag(classical), np.diag(robust)
+    lost = ~(variances > 1e-12 * floor)
     # rounding may leave nothing, or less, of a direction that the data do not know
     robust[lost, :] = robust[:, lost] = 0.0
-    robust[lost, lost] = least[lost]
+    robust[lost, lost] = floor[lost]
     return _at_least(robust, classical)
 
 
-def _at_least(covariance: FloatArray, other: FloatArray) -> FloatArray:
-    """A covariance (P, P) whose variances are raised, correlations kept, to those of another one."""
-    wanted = np.diag(other)
-    there = np.maximum(np.diag(covariance), 1e-24 * wanted + 1e-300)
-    shortfall = np.sqrt(np.maximum(1.0, wanted / there))
+def _at_least(covariance: FloatArray, floor: FloatArray) -> FloatArray:
+    """A covariance (P, P) whose variances are raised, correlations kept, to those of ``floor`` (P, P)."""
+    wanted = np.diag(floor)
+    variances = np.maximum(np.diag(covariance), 1e-24 * wanted + 1e-300)
+    shortfall = np.sqrt(np.maximum(1.0, wanted / variances))
     return np.asarray(covariance * np.outer(shortfall, shortfall))
 
 
@@ -113,7 +113,7 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
     """(JᵀJ)⁻¹ of a Jacobian (N, P) whose columns have about unit length.
 
     A direction that changes nothing gets a huge variance instead of none: slopes from differences are
-    known to about 1e-7, so nothing under 1e-9 of the largest singular value is told from zero.
+    known to about 1e-7, so a singular value under 1e-9 of the largest one counts as that much.
     """
     _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
     singular = np.maximum(singular, FAINTEST * max(float(singular.max(initial=0.0)), 1e-130))
@@ -121,10 +121,10 @@ def inverse_information(jacobian: FloatArray) -> FloatArray:
 
 
 def nonzero(values: FloatArray, covariance: FloatArray, looks: int = 1) -> bool:
-    """Whether values (k,), all together, are told from zero: Wald's test at 1 %.
+    """Whether values (k,), all together, differ from zero: Wald's test at 1 %.
 
-    They are the best of so many ``looks``. What nothing is known of (an infinite variance in ``covariance``,
-    (k, k)) says nothing.
+    They are the best of so many ``looks``. Values with an infinite variance in ``covariance`` (k, k) do not
+    count.
     """
     known = np.flatnonzero(np.isfinite(np.diag(covariance)))
     if not len(known):
@@ -133,7 +133,7 @@ def nonzero(values: FloatArray, covariance: FloatArray, looks: int = 1) -> bool:
     return bool(values[known] @ inverse @ values[known] > stats.chi2.isf(ALPHA / looks, len(known)))
 
 
-def lagged(rows: FloatArray, lag: int, begins: Sequence[int] = (0,)) -> FloatArray:
+def lagged_product(rows: FloatArray, lag: int, begins: Sequence[int] = (0,)) -> FloatArray:
     """Σ_t row_t·row_{t−lag}ᵀ of rows (n, P), both from the same recording, (P, P)."""
     parts = [rows[run] for run in runs(begins, len(rows))]
     return np.asarray(sum(part[lag:].T @ part[: len(part) - lag] for part in parts if len(part) > lag))
@@ -150,7 +150,7 @@ def long_run_variance(scores: FloatArray, begins: Sequence[int] = (0,)) -> Float
     reach = bandwidth(scores, begins)
     for lag in range(1, reach + 1):
         weight = 1.0 - lag / (reach + 1)
-        cross = lagged(scores, lag, begins)
+        cross = lagged_product(scores, lag, begins)
         total = total + weight * (cross + cross.T)
     return np.asarray(total)
 
@@ -164,11 +164,11 @@ def modelled_variance(
     """
     total = np.zeros((jacobian.shape[1], jacobian.shape[1]))
     for channel in range(channels):
-        own, columns = residuals[channel::channels], jacobian[channel::channels]
-        covariance = autocovariance(own, begins)
+        series, columns = residuals[channel::channels], jacobian[channel::channels]
+        covariance = autocovariance(series, begins)
         total += covariance[0] * columns.T @ columns
         for lag in range(1, len(covariance)):
-            cross = lagged(columns, lag, begins)
+            cross = lagged_product(columns, lag, begins)
             total += covariance[lag] * (cross + cross.T)
     return total
 
@@ -180,17 +180,17 @@ def autocovariance(residuals: FloatArray, begins: Sequence[int] = (0,)) -> Float
     power = float(residuals @ residuals) / n
     if power <= 0.0 or orders < 1:
         return np.array([power])
-    measured = np.array([float(lagged(residuals, lag, begins)) for lag in range(orders + 1)]) / n
+    measured = np.array([float(lagged_product(residuals, lag, begins)) for lag in range(orders + 1)]) / n
     best, weights, score = 0, np.empty(0), n * np.log(power)
     for order in range(1, orders + 1):
-        tried = solve_toeplitz(measured[:order], measured[1 : order + 1])
-        left = measured[0] - float(tried @ measured[1 : order + 1])
-        if left > 0.0 and n * np.log(left) + 2.0 * order < score:
-            best, weights, score = order, tried, n * np.log(left) + 2.0 * order
-    found = list(measured[: best + 1])
-    while best and len(found) < n // 4 and max(abs(x) for x in found[-best:]) > FADED * power:
-        found.append(float(weights @ found[: -best - 1 : -1]))
-    return np.array(found)
+        weights_tried = solve_toeplitz(measured[:order], measured[1 : order + 1])
+        innovation = measured[0] - float(weights_tried @ measured[1 : order + 1])
+        if innovation > 0.0 and n * np.log(innovation) + 2.0 * order < score:
+            best, weights, score = order, weights_tried, n * np.log(innovation) + 2.0 * order
+    covariances = list(measured[: best + 1])
+    while best and len(covariances) < n // 4 and max(abs(x) for x in covariances[-best:]) > FADED * power:
+        covariances.append(float(weights @ covariances[: -best - 1 : -1]))
+    return np.array(covariances)
 
 
 def bandwidth(scores: FloatArray, begins: Sequence[int] = (0,)) -> int:
@@ -222,7 +222,7 @@ def estimates(
     """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter.
 
     ``unknown`` (P,) marks parameters that take part in a direction which the data do not know;
-    ``intervals`` (P,) are cut at the bounds here. A variance of zero says that a value was held.
+    ``intervals`` (P,) are cut at the bounds here. A variance of zero marks a value that was held.
     """
     rows = []
     for i, parameter in enumerate(parameters):
@@ -233,7 +233,7 @@ def estimates(
         identifiable = bool(error < max(parameter.scale, abs(value)) and not unknown[i])
         low, high = max(intervals[i][0], parameter.lower), min(intervals[i][1], parameter.upper)
         if np.isnan(error) or not (identifiable or low < high):
-            low = high = np.nan  # nothing is known of it, and an interval without width would say all
+            low = high = np.nan  # nothing is known of it: an interval without width would claim certainty
         rows.append(
             Estimate(
                 name=parameter.name,
@@ -255,7 +255,7 @@ def estimates(
     return rows
 
 
-def stated(parameters: list[Parameter], values: FloatArray, errors: FloatArray) -> list[Estimate]:
+def stated_estimates(parameters: list[Parameter], values: FloatArray, errors: FloatArray) -> list[Estimate]:
     """Rows of values (P,) that are taken from elsewhere, with their standard errors (P,)."""
     spread = np.diag(np.asarray(errors, dtype=np.float64) ** 2)
     ends = [(float(v - REACH * e), float(v + REACH * e)) for v, e in zip(values, errors, strict=True)]
@@ -293,8 +293,8 @@ def of_channels(
 
     The test is given a channel's residuals in one recording, and which rows these are.
     """
-    found = [test(column[run], run) for column in residuals.T for run in runs(begins, len(residuals))]
-    return min(1.0, len(found) * min(found))
+    p_values = [test(column[run], run) for column in residuals.T for run in runs(begins, len(residuals))]
+    return min(1.0, len(p_values) * min(p_values))
 
 
 def whiteness(residuals: FloatArray, lags: int = 20) -> float:
@@ -329,10 +329,10 @@ def input_crosscorrelation(residuals: FloatArray, inputs: FloatArray, lags: int 
         return 1.0
     rho = float(residuals[1:] @ residuals[:-1]) / max(float(residuals @ residuals), 1e-300)
     r, u = residuals[1:] - rho * residuals[:-1], inputs[1:] - rho * inputs[:-1]
-    lagged = np.column_stack([u[lags - k : len(u) - k] for k in range(lags)])
-    lagged = lagged - lagged.mean(axis=0)
+    lagged_inputs = np.column_stack([u[lags - k : len(u) - k] for k in range(lags)])
+    lagged_inputs = lagged_inputs - lagged_inputs.mean(axis=0)
     target = r[lags:] - r[lags:].mean()
-    left, singular, _ = np.linalg.svd(lagged, full_matrices=False)
+    left, singular, _ = np.linalg.svd(lagged_inputs, full_matrices=False)
     strong = singular > 1e-8 * max(singular[0], 1e-300)
     explained = float(np.sum((left[:, strong].T @ target) ** 2))
     statistic = len(target) * explained / max(float(target @ target), 1e-300)

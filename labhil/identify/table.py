@@ -63,11 +63,11 @@ def table_of(
     ends = _intervals(fitted, method, robust, classical, jacobian, reach)
     rows = statistics.estimates(chosen, values, robust, classical, n, unknown, ends)
     if method is not Intervals.WALD:
-        rows = _without_the_open(rows, chosen, robust, reach)
+        rows = _mark_undetermined(rows, chosen, robust, reach)
     return ParameterTable(rows, robust, jacobian)
 
 
-def widened(
+def widen(
     table: ParameterTable,
     parameters: Sequence[Parameter],
     values: Sequence[Mapping[str, float]],
@@ -106,10 +106,10 @@ def _spread(
     return float(np.sqrt(np.mean(excess))) if excess else 0.0
 
 
-def _without_the_open(
+def _mark_undetermined(
     rows: list[statistics.Estimate], parameters: list[Parameter], covariance: FloatArray, reach: float
 ) -> list[statistics.Estimate]:
-    """Rows whose intervals say that a value is not determined say so, and those that are tied to them."""
+    """The rows, not identifiable where an interval is open, nor where an error is tied to such a value's."""
     open_ended = np.array([_is_open(row, p, reach) for row, p in zip(rows, parameters, strict=True)])
     errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     seen = np.isfinite(errors)
@@ -151,13 +151,13 @@ def _intervals(
         ends = bootstrap_intervals(
             jacobian, solution.residuals, values, fitted.dof, reach, begins=tuple(begins)
         )
-    followed = np.isfinite(errors) & _followed(fitted, errors, method)
+    followed = np.isfinite(errors) & _needs_profile(fitted, errors, method)
     if np.any(followed):
         profiles = _profiles(fitted, followed, jacobian, inflation, reach)
         parameters = [problem.model.parameters[i] for i in problem.free]
         ends = [
-            wald if found is None else _wide_enough(found, wald, parameter)
-            for found, wald, parameter in zip(profiles, ends, parameters, strict=True)
+            wald if profile is None else _wide_enough(profile, wald, parameter)
+            for profile, wald, parameter in zip(profiles, ends, parameters, strict=True)
         ]
     for rival in fitted.rivals:
         ends = [_hull(*both) for both in zip(ends, _of_rival(rival, fitted, inflation, reach), strict=True)]
@@ -172,11 +172,11 @@ def _profiles(
     Where the data know nothing of a direction, one parameter of it is held and none of it followed: that
     changes no profile of the others, and the refits along them need not wander.
     """
-    whole, theta, free = fitted.problem, fitted.theta, fitted.problem.free
-    parameters = [whole.model.parameters[i] for i in free]
+    full_problem, theta, free = fitted.problem, fitted.theta, fitted.problem.free
+    parameters = [full_problem.model.parameters[i] for i in free]
     lost, involved = lost_directions(parameters, theta[free], jacobian, fitted.noise)
     kept = np.delete(np.arange(len(free)), lost)
-    problem = whole.pinned(lost, theta)
+    problem = full_problem.pin(lost, theta)
     point = Point(fitted.solution.point.z[kept], fitted.solution.point.states)
     solution = replace(fitted.solution, point=point)
     scaled = jacobian[:, kept] * problem.scale
@@ -186,7 +186,7 @@ def _profiles(
     for j, place in enumerate(kept):
         if followed[place] and not involved[place]:
             ends[place] = profile_interval(problem, solution, j, covariance, float(inflation[place]), reach)
-    whole.evaluations += problem.evaluations
+    full_problem.evaluations += problem.evaluations
     return ends
 
 
@@ -203,27 +203,27 @@ def _of_rival(rival: Fitted, best: Fitted, inflation: FloatArray, reach: float) 
     _, classical, _ = covariances(rival)
     values, errors = rival.theta[rival.problem.free], np.sqrt(np.maximum(np.diag(classical), 0.0))
     excess = max(rival.solution.cost - best.solution.cost, 0.0) / best.noise**2
-    left = np.sqrt(np.maximum(reach**2 * inflation - excess, 0.0)) * errors
-    return [(float(v - e), float(v + e)) if e > 0.0 else None for v, e in zip(values, left, strict=True)]
+    remaining = np.sqrt(np.maximum(reach**2 * inflation - excess, 0.0)) * errors
+    return [(float(v - e), float(v + e)) if e > 0.0 else None for v, e in zip(values, remaining, strict=True)]
 
 
 def _hull(one: Interval, other: Interval | None) -> Interval:
     return one if other is None else (min(one[0], other[0]), max(one[1], other[1]))
 
 
-def _followed(fitted: Fitted, errors: FloatArray, method: Intervals) -> np.ndarray:
+def _needs_profile(fitted: Fitted, errors: FloatArray, method: Intervals) -> np.ndarray:
     """Which free parameters get a profile, (P,) of bool: by their ``errors`` (P,), SI, by the method, or all.
 
-    Where a simulation goes in steps no slope tells an interval, whatever the method.
+    Where a simulation goes in steps no slope gives an interval, whatever the method.
     """
     parameters = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     in_steps = np.array([p.in_steps for p in parameters], dtype=bool)
     if method is Intervals.AUTO:
-        return in_steps | _bent(fitted, errors, parameters)
+        return in_steps | _is_curved(fitted, errors, parameters)
     return np.full(len(parameters), method is Intervals.PROFILE) | (in_steps & (method is Intervals.WALD))
 
 
-def _bent(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) -> np.ndarray:
+def _is_curved(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) -> np.ndarray:
     """Which free parameters have a cost that is no parabola, (P,) of bool.
 
     Those of a term with a shape, and sizes that cannot be zero and are poorly known (``errors``, SI).

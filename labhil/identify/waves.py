@@ -1,7 +1,7 @@
 """At which orders (waves along a coordinate) the fit of a force that repeats along the way may begin.
 
 The cost has a valley at every other multiple of one over the distance travelled, so no ladder of starts finds
-the right one: every order is asked what its two waves would explain, by projection, before any is refitted.
+the right one: what the two waves of an order would explain is projected for every order before any refit.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SMALL = 0.1
 Starts = list[dict[str, float]]
 
 _known: WeakKeyDictionary[Problem, dict[str, Starts]] = WeakKeyDictionary()
-"""A search asks the same of one fit again and again: beside each rival, in each pair."""
+"""Starts by term of each fit: a search needs the same ones beside each rival and in each pair."""
 
 
 def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
@@ -59,7 +59,7 @@ def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
         if term.order is not None and model.state_names:
             best, *others = wave_starts(fitted, term, term.order) or [{}]
             sets = [*({**values, **best} for values in sets), *({**sets[0], **other} for other in others)]
-    return [dict(each) for each in dict.fromkeys(tuple(values.items()) for values in sets)]
+    return [dict(items) for items in dict.fromkeys(tuple(values.items()) for values in sets)]
 
 
 def orders_instead(fitted: Fitted, order: Parameter) -> FloatArray:
@@ -72,18 +72,18 @@ def orders_instead(fitted: Fitted, order: Parameter) -> FloatArray:
     bare = Point(theta[problem.free] / problem.scale, point.states)
     residuals = problem.residuals(bare)
     without = replace(fitted, theta=theta, solution=replace(fitted.solution, point=bare, residuals=residuals))
-    return np.array([values[order.key] for values in _scanned(without, term, order)])
+    return np.array([values[order.key] for values in _scan(without, term, order)])
 
 
 def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     """Values of a term's parameters, at the orders that promise most beside a fit without it, best first."""
     known = _known.setdefault(fitted.problem, {})
     if term.key not in known:
-        known[term.key] = _scanned(fitted, term, order)
+        known[term.key] = _scan(fitted, term, order)
     return known[term.key]
 
 
-def _scanned(fitted: Fitted, term: Term, order: Parameter) -> Starts:
+def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     problem = fitted.problem
     along = problem.model.coordinates(
         fitted.theta, problem.record, problem.windows, fitted.solution.point.states
@@ -111,18 +111,18 @@ class Scan:
         """
         together, apart = TURN / max(float(np.ptp(self.way)), 1e-12), TURN / self._span()
         if apart < FEW * together:
-            return self._peaks(self._tried(together), one_phase=True)
-        peaks = [k for k, _ in self._peaks(self._tried(apart), one_phase=False)]
-        near = [np.r_[k, np.arange(max(k - apart, self._lowest()), k + apart, together)] for k in peaks]
-        return self._peaks(np.unique(np.concatenate([[], *near])), one_phase=True)
+            return self._peaks(self._order_grid(together), one_phase=True)
+        peaks = [k for k, _ in self._peaks(self._order_grid(apart), one_phase=False)]
+        orders = [np.r_[k, np.arange(max(k - apart, self._lowest()), k + apart, together)] for k in peaks]
+        return self._peaks(np.unique(np.concatenate([[], *orders])), one_phase=True)
 
-    def _tried(self, step: float) -> FloatArray:
+    def _order_grid(self, step: float) -> FloatArray:
         """Orders a step apart, as far up as samples show them."""
         windows = self.unexplained.fitted.problem.windows
-        moved = np.abs(np.diff(self.way))[np.diff(windows.owner) == 0]
-        if not moved.any():
+        steps = np.abs(np.diff(self.way))[np.diff(windows.owner) == 0]
+        if not steps.any():
             return np.empty(0)
-        high = min(np.pi / float(np.quantile(moved[moved > 0.0], SLOW)), self._finest())
+        high = min(np.pi / float(np.quantile(steps[steps > 0.0], SLOW)), self._finest())
         low = self._lowest()
         return np.arange(low, min(self.order.upper, high, low + MOST * step), step)
 
@@ -146,30 +146,30 @@ class Scan:
 
     def _peaks(self, orders: FloatArray, *, one_phase: bool) -> list[tuple[float, list[float]]]:
         """The highest local maxima among orders in turn, highest first, with the sizes of their waves."""
-        found = [self._promise(float(k), one_phase=one_phase) for k in orders]
-        promised = np.array([-np.inf, *(promise for promise, _ in found), -np.inf])
+        promises = [self._promise(float(k), one_phase=one_phase) for k in orders]
+        promised = np.array([-np.inf, *(promise for promise, _ in promises), -np.inf])
         peaks = np.flatnonzero((promised[1:-1] >= promised[:-2]) & (promised[1:-1] > promised[2:]))
         highest = peaks[np.argsort(-promised[1:-1][peaks])][:PROPOSED]
-        return [(float(orders[i]), found[i][1]) for i in highest]
+        return [(float(orders[i]), promises[i][1]) for i in highest]
 
     def _promise(self, order: float, *, one_phase: bool) -> tuple[float, list[float]]:
         """What of the squares the waves of one order explain, and their sizes."""
-        told, problem = self.unexplained, self.unexplained.fitted.problem
+        unexplained, problem = self.unexplained, self.unexplained.fitted.problem
         places = index_of(problem.model.parameters)
         columns = []
         for wave in self.waves:
-            theta = told.fitted.theta.copy()
+            theta = unexplained.fitted.theta.copy()
             theta[places[self.order.key]] = order
             theta[places[wave.key]] = SMALL * wave.scale
-            columns.append(told.changed(theta))
+            columns.append(unexplained.residual_change(theta))
         both = np.column_stack(columns)
         if one_phase:
-            both = told.beside(both)
-            gram, pull = (both.T @ both)[None], (both.T @ told.target)[None]
+            both = unexplained.beside(both)
+            gram, pull = (both.T @ both)[None], (both.T @ unexplained.target)[None]
         else:
-            both = told.beside_states(both)
+            both = unexplained.beside_states(both)
             gram = problem.per_window(both[:, :, None] * both[:, None, :])
-            pull = problem.per_window(both * told.target[:, None])
+            pull = problem.per_window(both * unexplained.target[:, None])
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
         sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
         explained = float(np.sum(sizes * pull))

@@ -56,9 +56,9 @@ class States:
 
     def or_better(self, problem: Problem, other: States) -> States:
         """The other where it costs less, window by window."""
-        return self.chosen(problem, other.costs(problem) < self.costs(problem), other)
+        return self.choose(problem, other.costs(problem) < self.costs(problem), other)
 
-    def chosen(self, problem: Problem, which: np.ndarray, other: States) -> States:
+    def choose(self, problem: Problem, which: np.ndarray, other: States) -> States:
         """The other in the windows ``which`` (W,)."""
         return States(
             np.where(which[:, None], other.states, self.states),
@@ -75,7 +75,7 @@ def refine(problem: Problem, z: FloatArray, first: States, second: States) -> St
     """Begin each window at the better of both states, and improve it by itself."""
     if not problem.model.state_names:
         return first
-    return _damped_states(problem, z, first.or_better(problem, second), POLISH)
+    return _improve_states(problem, z, first.or_better(problem, second), POLISH)
 
 
 def search_states(
@@ -87,7 +87,7 @@ def search_states(
         centre = problem.guess if k % 2 else best.states
         reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
         begin = centre + random.standard_normal(states.shape) * reach
-        best = best.or_better(problem, _damped_states(problem, z, evaluate(problem, z, begin), 4))
+        best = best.or_better(problem, _improve_states(problem, z, evaluate(problem, z, begin), 4))
     return best.states
 
 
@@ -99,13 +99,13 @@ def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iteration
     """
     if not states.shape[1]:
         return states
-    free = _damped_states(problem, z, evaluate(problem, z, states), iterations)
+    free = _improve_states(problem, z, evaluate(problem, z, states), iterations)
     moving = _velocities(problem)
     resting = evaluate(problem, z, np.where(moving, 0.0, states))
-    at_rest = _damped_states(problem, z, resting, iterations, ~moving)
+    at_rest = _improve_states(problem, z, resting, iterations, ~moving)
     allowance = np.sum(moving) * np.log(_rows_of_windows(problem))
     rest = at_rest.costs(problem) <= free.costs(problem) + allowance
-    return free.chosen(problem, rest, at_rest).states
+    return free.choose(problem, rest, at_rest).states
 
 
 def grow_states(problem: Problem, z: FloatArray, shortest: float) -> FloatArray:
@@ -134,38 +134,38 @@ def _rows_of_windows(problem: Problem) -> IntArray:
     return np.diff(np.r_[problem.edges, len(problem.owner)])
 
 
-def rescued_states(problem: Problem, z: FloatArray, found: States) -> States:
+def rescue_states(problem: Problem, z: FloatArray, estimate: States) -> States:
     """Give windows that fit far worse than most a fresh start from other velocities.
 
     Near a stop the state has several local minima, and one window in a wrong one can bend all
     parameters.
     """
-    costs = found.costs(problem) / _rows_of_windows(problem)
-    return _from_other_velocities(problem, z, found, np.flatnonzero(costs > OUTLYING * np.median(costs)))
+    costs = estimate.costs(problem) / _rows_of_windows(problem)
+    return _from_other_velocities(problem, z, estimate, np.flatnonzero(costs > OUTLYING * np.median(costs)))
 
 
-def _from_other_velocities(problem: Problem, z: FloatArray, found: States, which: IntArray) -> States:
-    """The better, in some windows, of what was found and what other velocities lead to."""
+def _from_other_velocities(problem: Problem, z: FloatArray, estimate: States, which: IntArray) -> States:
+    """The better, in some windows, of the estimate and what other velocities lead to."""
     moving = _velocities(problem)
     if not len(which) or not moving.any():
-        return found
+        return estimate
     part = problem.of_windows(which)
-    best = _of_windows(problem, found, which)
+    best = _of_windows(problem, estimate, which)
     for offset in OTHER_VELOCITIES:
         begin = part.guess + offset * problem.model.state_scale * moving
-        best = best.or_better(part, _damped_states(part, z, evaluate(part, z, begin), 6))
-    return _with_windows(problem, found, which, best)
+        best = best.or_better(part, _improve_states(part, z, evaluate(part, z, begin), 6))
+    return _with_windows(problem, estimate, which, best)
 
 
-def _of_windows(problem: Problem, found: States, which: IntArray) -> States:
-    """What was found of some windows."""
-    return States(found.states[which], found.residuals[np.isin(problem.owner, which)])
+def _of_windows(problem: Problem, estimate: States, which: IntArray) -> States:
+    """The estimate of some windows alone."""
+    return States(estimate.states[which], estimate.residuals[np.isin(problem.owner, which)])
 
 
-def _with_windows(problem: Problem, found: States, which: IntArray, other: States) -> States:
-    """What was found, with that of some windows put in its place."""
-    states, residuals = found.states.copy(), found.residuals.copy()
-    states[which], residuals[np.isin(problem.owner, which)] = other.states, other.residuals
+def _with_windows(problem: Problem, estimate: States, which: IntArray, replacement: States) -> States:
+    """The estimate with that of some windows replaced."""
+    states, residuals = estimate.states.copy(), estimate.residuals.copy()
+    states[which], residuals[np.isin(problem.owner, which)] = replacement.states, replacement.residuals
     return States(states, residuals)
 
 
@@ -191,100 +191,100 @@ def estimate_states(problem: Problem, z: FloatArray, *, thorough: bool = True) -
 
     ``thorough`` as in :func:`estimate_states_at`.
     """
-    found = _turned(problem, z, evaluate(problem, z, fit_states(problem, z, problem.guess)))
-    found = rescued_states(problem, z, found)
-    return _searched(problem, z, found) if thorough and problem.model.state_names else found
+    estimate = _align_angles(problem, z, evaluate(problem, z, fit_states(problem, z, problem.guess)))
+    estimate = rescue_states(problem, z, estimate)
+    return _search_noisy(problem, z, estimate) if thorough and problem.model.state_names else estimate
 
 
-def _turned(problem: Problem, z: FloatArray, found: States) -> States:
-    """The same from the angle at which each recording as a whole is explained best.
+def _align_angles(problem: Problem, z: FloatArray, estimate: States) -> States:
+    """The estimate from the angle at which each recording as a whole is explained best.
 
-    Nothing may tell where a shaft stood when a recording began; from there on its angle is guessed well, so a
+    Where a shaft stood when a recording began may be unknown; from there on its angle is guessed well, so a
     window has one of its own only where that explains clearly more.
     """
     angles = np.array([name.endswith(ANGLE) for name in problem.model.state_names])
     if not angles.any():
-        return found
-    held = replace(found, states=np.where(angles, problem.guess, found.states))
+        return estimate
+    held = replace(estimate, states=np.where(angles, problem.guess, estimate.states))
     for turn in (np.arange(ANGLES) / ANGLES, np.linspace(-1.0, 1.0, ANGLES + 1) / ANGLES):
-        begin = _shifted(problem, z, held.states, 2.0 * np.pi * turn, angles)
-        held = _damped_states(problem, z, begin, 8, ~angles)
-    free = found.or_better(problem, _damped_states(problem, z, held, 8))
+        begin = _shift_by_recording(problem, z, held.states, 2.0 * np.pi * turn, angles)
+        held = _improve_states(problem, z, begin, 8, ~angles)
+    free = estimate.or_better(problem, _improve_states(problem, z, held, 8))
     common = held.costs(problem) <= free.costs(problem) + np.log(_rows_of_windows(problem))
-    return free.chosen(problem, common, held)
+    return free.choose(problem, common, held)
 
 
-def _shifted(
+def _shift_by_recording(
     problem: Problem, z: FloatArray, states: FloatArray, shifts: FloatArray, which: np.ndarray
 ) -> States:
     """States (W, S) with ``which`` (S,) of them further by the shift that is best for its recording."""
     costs = [evaluate(problem, z, states + shift * which).costs(problem) for shift in shifts]
     rows = [begin.row for begin in problem.record.begins]
     recording = np.searchsorted(rows, problem.windows.first, side="right") - 1
-    of_recordings = np.array([np.bincount(recording, each, len(rows)) for each in costs])
+    of_recordings = np.array([np.bincount(recording, cost, len(rows)) for cost in costs])
     best = shifts[np.argmin(of_recordings, axis=0)][recording]
     return evaluate(problem, z, states + best[:, None] * which)
 
 
-def _searched(problem: Problem, z: FloatArray, found: States) -> States:
+def _search_noisy(problem: Problem, z: FloatArray, estimate: States) -> States:
     """Other states of the windows that leave more than noise: grown, from other velocities, from anywhere."""
-    found = _grown(problem, z, found, _noisy(problem, found))
-    found = _from_other_velocities(problem, z, found, _noisy(problem, found))
-    bad = _noisy(problem, found)
+    estimate = _grow_windows(problem, z, estimate, _noisy_windows(problem, estimate))
+    estimate = _from_other_velocities(problem, z, estimate, _noisy_windows(problem, estimate))
+    bad = _noisy_windows(problem, estimate)
     if not len(bad):
-        return found
+        return estimate
     part = problem.of_windows(bad)
-    states = search_states(part, z, found.states[bad], np.random.default_rng(0))
-    return _with_windows(problem, found, bad, evaluate(part, z, states))
+    states = search_states(part, z, estimate.states[bad], np.random.default_rng(0))
+    return _with_windows(problem, estimate, bad, evaluate(part, z, states))
 
 
-def _grown(problem: Problem, z: FloatArray, found: States, which: IntArray) -> States:
-    """The better, in some windows, of what was found and what is found on more and more of each."""
+def _grow_windows(problem: Problem, z: FloatArray, estimate: States, which: IntArray) -> States:
+    """The better, in some windows, of the estimate and one on more and more of each window."""
     if not len(which):
-        return found
+        return estimate
     part = problem.of_windows(which)
     grown = evaluate(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
-    best = _of_windows(problem, found, which).or_better(part, grown)
-    return _with_windows(problem, found, which, best)
+    best = _of_windows(problem, estimate, which).or_better(part, grown)
+    return _with_windows(problem, estimate, which, best)
 
 
-def reestimate(problem: Problem, z: FloatArray, found: States) -> States:
-    """The better of what was found and what windows find from their guess on, the parameters held.
+def reestimate(problem: Problem, z: FloatArray, estimate: States) -> States:
+    """The better of the estimate and a new one from the windows' guess, the parameters held.
 
     Steps of the parameters may have led windows into wrong valleys, even most of them. The few that still
     leave more than noise begin from anywhere.
     """
     if not problem.model.state_names:
-        return found
-    found = found.or_better(problem, estimate_states(problem, z, thorough=False))
-    few = 2 * len(_noisy(problem, found)) < len(found.states)
-    return _searched(problem, z, found) if few else found
+        return estimate
+    estimate = estimate.or_better(problem, estimate_states(problem, z, thorough=False))
+    few = 2 * len(_noisy_windows(problem, estimate)) < len(estimate.states)
+    return _search_noisy(problem, z, estimate) if few else estimate
 
 
-def _noisy(problem: Problem, found: States) -> IntArray:
+def _noisy_windows(problem: Problem, estimate: States) -> IntArray:
     """Windows that leave more than noise."""
-    return np.flatnonzero(found.costs(problem) > MORE_THAN_NOISE * _rows_of_windows(problem))
+    return np.flatnonzero(estimate.costs(problem) > MORE_THAN_NOISE * _rows_of_windows(problem))
 
 
-def _damped_states(
+def _improve_states(
     problem: Problem, z: FloatArray, begin: States, iterations: int, which: np.ndarray | bool = True
 ) -> States:
     """Levenberg-Marquardt of all windows at once, each with its own damping; ``which`` (S,) states move."""
-    found = begin
+    estimate = begin
     damping = np.full(len(begin.states), 1e-3)
     cost = begin.costs(problem)
     for _ in range(iterations):
-        slopes = problem.state_slopes(Point(z, found.states), found.residuals) * which
+        slopes = problem.state_slopes(Point(z, estimate.states), estimate.residuals) * which
         gram = problem.state_gram(slopes, damping)
-        pull = problem.per_window(slopes * found.residuals[:, None])
+        pull = problem.per_window(slopes * estimate.residuals[:, None])
         step = np.linalg.solve(gram, pull[:, :, None])[:, :, 0] * which
-        trial = evaluate(problem, z, found.states - step * problem.model.state_scale)
+        trial = evaluate(problem, z, estimate.states - step * problem.model.state_scale)
         trial_cost = trial.costs(problem)
         better = trial_cost < cost
-        found = found.chosen(problem, better, trial)
+        estimate = estimate.choose(problem, better, trial)
         damping = np.where(better, np.maximum(0.1 * damping, 1e-8), 10.0 * damping)
         gained = np.where(better, cost - trial_cost, 0.0)
         cost = np.where(better, trial_cost, cost)
         if np.all(gained <= 1e-6 * cost + 1e-12) and np.all(better | (damping > 1.0)):
             break
-    return found
+    return estimate

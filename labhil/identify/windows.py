@@ -10,14 +10,15 @@ import numpy as np
 
 from labhil.errors import RecordingError
 from labhil.identify.quantiser import converter_step, held_samples, uneven_step
-from labhil.physics.model import Metric, Model, Record, Windows, joined
+from labhil.physics.joining import join_records
+from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 FEWEST_SAMPLES = 20
 """In a record, and in the lead-in of a scored window."""
 
 HOLE = 10.0
-"""Usual steps of time from which no window goes on over a hole: nobody knows what drove the rig in it.
+"""Usual steps of time from which no window goes on over a hole: what drove the rig in it is not known.
 
 Shorter ones are bridged as the input's hold says: windows that end at each lost sample would all be short.
 """
@@ -35,18 +36,18 @@ def fit_windows(record: Record, length: float) -> Windows:
     Raises RecordingError when a recording is too short for one window of 20 samples.
     """
     spans = []
-    for before, each, called in _each(record):
-        if len(each) < FEWEST_SAMPLES:
+    for before, recording, label in _labelled_recordings(record):
+        if len(recording) < FEWEST_SAMPLES:
             raise RecordingError(
-                f"{called}too short: {len(each)} samples, at least {FEWEST_SAMPLES} are needed"
+                f"{label}too short: {len(recording)} samples, at least {FEWEST_SAMPLES} are needed"
             )
-        for first, last in _stretches(each):
-            cut = each.part(first, last)
-            spans += [(before + first + a, before + first + b) for a, b in _equal(cut, length)]
+        for first, last in _stretches(recording):
+            cut = recording.part(first, last)
+            spans += [(before + first + a, before + first + b) for a, b in _equal_windows(cut, length)]
     return Windows.of(spans)
 
 
-def _equal(record: Record, length: float) -> list[tuple[int, int]]:
+def _equal_windows(record: Record, length: float) -> list[tuple[int, int]]:
     """Equal windows of about ``length`` s of a recording, (first, last) each."""
     n, duration = len(record), record.t[-1] - record.t[0]
     count = max(1, round(duration / length))
@@ -56,11 +57,11 @@ def _equal(record: Record, length: float) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges) if b - a > 1]
 
 
-def _each(record: Record) -> Iterator[tuple[int, Record, str]]:
+def _labelled_recordings(record: Record) -> Iterator[tuple[int, Record, str]]:
     """Each recording with the number of samples before it, and how a message about it begins."""
     several = len(record.begins) > 1
-    for begin, each in zip(record.begins, record.recordings(), strict=True):
-        yield begin.row, each, f"recording {begin.number}: " if several else ""
+    for begin, recording in zip(record.begins, record.recordings(), strict=True):
+        yield begin.row, recording, f"recording {begin.number}: " if several else ""
 
 
 def _stretches(record: Record) -> list[tuple[int, int]]:
@@ -71,8 +72,8 @@ def _stretches(record: Record) -> list[tuple[int, int]]:
     step = np.diff(record.t)
     ends = np.flatnonzero(step > HOLE * np.median(step)) + 1
     edges = np.r_[0, ends, len(record)]
-    found = [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= FEWEST_SAMPLES]
-    return found or [(0, len(record))]
+    stretches = [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= FEWEST_SAMPLES]
+    return stretches or [(0, len(record))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,24 +96,27 @@ def scored_windows(record: Record, horizon: float) -> ScoredWindows:
     The lead-in has at least 20 samples, or as many as there are. The last stretch may be shorter,
     down to half a horizon. Raises RecordingError when not even one fits into a recording.
     """
-    tiles = [before + _tiles_between_holes(each, horizon, called) for before, each, called in _each(record)]
+    tiles = [
+        before + _tiles_between_holes(recording, horizon, label)
+        for before, recording, label in _labelled_recordings(record)
+    ]
     first, middle, last = np.concatenate(tiles, axis=1)
     lead_windows = Windows.of(list(zip(first.tolist(), middle.tolist(), strict=True)))
     whole = Windows.of(list(zip(first.tolist(), last.tolist(), strict=True)))
     return ScoredWindows(lead_windows, whole, whole.rows >= middle[whole.owner], horizon)
 
 
-def _tiles_between_holes(record: Record, horizon: float, called: str) -> IntArray:
+def _tiles_between_holes(record: Record, horizon: float, label: str) -> IntArray:
     """The tiles between the holes of one recording, (3, w), or across them where none fits between."""
-    found = [first + _tiles(record.part(first, last), horizon) for first, last in _stretches(record)]
-    tiles = np.concatenate(found, axis=1)
+    by_stretch = [first + _tiles(record.part(first, last), horizon) for first, last in _stretches(record)]
+    tiles = np.concatenate(by_stretch, axis=1)
     if not tiles.size:
         tiles = _tiles(record, horizon)
     if not tiles.size:
-        have = record.t[-1] - record.t[0] if len(record) else 0.0
+        duration = record.t[-1] - record.t[0] if len(record) else 0.0
         lead = max(0.5 * horizon, FEWEST_SAMPLES * record.period)
         raise RecordingError(
-            f"{called}too short to score: {have:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
+            f"{label}too short to score: {duration:.3g} s, one window needs {lead + 0.5 * horizon:.3g} s "
             f"(lead-in {lead:.3g} s and half a horizon); a shorter [metric] horizon may do"
         )
     return tiles
@@ -132,8 +136,8 @@ def _tiles(record: Record, horizon: float) -> IntArray:
 
 def all_of(record: Record) -> ScoredWindows:
     """Each whole recording as one scored stretch without a lead-in: for inverse dynamics, without a state."""
-    whole = Windows.of(record.spans)
-    return ScoredWindows(whole, whole, np.ones(len(record), dtype=bool), record.longest)
+    recordings = Windows.of(record.spans)
+    return ScoredWindows(recordings, recordings, np.ones(len(record), dtype=bool), record.longest)
 
 
 def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
@@ -141,8 +145,8 @@ def split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
 
     The time of holes does not count.
     """
-    parts = [_split(each, share, gap) for each in record.recordings()]
-    return joined([learn for learn, _ in parts]), joined([held_out for _, held_out in parts])
+    parts = [_split(recording, share, gap) for recording in record.recordings()]
+    return join_records([learn for learn, _ in parts]), join_records([held_out for _, held_out in parts])
 
 
 def _split(record: Record, share: float, gap: float) -> tuple[Record, Record]:
@@ -169,20 +173,22 @@ def noise_of(record: Record) -> FloatArray:
     events out of it. A channel in steps (an ADC that the noise does not dither) has at least the variance of
     rounding, step²/12, also where its steps are uneven. Where a channel is held at one value for long (a part
     at rest, the end of a range) its noise is that of all else; ``record.least_noise`` is what the whole
-    recording showed. A controller that
-    answers noise with motion within four samples makes it look a little (under 15 %) too small.
+    recording showed. A controller that reacts to noise with motion within four samples makes it look a
+    little (under 15 %) too small.
     """
     sigmas = []
     rows, third = _third_differences(record)
     for j, column in enumerate(record.outputs.T):
-        left, step = third(column), converter_step(column)
+        differences, step = third(column), converter_step(column)
         # what is read in even steps is held by them as well as by rest, and has their rounding for its noise
         if step == 0.0:
             step = uneven_step(column)
             held = held_samples(column)
             moving = ~held[rows].all(axis=1)
-            left = left[moving] if held.any() and moving.sum() >= FEWEST_MOVING else left
-        spread = float(np.sqrt(np.mean(np.square(left[np.abs(left) <= 8.0 * _robust(left)]))))
+            differences = differences[moving] if held.any() and moving.sum() >= FEWEST_MOVING else differences
+        spread = float(
+            np.sqrt(np.mean(np.square(differences[np.abs(differences) <= 8.0 * _robust_scale(differences)])))
+        )
         least = record.least_noise[j] if record.least_noise else 0.0
         sigmas.append(max(spread, step / np.sqrt(12.0), least, 1e-12))
     return np.array(sigmas)
@@ -209,7 +215,7 @@ def _third_differences(record: Record) -> tuple[IntArray, Callable[[FloatArray],
     first = np.concatenate([np.arange(a, b - 3) for a, b in record.spans])
     rows = first[:, None] + np.arange(4)
     t = record.t[rows]
-    # time that stands or goes back is a fault of the data, and says nothing of where samples belong
+    # time that stands or goes back is a fault of the data: such samples are taken as evenly spaced
     t = np.where((np.diff(t, axis=1) > 0.0).all(axis=1, keepdims=True), t, np.arange(4.0))
     weights = 1.0 / np.prod(t[:, :, None] - t[:, None, :] + np.eye(4), axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
@@ -217,16 +223,17 @@ def _third_differences(record: Record) -> tuple[IntArray, Callable[[FloatArray],
 
 
 def with_noise_scales(model: Model, record: Record) -> Record:
-    """Several recordings with what is known of the noise of each, so that a loud one says less; one as it is.
+    """Several recordings with the noise of each, so that a loud one has less weight; a single one as it is.
 
     What a filter leaves of the noise, as of inverse dynamics, is not read from differences.
     """
     if len(record.begins) == 1 or model.metric is Metric.INVERSE_DYNAMICS:
         return record
-    whole = noise_of(record)
-    own = [tuple((noise_of(each) / whole).tolist()) for each in record.recordings()]
+    noise = noise_of(record)
+    scales = [tuple((noise_of(recording) / noise).tolist()) for recording in record.recordings()]
     return replace(
-        record, begins=tuple(replace(b, noise_scale=x) for b, x in zip(record.begins, own, strict=True))
+        record,
+        begins=tuple(replace(b, noise_scale=scale) for b, scale in zip(record.begins, scales, strict=True)),
     )
 
 
@@ -234,10 +241,10 @@ def noise_at(record: Record, rows: IntArray, sigma: FloatArray) -> FloatArray:
     """Noise of the channels at some rows of a record, (N, channels), or ``sigma`` itself where it is one."""
     if not any(begin.noise_scale for begin in record.begins):
         return sigma
-    each = np.array([sigma * (begin.noise_scale or 1.0) for begin in record.begins])
-    return np.asarray(each[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
+    by_recording = np.array([sigma * (begin.noise_scale or 1.0) for begin in record.begins])
+    return np.asarray(by_recording[np.searchsorted([b.row for b in record.begins], rows, side="right") - 1])
 
 
-def _robust(x: FloatArray) -> float:
+def _robust_scale(x: FloatArray) -> float:
     centre = float(np.median(np.abs(x)))
     return 1.4826 * centre if centre > 0 else float(np.std(x)) + 1e-300

@@ -9,7 +9,7 @@ the columns ``air`` and ``casing``. So the flux that crosses the gap obliquely i
 the corners of nose and collar as they pass each other, or leaks through ring and winding, finds its way by
 itself: that is what stands here for formulas of fringing. What such a circuit cannot know is that steel
 saturates by the magnitude of a field that turns; at corners its forces are somewhat too high
-(:mod:`labhil.optimise.field` tells how much).
+(:mod:`labhil.optimise.field` shows how much).
 
 The fluxes ψ of the loops (Wb) minimise the convex function Σ w(Φ) − Σ drive·ψ, w being a branch's energy
 ∫ u dΦ; Newton's method with a line search finds them. Minus the minimum is the coenergy W', and the force
@@ -29,8 +29,8 @@ import numpy as np
 from labhil.compiled import compiled
 from labhil.cores import cores
 from labhil.errors import RunError
-from labhil.optimise.geometry import HOUSING, Housing, checked
-from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetised
+from labhil.optimise.geometry import HOUSING, Housing, check_designs
+from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetisation
 from labhil.signals import FloatArray
 
 PITCH = 0.5e-3
@@ -89,7 +89,7 @@ def force_curves(
     ``current`` in A, not 0 (default: the housing's). UsageError for designs far out of Table A.2's bounds,
     RunError where Newton's method does not end. Large batches share the processor's cores.
     """
-    table = checked(designs)
+    table = check_designs(designs)
     mmf = housing.turns * (housing.current if current is None else current)
     energies = np.empty((len(table), len(positions(housing)) + 1))
     parts = np.array_split(np.arange(len(table)), min(cores(), max(1, len(table) // 4)))
@@ -106,7 +106,7 @@ def force_curves(
 
 @compiled
 def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel, out: FloatArray) -> bool:
-    """Fill ``out`` (n, m) with W' in J at x = −½, ½, 1½, … pitches; false where one was not found."""
+    """Fill ``out`` (n, m) with W' in J at x = −½, ½, 1½, … pitches; false where one did not settle."""
     z = np.empty(CELLS + 1)
     network = Network(
         np.zeros((2, CELLS, COLUMNS)),
@@ -119,7 +119,7 @@ def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel,
     gradient = np.zeros((CELLS - 1, LOOPS))
     step = np.zeros((CELLS - 1, LOOPS))
     band = np.zeros((CELLS - 1, LOOPS, LOOPS + 1))
-    found = True
+    all_settled = True
     for n in range(designs.shape[0]):
         psi[:] = 0.0
         for j in range(out.shape[1]):
@@ -129,8 +129,8 @@ def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel,
                 _branches_of_cell(i, front, designs[n], housing, z, network)
             _drives(mmf, housing, z, network.drive)
             out[n, j], settled = _solve(network, steel, psi, before, gradient, step, band)
-            found = found and settled
-    return found
+            all_settled = all_settled and settled
+    return all_settled
 
 
 @compiled
@@ -326,7 +326,7 @@ def _branch(
     density = 0.5 * u * B
     metal = network.metal[side, i, k]
     if metal > 0.0:
-        h, stiffness, stored = magnetised(abs(B), steel)
+        h, stiffness, stored = magnetisation(abs(B), steel)
         u += metal * h if B > 0.0 else -metal * h
         slope += metal * stiffness
         density += metal * stored

@@ -37,19 +37,21 @@ class Database:
     def _interpolant(self) -> RBFInterpolator:
         return _interpolant(self.designs, self.curves)
 
-    def interpolated(self, designs: FloatArray) -> FloatArray:
+    def interpolate(self, designs: FloatArray) -> FloatArray:
         """Force curves (k, m) in N of designs (k, 5) in m and rad, by interpolation."""
-        return np.asarray(self._interpolant(scaled(designs)))
+        return np.asarray(self._interpolant(as_shares(designs)))
 
-    def extended(self, designs: FloatArray, curves: FloatArray) -> Database:
+    def extend(self, designs: FloatArray, curves: FloatArray) -> Database:
         """A database with these designs (k, 5) and curves (k, m) as well."""
         return Database(np.vstack([self.designs, designs]), np.vstack([self.curves, curves]))
 
-    def left_out(self) -> FloatArray:
+    def leave_one_out(self) -> FloatArray:
         """(n, m): each simulated curve as the others would have it."""
         rows = np.arange(len(self.curves))
         predicted = [
-            _interpolant(self.designs[rows != n], self.curves[rows != n])(scaled(self.designs[n : n + 1]))[0]
+            _interpolant(self.designs[rows != n], self.curves[rows != n])(as_shares(self.designs[n : n + 1]))[
+                0
+            ]
             for n in rows
         ]
         return np.array(predicted)
@@ -74,22 +76,22 @@ class InterpolationError:
 
 def apart(candidates: FloatArray, known: FloatArray, distance: float = APART) -> FloatArray:
     """The candidates (k, 5) that are not within ``distance`` (of the ranges) of a known or earlier one."""
-    kept, new = list(scaled(known)), []
-    for candidate, place in zip(candidates, scaled(candidates), strict=True):
+    kept, new = list(as_shares(known)), []
+    for candidate, place in zip(candidates, as_shares(candidates), strict=True):
         if not kept or np.min(np.linalg.norm(np.array(kept) - place, axis=1)) > distance:
             kept.append(place)
             new.append(candidate)
     return np.array(new).reshape(-1, candidates.shape[1])
 
 
-def scaled(designs: FloatArray) -> FloatArray:
+def as_shares(designs: FloatArray) -> FloatArray:
     """Designs (n, 5) in m and rad as shares of Table A.2's ranges, 0 to 1."""
     return np.asarray((designs - LOWER) / (UPPER - LOWER))
 
 
 def interpolation_error(database: Database, designs: FloatArray, curves: FloatArray) -> InterpolationError:
     """Compare with the circuit's curves (n, m) at designs (n, 5)."""
-    predicted = database.interpolated(designs)
+    predicted = database.interpolate(designs)
     error = predicted - curves
     return InterpolationError(
         len(designs),
@@ -97,14 +99,14 @@ def interpolation_error(database: Database, designs: FloatArray, curves: FloatAr
         float(np.abs(error).max()),
         _rms(largest_force(predicted) - largest_force(curves)),
         _rms(rms_slope(predicted) - rms_slope(curves)),
-        _rms(database.left_out() - database.curves),
+        _rms(database.leave_one_out() - database.curves),
     )
 
 
 def _interpolant(designs: FloatArray, curves: FloatArray) -> RBFInterpolator:
     from scipy.interpolate import RBFInterpolator
 
-    return RBFInterpolator(scaled(designs), curves, kernel="cubic", degree=2)
+    return RBFInterpolator(as_shares(designs), curves, kernel="cubic", degree=2)
 
 
 def _rms(values: FloatArray) -> float:

@@ -24,8 +24,8 @@ import numpy as np
 from labhil.errors import RunError
 from labhil.extras import load_optional
 from labhil.optimise.field_mesh import Section, solenoid
-from labhil.optimise.geometry import HOUSING, Housing, checked
-from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetised_all
+from labhil.optimise.geometry import HOUSING, Housing, check_designs
+from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetisation_all
 from labhil.signals import FloatArray
 
 STEPS = 60
@@ -71,7 +71,7 @@ def solve_solenoid(
     A solution's force counts towards +z, away from the pole piece. Errors: MissingExtraError; UsageError
     for designs far out of Table A.2's bounds; RunError where Newton's method does not end.
     """
-    return FieldProblem(solenoid(checked(design)[0], x, current, housing, fineness), steel).solve()
+    return FieldProblem(solenoid(check_designs(design)[0], x, current, housing, fineness), steel).solve()
 
 
 class FieldProblem:
@@ -107,14 +107,14 @@ class FieldProblem:
         B = self.flux_density(A)
         energy = self.energies(A, B)[0]
         for step in range(STEPS):
-            gradient, hessian = self._linearised(B)
-            direction = self._solved(hessian, gradient)
+            gradient, hessian = self._linearise(B)
+            direction = self._solve_linear(hessian, gradient)
             decrement = float(gradient @ direction)
             if decrement <= TOLERANCE * abs(energy):
                 return Solution(
                     self.energies(A, B)[1], self.force(B), B.mean(axis=2), int(self.basis.N), step
                 )
-            A, B, energy = self._advanced(A, direction, decrement, energy)
+            A, B, energy = self._advance(A, direction, decrement, energy)
         raise RunError(f"field solver: expected Newton's method to end in {STEPS} steps, it did not")
 
     def flux_density(self, A: FloatArray) -> FloatArray:
@@ -125,7 +125,7 @@ class FieldProblem:
     def energies(self, A: FloatArray, B: FloatArray) -> tuple[float, float]:
         """What the field minimises, ∫ w − J·A, and the coenergy ∫ ∫ B dH, both in J."""
         magnitude = np.hypot(B[0], B[1])
-        H, _, stored = magnetised_all(magnitude, self.steel)
+        H, _, stored = magnetisation_all(magnitude, self.steel)
         air = magnitude**2 / (2.0 * MU0)
         energy = np.where(self.is_steel, stored, air)
         coenergy = np.where(self.is_steel, H * magnitude - stored, air)
@@ -138,10 +138,10 @@ class FieldProblem:
         pull = B[0] * B[1] * g[0] + 0.5 * (B[1] ** 2 - B[0] ** 2) * g[1]
         return -float(np.sum(np.where(self.is_steel, 0.0, pull / MU0) * self.weight))
 
-    def _linearised(self, B: FloatArray) -> tuple[FloatArray, Any]:
+    def _linearise(self, B: FloatArray) -> tuple[FloatArray, Any]:
         library = skfem()
         magnitude = np.hypot(B[0], B[1])
-        H, slope, _ = magnetised_all(magnitude, self.steel)
+        H, slope, _ = magnetisation_all(magnitude, self.steel)
         # ν = H/B, and what dH/dB exceeds it by: it goes with the products of the components of B.
         small = magnitude < VANISHING
         nu = np.where(small, slope, H / np.maximum(magnitude, VANISHING))
@@ -164,11 +164,11 @@ class FieldProblem:
         gradient[self.fixed] = 0.0
         return gradient, library.BilinearForm(stiffness).assemble(self.basis, **known)
 
-    def _solved(self, hessian: Any, gradient: FloatArray) -> FloatArray:
+    def _solve_linear(self, hessian: Any, gradient: FloatArray) -> FloatArray:
         library = skfem()
         return np.asarray(library.solve(*library.condense(hessian, gradient, D=self.fixed)))
 
-    def _advanced(
+    def _advance(
         self, A: FloatArray, direction: FloatArray, decrement: float, energy: float
     ) -> tuple[FloatArray, FloatArray, float]:
         """One step along the direction, halved until the energy falls."""

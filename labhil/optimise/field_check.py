@@ -55,10 +55,10 @@ def check_by_field(designs: Mapping[str, FloatArray], progress: Callable[[str], 
     curves, points, changes, unknowns = {}, [], [], 0
     for name, design in designs.items():
         progress(f"field solver: {name}")
-        found = [solve_solenoid(design, float(at), full) for at in x]
+        solutions = [solve_solenoid(design, float(at), full) for at in x]
         half = solve_solenoid(design, float(x[middle]), 0.5 * full)
         finer = solve_solenoid(design, float(x[middle]), full, fineness=2.0 * FINENESS)
-        curves[name] = np.array([-solution.force for solution in found])
+        curves[name] = np.array([-solution.force for solution in solutions])
         circuit = force_curves(design)[0]
         weak = float(force_curves(design, current=0.5 * full)[0, middle])
         points += [
@@ -66,6 +66,6 @@ def check_by_field(designs: Mapping[str, FloatArray], progress: Callable[[str], 
             for row in zip(x.tolist(), curves[name].tolist(), circuit.tolist(), strict=True)
         ]
         points.append(FieldPoint(name, 0.5 * full, float(x[middle]), -half.force, weak))
-        changes.append(abs(finer.force / found[middle].force - 1.0))
+        changes.append(abs(finer.force / solutions[middle].force - 1.0))
         unknowns = max(unknowns, int(finer.unknowns))
     return FieldCheck(curves, tuple(points), max(changes), unknowns)

@@ -68,7 +68,7 @@ def solenoid(design: FloatArray, x: float, current: float, housing: Housing, fin
     coil = (rm > outside) & (rm < shell) & (zm > -housing.ahead) & (zm < housing.behind)
     area = housing.window * (housing.ahead + housing.behind)
     density = np.where(coil, housing.turns * current / area, 0.0)
-    return Section(*_bent(r, z, front, design, housing), steel, plunger, density)
+    return Section(*_bend(r, z, front, design, housing), steel, plunger, density)
 
 
 def graded(edges: list[float], fineness: float) -> FloatArray:
@@ -87,7 +87,7 @@ def graded(edges: list[float], fineness: float) -> FloatArray:
     return np.concatenate([*lines, [marks[-1]]])
 
 
-def _bent(
+def _bend(
     r: FloatArray, z: FloatArray, front: float, design: FloatArray, housing: Housing
 ) -> tuple[FloatArray, FloatArray]:
     """The lines' crossings, moved inwards so that the line r = R follows the cone."""

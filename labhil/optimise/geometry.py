@@ -108,7 +108,7 @@ class Housing(NamedTuple):
 HOUSING = Housing()
 
 
-def checked(designs: FloatArray) -> FloatArray:
+def check_designs(designs: FloatArray) -> FloatArray:
     """Return designs as a C-contiguous (n, 5) array of m and rad; UsageError for one that cannot be built."""
     table = np.ascontiguousarray(np.atleast_2d(np.asarray(designs, dtype=np.float64)))
     if table.ndim != 2 or table.shape[1] != len(PARAMETERS):
@@ -116,11 +116,13 @@ def checked(designs: FloatArray) -> FloatArray:
     margin = 1e-9 + 0.2 * (UPPER - LOWER)
     for row in table:
         if not np.all(np.isfinite(row)) or np.any(row < LOWER - margin) or np.any(row > UPPER + margin):
-            raise UsageError(f"design {shown(row)}: expected values within Table A.2's bounds, or close by")
+            raise UsageError(
+                f"design {design_text(row)}: expected values within Table A.2's bounds, or close by"
+            )
     return table
 
 
-def shown(design: FloatArray) -> str:
+def design_text(design: FloatArray) -> str:
     """A design (5,) as text in the text's units, like ``R 9.35 mm, L1 4.7 mm, …``."""
     return ", ".join(
         f"{p.symbol} {value * p.shown_scale:.4g}{'' if p.shown_unit == '°' else ' '}{p.shown_unit}"

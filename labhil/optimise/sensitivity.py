@@ -48,8 +48,8 @@ def local_sensitivity(design: FloatArray) -> LocalSensitivity:
     """By differences of the circuit around a design (5,); one-sided at a bound."""
     step = STEP * (UPPER - LOWER)
     above, below = np.minimum(design + step, UPPER), np.maximum(design - step, LOWER)
-    moved = np.vstack([_replaced(design, above), _replaced(design, below), design])
-    y = _outputs(force_curves(moved))
+    designs = np.vstack([_replace_each(design, above), _replace_each(design, below), design])
+    y = _outputs(force_curves(designs))
     slope = (y[:, :5] - y[:, 5:10]) / (above - below)
     relative = slope / y[:, 10:]
     elasticity = np.where(np.abs(design) > 0.0, relative * design, np.nan)
@@ -73,18 +73,18 @@ def global_sensitivity(
     y = _outputs(curves_of(np.vstack([A, B, mixed.reshape(-1, 5)])))
     f_AB = y[:, 2 * samples :].reshape(2, 5, samples).transpose(1, 0, 2)
     table = np.concatenate([y[:, :samples][None], y[:, samples : 2 * samples][None], f_AB])
-    found = _indices(table)
+    indices = _indices(table)
     again = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
     low, high = np.quantile(again, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
-    return GlobalSensitivity(*found, low, high, 7 * samples)
+    return GlobalSensitivity(*indices, low, high, 7 * samples)
 
 
 def _indices(table: FloatArray) -> tuple[FloatArray, FloatArray]:
     """First-order and total indices (2, 5) from outputs (7, 2, n): of A, of B, and of A with columns of B."""
     from scipy.stats import sobol_indices
 
-    found = sobol_indices(func={"f_A": table[0], "f_B": table[1], "f_AB": table[2:]}, n=table.shape[2])
-    return np.asarray(found.first_order), np.asarray(found.total_order)
+    indices = sobol_indices(func={"f_A": table[0], "f_B": table[1], "f_AB": table[2:]}, n=table.shape[2])
+    return np.asarray(indices.first_order), np.asarray(indices.total_order)
 
 
 def _outputs(curves: FloatArray) -> FloatArray:
@@ -92,7 +92,7 @@ def _outputs(curves: FloatArray) -> FloatArray:
     return np.stack([largest_force(curves), rms_slope(curves)])
 
 
-def _replaced(design: FloatArray, values: FloatArray) -> FloatArray:
+def _replace_each(design: FloatArray, values: FloatArray) -> FloatArray:
     """(5, 5): the design with one parameter after the other replaced."""
     rows = np.tile(design, (5, 1))
     np.fill_diagonal(rows, values)

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from labhil.optimise.field_check import FieldCheck
-from labhil.optimise.geometry import PARAMETERS, shown
+from labhil.optimise.geometry import PARAMETERS, design_text
 from labhil.optimise.objectives import rms_slope
 from labhil.optimise.study import (
     INTERPOLATED_NAME,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 FAR_OFF = 0.1
-"""A promise of the interpolation that misses the circuit by more than this is said aloud."""
+"""A promise of the interpolation that misses the circuit by more than this is printed."""
 
 
 def show(study: Optimisation, console: Console) -> None:
@@ -79,7 +79,8 @@ def _findings(study: Optimisation) -> Iterator[str]:
         better = study.no_weaker(candidate)
         yield (
             f"Of all designs evaluated with at least {candidate.largest_force:.0f} N ({candidate.name}), the "
-            f"most level one has {1e-3 * study.slope_of(better):.1f} N/mm: {shown(study.evaluated[better])}."
+            f"most level one has {1e-3 * study.slope_of(better):.1f} N/mm: "
+            f"{design_text(study.evaluated[better])}."
         )
     missed = study.promised - interpolated.cost
     error = study.interpolation

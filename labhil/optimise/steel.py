@@ -41,7 +41,7 @@ def flux_density(H: FloatArray, steel: Steel) -> FloatArray:
 
 
 @compiled
-def magnetised(B: float, steel: Steel) -> tuple[float, float, float]:
+def magnetisation(B: float, steel: Steel) -> tuple[float, float, float]:
     """H (A/m), dH/dB (A/(m·T)) and ∫ H dB (J/m³) at a flux density B ≥ 0 in T."""
     d = B - steel.saturation - MU0 * steel.half_field
     root = sqrt(d * d + 4.0 * MU0 * steel.half_field * B)
@@ -53,8 +53,8 @@ def magnetised(B: float, steel: Steel) -> tuple[float, float, float]:
     return H, slope, H * B - 0.5 * MU0 * H * H - steel.saturation * steel.half_field * excess
 
 
-def magnetised_all(B: FloatArray, steel: Steel) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What :func:`magnetised` returns, for flux densities B ≥ 0 of any shape."""
+def magnetisation_all(B: FloatArray, steel: Steel) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What :func:`magnetisation` returns, for flux densities B ≥ 0 of any shape."""
     J, H0 = steel
     d = B - J - MU0 * H0
     root = np.sqrt(d * d + 4.0 * MU0 * H0 * B)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.optimise.circuit import force_curves
-from labhil.optimise.database import Database, InterpolationError, apart, interpolation_error, scaled
+from labhil.optimise.database import Database, InterpolationError, apart, as_shares, interpolation_error
 from labhil.optimise.field import skfem
 from labhil.optimise.field_check import FieldCheck, check_by_field
 from labhil.optimise.geometry import LOWER, ORIGINAL, TEXT_OPTIMUM, UPPER
@@ -67,7 +67,7 @@ class Effort:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One design and what the circuit says of it."""
+    """One design with its figures by the circuit."""
 
     name: str
     design: FloatArray
@@ -139,7 +139,7 @@ class Optimisation:
 
 
 class Bench:
-    """The circuit, with a note of every design that it was asked for."""
+    """The circuit, with a log of every design that it was run on."""
 
     def __init__(self) -> None:
         self._designs: list[FloatArray] = []
@@ -153,11 +153,11 @@ class Bench:
         return curves
 
     def designs(self) -> FloatArray:
-        """(n, 5): all that were asked for."""
+        """(n, 5): all designs so far."""
         return np.concatenate(self._designs)
 
     def all_curves(self) -> FloatArray:
-        """(n, m) N: what they were answered."""
+        """(n, m) N: their force curves."""
         return np.concatenate(self._curves)
 
 
@@ -168,7 +168,7 @@ def run(
     field: bool = False,
     effort: Effort | None = None,
 ) -> Optimisation:
-    """Run the whole study; MissingExtraError when ``field`` is asked for and scikit-fem is not installed.
+    """Run the whole study; MissingExtraError when ``field`` is True and scikit-fem is not installed.
 
     The same seed gives the same result, but for ``seconds``.
     """
@@ -191,7 +191,7 @@ def run(
     designs = {ORIGINAL_NAME: ORIGINAL, TEXT_NAME: TEXT_OPTIMUM, INTERPOLATED_NAME: best.best}
     designs[REFINED_NAME] = _refine(database, bench, objectives, effort, rng)
     local = {name: local_sensitivity(designs[name]) for name in (ORIGINAL_NAME, REFINED_NAME)}
-    checked = check_by_field(designs, progress) if field else None
+    field_check = check_by_field(designs, progress) if field else None
     scores = objectives(bench.all_curves())
     return Optimisation(
         seed=seed,
@@ -208,7 +208,7 @@ def run(
         front=not_dominated(scores, APART_ON_FRONT),
         local=local,
         overall=overall,
-        field=checked,
+        field=field_check,
         seconds=time.perf_counter() - begin,
     )
 
@@ -221,7 +221,7 @@ def _sum(scores: FloatArray) -> FloatArray:
 def _towards(angle: float) -> Callable[[FloatArray], FloatArray]:
     """A wish whose best design lies on the Pareto front in this direction from ``CORNER``.
 
-    A sum with weights never asks for the hollow parts of a front; the smaller of two ratios does.
+    A weighted sum never leads to the hollow parts of a front; the smaller of two ratios does.
     """
     direction = np.maximum([np.cos(angle), np.sin(angle)], 0.02)
     return lambda scores: np.asarray(np.min((scores - CORNER) / direction, axis=1))
@@ -236,7 +236,7 @@ def _fly(
 ) -> Flight:
     """One swarm on the interpolated database; ``wish`` turns CF1 and CF2 (n, 2) into what is maximised."""
     return maximise(
-        lambda X: wish(objectives(database.interpolated(X))),
+        lambda X: wish(objectives(database.interpolate(X))),
         LOWER,
         UPPER,
         int(rng.integers(2**31)),
@@ -256,31 +256,31 @@ def _refine(
     """
     known = bench.designs()[np.argsort(-(_sum(objectives(bench.all_curves()))))[: effort.best_known]]
     known = apart(known, database.designs)
-    database = database.extended(known, bench.curves(known))
+    database = database.extend(known, bench.curves(known))
     angles = np.linspace(0.0, np.pi / 2, effort.angles)
     wishes = [_sum] * effort.swarms + [_towards(float(angle)) for angle in angles]
-    for left in range(effort.rounds, 0, -1):
+    for rounds_left in range(effort.rounds, 0, -1):
         ends = [_fly(database, objectives, wish, effort, rng).best for wish in wishes]
-        near = _nearby(database, objectives, NEAR * left / effort.rounds, rng)
+        near = _nearby(database, objectives, NEAR * rounds_left / effort.rounds, rng)
         new = apart(np.vstack([ends, near]), database.designs)
         if len(new):
-            database = database.extended(new, bench.curves(new))
+            database = database.extend(new, bench.curves(new))
     best = database.designs[np.argmax(_sum(objectives(database.curves)))]
-    return _settled(best, bench, objectives, effort)
+    return _settle(best, bench, objectives, effort)
 
 
-def _settled(best: FloatArray, bench: Bench, objectives: Objectives, effort: Effort) -> FloatArray:
+def _settle(best: FloatArray, bench: Bench, objectives: Objectives, effort: Effort) -> FloatArray:
     """The design (5,) at the top of the hill that ``best`` stands on, by simplex on the circuit itself."""
     from scipy.optimize import minimize
 
     def cost(shares: FloatArray) -> float:
         return -float(_sum(objectives(bench.curves(LOWER + shares[None, :] * (UPPER - LOWER))))[0])
 
-    start = scaled(best)
+    start = as_shares(best)
     corners = np.vstack([start, start + np.where(start > 0.5, -SIMPLEX, SIMPLEX) * np.eye(len(start))])
     options = {"initial_simplex": corners, "maxfev": effort.settling, "xatol": 1e-3, "fatol": 1e-4}
-    found = minimize(cost, start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(start), options=options)
-    return np.asarray(LOWER + found.x * (UPPER - LOWER))
+    optimum = minimize(cost, start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(start), options=options)
+    return np.asarray(LOWER + optimum.x * (UPPER - LOWER))
 
 
 def _nearby(database: Database, objectives: Objectives, reach: float, rng: np.random.Generator) -> FloatArray:

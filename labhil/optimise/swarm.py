@@ -1,4 +1,4 @@
-"""The reference text's particle swarm for a function that answers many designs at once."""
+"""The reference text's particle swarm for a function that evaluates many designs at once."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ def maximise(function: Function, lower: FloatArray, upper: FloatArray, seed: int
     """
     budget = Budget(PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
     ledger = _Batches(lambda X: -function(X), Box(lower, upper), budget)
-    found = text_swarm(ledger, seed, iterations=iterations)
-    return Flight(found.z, -found.cost)
+    result = text_swarm(ledger, seed, iterations=iterations)
+    return Flight(result.z, -result.cost)

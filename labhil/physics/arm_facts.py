@@ -35,4 +35,4 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
 
 def _joints(record: Record, name: str) -> FloatArray:
     names = [f"{name}_{joint}" for joint in range(record.outputs.shape[1])]
-    return np.column_stack([record.inputs[:, record.input_names.index(each)] for each in names])
+    return np.column_stack([record.inputs[:, record.input_names.index(column)] for column in names])

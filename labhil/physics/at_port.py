@@ -54,7 +54,9 @@ def laws_of(acceleration: Acceleration) -> Laws[Any, Any]:
     @specialised
     def free(s: Motion, u: float, part: Any) -> float:
         p, pushes = part
-        return pushes.share * acceleration(s.x, s.v, u, p) + sliding.pushed(0.0, s.x, pushes.extra)
+        return pushes.share * acceleration(s.x, s.v, u, p) + sliding.drive_acceleration(
+            0.0, s.x, pushes.extra
+        )
 
     @specialised
     def pull(s: Motion, side: float, u: float, part: Any) -> float:
@@ -95,12 +97,12 @@ def laws_of(acceleration: Acceleration) -> Laws[Any, Any]:
         return max(size, finest)
 
     @specialised
-    def damped(s: Motion, side: float, part: Any) -> tuple[float, float]:
-        # f's own damping is not known: it is followed by small steps and never said to creep
+    def no_damping(s: Motion, side: float, part: Any) -> tuple[float, float]:
+        # f's own damping is not known: it is followed by small steps and never counts as creeping
         return 0.0, 0.0
 
     @specialised
     def at(part: Any, course: Any, k: int) -> Any:
         return part
 
-    return Laws(pull, target, follow, none, grip, longest, damped, at)
+    return Laws(pull, target, follow, none, grip, longest, no_damping, at)

@@ -27,7 +27,7 @@ from labhil.signals import FloatArray
 
 TIME_CONSTANTS = 3.0
 REFERENCE = 20.0
-"""Temperature (°C) at which viscous friction is what it is said to be."""
+"""Temperature (°C) at which viscous friction has its stated value."""
 
 STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""
@@ -46,13 +46,15 @@ class Sizes:
             return
         recordings = record.recordings()
         self.force = float(np.sqrt(np.mean((gain * record.inputs[:, 0]) ** 2))) or 1.0
-        self.span = max(float(np.ptp(each.outputs[:, 0])) for each in recordings) or 1.0
-        speeds = np.concatenate([_speeds(each) for each in recordings])
+        self.span = max(float(np.ptp(recording.outputs[:, 0])) for recording in recordings) or 1.0
+        speeds = np.concatenate([_speeds(recording) for recording in recordings])
         self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        design = _of_all([_motion(each, gain) for each in recordings])
+        design = _stacked_regression([_motion(recording, gain) for recording in recordings])
         x = record.outputs[:, 0]
         by_force, by_drag, *_ = np.linalg.lstsq(design / _norms(design), x, rcond=None)[0] / _norms(design)
-        once = np.concatenate([_integral(each.t, gain * each.inputs[:, 0]) for each in recordings])
+        once = np.concatenate(
+            [_integral(recording.t, gain * recording.inputs[:, 0]) for recording in recordings]
+        )
         self.mass = 1.0 / by_force if by_force > 0 else self.force / max(float(np.std(once)), 1e-12)
         self.time_constant = float(np.clip(-1.0 / by_drag, 0.01, 10.0)) if by_drag < 0 else 0.5
 
@@ -81,9 +83,11 @@ def _motion(record: Record, gain: float) -> tuple[FloatArray, FloatArray]:
     return shared, np.column_stack([t, t**2, np.ones(len(t))])
 
 
-def _of_all(found: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
+def _stacked_regression(motions: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
     """The regression of all recordings: each begins in a way of its own."""
-    return np.hstack([np.vstack([shared for shared, _ in found]), block_diag(*(own for _, own in found))])
+    return np.hstack(
+        [np.vstack([shared for shared, _ in motions]), block_diag(*(begin for _, begin in motions))]
+    )
 
 
 def _integral(t: FloatArray, x: FloatArray) -> FloatArray:
@@ -172,22 +176,22 @@ class AxisModel:
         self.volts = record is not None and record.input_names[0] == "drive_voltage"
         self.fixed = known_numbers(rig)
         self.sizes = Sizes(record, self.fixed.get("drive_gain", 1.0) if self.volts else 1.0)
-        there = set(record.auxiliary) if record is not None else {"temperature"}
+        available = set(record.auxiliary) if record is not None else {"temperature"}
         everything = catalogue(self.sizes)
         self.terms: Mapping[str, Term] = {
             k: t
             for k, t in everything.items()
-            if set(t.needs) <= there and (k != "added_inertia" or "moving_mass" in self.fixed)
+            if set(t.needs) <= available and (k != "added_inertia" or "moving_mass" in self.fixed)
         }
         self.unobservable_terms: Mapping[str, str] = {
             "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
-        } | {k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if not set(t.needs) <= there}
-        own = {"moving_mass": ("kg", self.sizes.mass)}
+        } | {k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if not set(t.needs) <= available}
+        typical = {"moving_mass": ("kg", self.sizes.mass)}
         if self.volts and "drive_gain" not in self.fixed:
-            own["drive_gain"] = ("N/V", 1.0)
+            typical["drive_gain"] = ("N/V", 1.0)
         self.parameters = tuple(
             Parameter(n, unit, size, 1e-3 * size, 1e3 * size, starts=(size,))
-            for n, (unit, size) in own.items()
+            for n, (unit, size) in typical.items()
             if n not in self.fixed
         ) + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.02 * self.sizes.span, 0.1 * self.sizes.speed])
@@ -256,7 +260,7 @@ class AxisModel:
         motion = DriveMotion.of(record, self.cut_off)
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         return Balance(
-            motion.judged(self.needed(theta, record, motion)),
+            motion.at_judged(self.needed(theta, record, motion)),
             self.gain(theta) * motion.drive(nodes, values),
             self._mass(theta) * motion.noise,
             motion.low_pass.cut_off,

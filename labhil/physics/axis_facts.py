@@ -14,20 +14,20 @@ WITHIN = 4.0
 
 def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     """That the axis goes where it is pushed, as fast as a known mass allows, and derivatives agree."""
-    found = [rate_fact(record, 2.0, 1e6, 1000.0)]
+    figures = [rate_fact(record, 2.0, 1e6, 1000.0)]
     t, x, drive = record.t, record.outputs[:, 0], record.input_names[0]
     if "velocity" in record.auxiliary:
-        found += rate_of_change_fact(t, "position", x, "velocity", record.auxiliary["velocity"])
+        figures += rate_of_change_fact(t, "position", x, "velocity", record.auxiliary["velocity"])
     gain = second_order_gain(t, record.inputs[:, 0], x)
     if gain is None:
-        return found
+        return figures
     powers = {"position": 1, drive: -1, "t": -2}
     force = known.get("drive_gain") if drive == "drive_voltage" else 1.0
     if "moving_mass" in known and force is not None:
         what, why = "the acceleration over drive/moving_mass", "moving_mass of the rig file"
         ratio = gain * known["moving_mass"] / force
-        found.append(Fact(what, ratio, "", 1.0 / WITHIN, WITHIN, powers, why, 1.0, dynamic=True))
+        figures.append(Fact(what, ratio, "", 1.0 / WITHIN, WITHIN, powers, why, 1.0, dynamic=True))
     else:
         what = f"the acceleration per unit of {drive}"
-        found.append(Fact(what, gain, "", 0.0, inf, powers, "it goes where it is pushed", dynamic=True))
-    return found
+        figures.append(Fact(what, gain, "", 0.0, inf, powers, "it goes where it is pushed", dynamic=True))
+    return figures

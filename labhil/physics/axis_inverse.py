@@ -2,7 +2,7 @@
 
 M·ẍ + friction − other forces = gain·drive, both sides behind one low-pass (see ``physics.drive_balance``).
 Nothing is simulated, so errors of the force do not add up along the way. What enters by the way in or by the
-sensor is not offered: it cannot be told from the force. Scores stay those of the axis itself.
+sensor is not offered: it looks the same as the force. Scores stay those of the axis itself.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class AxisInverse:
         assert record.motion is not None
         assert record.whole is not None
         force = self.inner.needed(theta, record.whole, record.motion)
-        return (record.motion.judged(force) / self.inner.gain(theta))[windows.rows, None]
+        return (record.motion.at_judged(force) / self.inner.gain(theta))[windows.rows, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray

@@ -134,8 +134,8 @@ class BallBeamModel:
         self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
         self.fixed = {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
-        own = tuple(RIG_PARAMETERS[name] for name in self._estimated())
-        self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
+        estimated = tuple(RIG_PARAMETERS[name] for name in self._estimated())
+        self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index = index_of(self.parameters)
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
@@ -273,13 +273,13 @@ class BallBeamModel:
         Most simulations of a fit differ in friction or in initial states only.
         """
         key = (id(record), *(self._value(theta, name) for name in WAY_IN))
-        found = self._remembered.get(key)
-        if found is None or found[0] is not record:
-            found = (record, self._effective_input(theta, record))
+        entry = self._remembered.get(key)
+        if entry is None or entry[0] is not record:
+            entry = (record, self._effective_input(theta, record))
             if len(self._remembered) >= REMEMBERED:
                 self._remembered.clear()
-            self._remembered[key] = found
-        return found[1]
+            self._remembered[key] = entry
+        return entry[1]
 
     def _ratio(self, theta: FloatArray) -> float:
         if "crank_radius" not in self.fixed and "crank_radius" not in self._index:
@@ -299,7 +299,7 @@ class BallBeamModel:
         t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
         t, u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else (t, u)
         if time_constant:
-            t, u = input_path.refined(t, u, LAG_PARTS)
+            t, u = input_path.refine(t, u, LAG_PARTS)
             u = input_path.first_order_lag(t, u, time_constant)
         return t + self._value(theta, "time_delay.delay"), u
 

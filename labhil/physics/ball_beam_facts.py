@@ -26,12 +26,12 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     t, u, x, name = record.t, record.inputs[:, 0], record.outputs[:, 0], record.input_names[0]
     length = known.get("beam_length", LONGEST_BEAM)
     why = "beam_length of the rig file" if "beam_length" in known else "a bench's beam is shorter"
-    found = [
+    figures = [
         rate_fact(record, 2.0, 1e5),
         size_fact("ball_position", "m", x, 1.1 * length, 0.15, why),
     ]
     if name == "servo_angle":
-        found.append(
+        figures.append(
             size_fact(name, "rad", u, 1.1 * pi, 0.5, "a crank that goes beyond half a turn comes back")
         )
         sides = [known.get("crank_radius"), known.get("beam_length")]
@@ -39,16 +39,16 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
         if None in sides:
             low, high = SMALLEST_RATIO, 1.0
     else:
-        found.append(size_fact(name, "rad", u, 0.5 * pi, 0.1, "the beam would stand upright"))
+        figures.append(size_fact(name, "rad", u, 0.5 * pi, 0.1, "the beam would stand upright"))
         low = high = 1.0
     gain = second_order_gain(t, u, x)
     if gain is not None:
         powers = {"ball_position": 1, name: -1, "t": -2}
         typical = ROLLS * (low * high) ** 0.5
-        found.append(
+        figures.append(
             Fact(
                 f"the ball's acceleration per unit of {name}", gain, "m/s²", LEAST_SHARE * ROLLS * low,
                 MOST_SHARE * ROLLS * high, powers, "gravity and the linkage", typical, dynamic=True,
             )
         )  # fmt: skip
-    return found
+    return figures

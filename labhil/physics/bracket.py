@@ -28,7 +28,7 @@ def crossing(b: Bracket) -> float:
 
 
 @inlined
-def narrowed(b: Bracket, place: float, value: float) -> Bracket:
+def narrow(b: Bracket, place: float, value: float) -> Bracket:
     """The bracket with the end moved to ``place`` whose sign ``value`` has.
 
     An end that is kept twice counts for less by how much the value at the other one fell, or it would

@@ -1,7 +1,7 @@
 """The DC motor as it is fitted: rig parameters, terms, and their way into the winding kernel.
 
 Equations 4.1 to 4.9 of the reference text. From voltage and speed alone resistance and inductance times a,
-inertia and torques divided by a, change nothing; the model does not hide that, the statistics tell it.
+inertia and torques divided by a, change nothing; the model does not hide this, and the statistics show it.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class DcMotorModel:
 
     Driven by ``voltage``; simulates ``speed``, ``current`` or both. Parameters that the rig file does not
     know are estimated. States are speed, current and, as an offset that nobody fits, the angle; where no
-    recording tells that, it may be one more state (:meth:`placed`).
+    recording has the angle, it may be one more state (:meth:`with_place`).
     """
 
     kind = "dc_motor"
@@ -62,28 +62,28 @@ class DcMotorModel:
     def __init__(self, rig: RigFile, record: Record | None = None) -> None:
         self.sizes = Sizes(record)
         self.outputs = record.output_names if record is not None else ("speed", "current")
-        there = set(record.auxiliary) if record is not None else {"angle", "winding_temperature"}
+        available = set(record.auxiliary) if record is not None else {"angle", "winding_temperature"}
         self.fixed = known_numbers(rig)
         everything = catalogue(self.sizes, self.outputs, "inertia" in self.fixed)
-        self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if set(t.needs) <= there}
+        self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if set(t.needs) <= available}
         self.unobservable_terms: Mapping[str, str] = {
             k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if k not in self.terms
         }
-        own = tuple(p for n, p in own_parameters(self.sizes).items() if n not in self.fixed)
-        self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
+        estimated = tuple(p for n, p in own_parameters(self.sizes).items() if n not in self.fixed)
+        self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.05 * self.sizes.speed, 0.1 * self.sizes.current])
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
         self.horizon = horizon_of(self._stated, TIME_CONSTANTS * self.sizes.time_constant, record)
         self._path = DrivenPath()
         # without a measured angle each window counts its own from zero
-        told = record is not None and "angle" in record.auxiliary
-        self.moved = (MovedPart("shaft_angle" if told else "", "shaft_velocity", TURN),)
+        has_angle = record is not None and "angle" in record.auxiliary
+        self.moved = (MovedPart("shaft_angle" if has_angle else "", "shaft_velocity", TURN),)
 
-    def placed(self) -> DcMotorModel:
+    def with_place(self) -> DcMotorModel:
         """The same motor with the angle as one more state of every window, guessed from the measured speed.
 
-        Itself where recordings tell the angle, or not even the speed.
+        Itself where recordings have the angle, or not even the speed.
         """
         if self.moved[0].position or "speed" not in self.outputs:
             return self
@@ -120,20 +120,20 @@ class DcMotorModel:
         resistance = self.fixed.get("resistance", self.sizes.resistance)
         for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
             rows = slice(first, min(first + count, last))
-            seen = dict(zip(self.outputs, record.outputs[rows].mean(axis=0), strict=True))
+            means = dict(zip(self.outputs, record.outputs[rows].mean(axis=0), strict=True))
             u = float(record.inputs[first, 0])
-            speed = seen.get("speed")
-            current = seen.get("current")
+            speed = means.get("speed")
+            current = means.get("current")
             if speed is None:
                 speed = (u - resistance * float(current or 0.0)) / constant
             if current is None:
                 current = (u - constant * speed) / resistance
             states[w, :2] = speed, current
         if len(self.state_names) > 2:
-            states[:, 2] = self._turned(record)[windows.first]
+            states[:, 2] = self._shaft_angle(record)[windows.first]
         return states
 
-    def _turned(self, record: Record) -> FloatArray:
+    def _shaft_angle(self, record: Record) -> FloatArray:
         """How far the shaft turned since the begin of each recording by its measured speed, rad, (n,)."""
         speed = record.outputs[:, self.outputs.index("speed")]
         return np.concatenate(
@@ -213,15 +213,15 @@ class DcMotorModel:
         """ω, i and angle of all windows, (N, 3)."""
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         voltage = voltage * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(voltage))
-        begun = np.zeros((len(windows), 3))
-        begun[:, : states.shape[1]] = states
+        starts = np.zeros((len(windows), 3))
+        starts[:, : states.shape[1]] = states
         if "angle" in record.auxiliary:
-            begun[:, 2] = record.auxiliary["angle"][windows.first]
+            starts[:, 2] = record.auxiliary["angle"][windows.first]
         out = np.empty((len(windows.rows), 3))
         law = self._values.friction_law(theta, self._inertia(theta))
         warm, change = self._warm(theta, record), self._viscous_change(theta, record)
         given = (
-            record.t, node_t, voltage, windows.first, windows.last, begun, self._motor(theta), law,
+            record.t, node_t, voltage, windows.first, windows.last, starts, self._motor(theta), law,
             warm, change,
         )  # fmt: skip
         if self._extra is None:

@@ -22,18 +22,20 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     known both are measured, and their ratio tells units of speed, current, voltage and time apart.
     """
     t, u = record.t, record.inputs[:, 0]
-    seen = dict(zip(record.output_names, record.outputs.T, strict=True))
-    found = [rate_fact(record, 0.5, 1e6)]
-    speed, current = seen.get("speed"), seen.get("current")
+    channels = dict(zip(record.output_names, record.outputs.T, strict=True))
+    figures = [rate_fact(record, 0.5, 1e6)]
+    speed, current = channels.get("speed"), channels.get("current")
     if speed is not None and "angle" in record.auxiliary:
-        found += rate_of_change_fact(t, "angle", record.auxiliary["angle"], "speed", speed)
+        figures += rate_of_change_fact(t, "angle", record.auxiliary["angle"], "speed", speed)
     if speed is not None:
         push = [integral(t, u, held=True), integral(t, speed), integral(t, np.sign(speed))]
         answer, sure = slopes(speed, push, t, 0)
-        found += _positive("the answer of speed to voltage", answer[0], sure[0], {"speed": 1, "voltage": -1})
+        figures += _positive(
+            "the answer of speed to voltage", answer[0], sure[0], {"speed": 1, "voltage": -1}
+        )
     if speed is not None and current is not None:
-        found += _balances(t, u, speed, current, known)
-    return found
+        figures += _balances(t, u, speed, current, known)
+    return figures
 
 
 def _balances(
@@ -44,22 +46,22 @@ def _balances(
     electrical, sure = slopes(integral(t, u, held=True), [turned, charge, current], t, 0)
     torque, certain = slopes(speed, [charge, turned, integral(t, np.sign(speed))], t, 0)
     by_speed, by_current = {"voltage": 1, "speed": -1}, {"voltage": 1, "current": -1}
-    found = _positive("the voltage per speed", electrical[0], sure[0], by_speed)
-    found += _positive("the voltage per current", electrical[1], sure[1], by_current)
-    found += _positive("the answer of speed to current", torque[0], certain[0], {"speed": 1, "current": -1})
+    figures = _positive("the voltage per speed", electrical[0], sure[0], by_speed)
+    figures += _positive("the voltage per current", electrical[1], sure[1], by_current)
+    figures += _positive("the answer of speed to current", torque[0], certain[0], {"speed": 1, "current": -1})
     emf = electrical[0] if abs(sure[0]) > CERTAIN else None
     if emf is not None and "torque_constant" in known:
         ratio = emf / known["torque_constant"]
-        found.append(_ratio("the voltage per speed over torque_constant", ratio, by_speed))
+        figures.append(_ratio("the voltage per speed over torque_constant", ratio, by_speed))
     if abs(sure[1]) > CERTAIN and "resistance" in known:
-        found.append(
+        figures.append(
             _ratio("the voltage per current over resistance", electrical[1] / known["resistance"], by_current)
         )
     if emf and abs(certain[0]) > CERTAIN and "inertia" in known:
         ratio = torque[0] * known["inertia"] / emf
         powers = {"speed": 2, "current": -1, "voltage": -1, TIME: -1}
-        found.append(_ratio("the torque per current over the voltage per speed", ratio, powers))
-    return found
+        figures.append(_ratio("the torque per current over the voltage per speed", ratio, powers))
+    return figures
 
 
 def _positive(what: str, value: float, certainty: float, powers: Mapping[str, int]) -> list[Fact]:

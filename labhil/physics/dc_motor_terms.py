@@ -18,7 +18,7 @@ COPPER = 0.0039
 """Relative rise of copper's resistance per kelvin."""
 
 REFERENCE = 20.0
-"""Temperature (°C) at which resistance and viscous friction are what they are said to be."""
+"""Temperature (°C) at which resistance and viscous friction have their stated values."""
 
 TYPICAL_SPEED = 3.0
 TYPICAL_VOLTAGE = 5.0
@@ -45,20 +45,20 @@ class Sizes:
         self.constant, self.time_constant = TYPICAL_VOLTAGE / TYPICAL_SPEED, TYPICAL_TIME_CONSTANT
         if record is not None:
             self.voltage = _rms(record.inputs[:, 0]) or TYPICAL_VOLTAGE
-        seen = {} if record is None else dict(zip(record.output_names, record.outputs.T, strict=True))
-        if "current" in seen:
-            self.current = _rms(seen["current"]) or 1.0
+        channels = {} if record is None else dict(zip(record.output_names, record.outputs.T, strict=True))
+        if "current" in channels:
+            self.current = _rms(channels["current"]) or 1.0
         self.resistance = 0.5 * self.voltage / self.current
-        if "speed" in seen:
-            self.speed = _rms(seen["speed"]) or TYPICAL_SPEED
+        if "speed" in channels:
+            self.speed = _rms(channels["speed"]) or TYPICAL_SPEED
             self.constant = self.voltage / self.speed
         self.inductance = self.inertia = 0.0
-        if record is not None and "speed" in seen:
+        if record is not None and "speed" in channels:
             begins = [begin.row for begin in record.begins]
-            blocks = Blocks(record.t, record.inputs[:, 0], seen["speed"], begins)
+            blocks = Blocks(record.t, record.inputs[:, 0], channels["speed"], begins)
             self._first_order(blocks)
-            if "current" in seen:
-                self._both_balances(blocks, seen["current"])
+            if "current" in channels:
+                self._both_balances(blocks, channels["current"])
         self.inductance = self.inductance or 0.05 * self.time_constant * self.resistance
         self.inertia = self.inertia or self.time_constant * self.constant**2 / self.resistance
 
@@ -172,7 +172,19 @@ def own_parameters(s: Sizes) -> dict[str, Parameter]:
 def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str, Term]:
     """All terms of a motor with these ``outputs``, their scales of the motor's size."""
     level = 0.1 * s.torque
-    loads = (
+    terms = friction_terms("N·m", "rad", level, s.speed) + _load_terms(s, level)
+    terms += _electrical_terms(s) + input_terms("V")
+    terms += (load_dependent_friction("the motor's torque (a gear)"), *sensor_terms(outputs, s))
+    if inertia_known:
+        terms += (added_inertia(s),)
+    # where along a turn a motor stands is known from its angle only
+    needing = {"position_dependent_friction": ("angle",)}
+    return {term.key: replace(term, needs=needing.get(term.name, term.needs)) for term in terms}
+
+
+def _load_terms(s: Sizes, level: float) -> tuple[Term, ...]:
+    """Torques on the shaft but friction; ``level`` is a typical one, N·m."""
+    return (
         Term(
             "constant_force",
             Enters.FORCE,
@@ -226,7 +238,11 @@ def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str
             needs=("winding_temperature",),
         ),
     )
-    electrical = (
+
+
+def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
+    """Effects between supply and winding."""
+    return (
         Term(
             "brush_drop",
             Enters.ELECTRICAL,
@@ -256,13 +272,6 @@ def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str
             needs=("winding_temperature",),
         ),
     )
-    terms = friction_terms("N·m", "rad", level, s.speed) + loads + electrical + input_terms("V")
-    terms += (load_dependent_friction("the motor's torque (a gear)"), *sensor_terms(outputs, s))
-    if inertia_known:
-        terms += (added_inertia(s),)
-    # where along a turn a motor stands, only its angle tells
-    needing = {"position_dependent_friction": ("angle",)}
-    return {term.key: replace(term, needs=needing.get(term.name, term.needs)) for term in terms}
 
 
 def added_inertia(s: Sizes) -> Term:
@@ -285,11 +294,13 @@ def sensor_terms(outputs: Sequence[str], s: Sizes) -> tuple[Term, ...]:
     terms = (*output_terms(first, *units[first]), offset_term(first, units[first][0], 0.1 * units[first][1]))
     if len(outputs) == 1:
         return terms
-    beside = {
+    of_current = {
         "sensor_offset": Parameter("sensor_offset.current_offset", "A", 0.1 * s.current),
         "sensor_gain": Parameter("sensor_gain.current_gain", "1", 0.1, -0.9),
     }
     return tuple(
-        replace(term, parameters=(*term.parameters, beside[term.name])) if term.name in beside else term
+        replace(term, parameters=(*term.parameters, of_current[term.name]))
+        if term.name in of_current
+        else term
         for term in terms
     )

@@ -64,7 +64,9 @@ class DriveMotion:
         x = _smoother(low_pass)(np.interp(t, record.t, record.outputs[:, 0]))
         v = np.gradient(x, period)
         rounding = ROUNDING * float(np.abs(x).max()) / period
-        rows = _judged(record.t, t, np.abs(v) > max(REST * float(np.sqrt(np.mean(v**2))), rounding), low_pass)
+        rows = _judged_rows(
+            record.t, t, np.abs(v) > max(REST * float(np.sqrt(np.mean(v**2))), rounding), low_pass
+        )
         if len(rows) < FEWEST:
             raise RecordingError(
                 f"too little motion for inverse dynamics: {len(rows)} places are left below "
@@ -72,7 +74,7 @@ class DriveMotion:
             )
         return cls(t, x, v, np.gradient(v, period), rows, low_pass)
 
-    def judged(self, force: FloatArray) -> FloatArray:
+    def at_judged(self, force: FloatArray) -> FloatArray:
         """What is left of a force (n,) behind the low-pass at the places that are judged, (k,)."""
         return self.low_pass(force)[self.rows]
 
@@ -83,7 +85,7 @@ class DriveMotion:
         """
         half = 0.5 * self.low_pass.period
         both = np.interp(self.t - half, nodes, values) + np.interp(self.t + half, nodes, values)
-        return self.judged(0.5 * both)
+        return self.at_judged(0.5 * both)
 
     @property
     def noise(self) -> float:
@@ -121,7 +123,9 @@ def _smoother(low_pass: LowPass) -> LowPass:
     return LowPass(WIDER * low_pass.cut_off, low_pass.period)
 
 
-def _judged(measured: FloatArray, t: FloatArray, moves: NDArray[np.bool_], low_pass: LowPass) -> IntArray:
+def _judged_rows(
+    measured: FloatArray, t: FloatArray, moves: NDArray[np.bool_], low_pass: LowPass
+) -> IntArray:
     """Places of the even raster ``t`` (n,) that are judged, thinned out; ``moves`` (n,) where it does."""
     span = np.ones(2 * low_pass.reach + 1, dtype=bool)
     after = np.clip(np.searchsorted(measured, t), 1, len(measured) - 1)

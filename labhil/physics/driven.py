@@ -38,13 +38,13 @@ class DrivenPath:
     def nodes(self, record: Record, column: int, value: Value) -> input_path.Nodes:
         """Times and values (m,) of input ``column``; ``value`` gives a parameter by name, 0 if absent."""
         key = (id(record), column, *(value(name) for name in WAY_IN))
-        found = self._remembered.get(key)
-        if found is None or found[0] is not record:
-            found = (record, effective(record, column, value))
+        entry = self._remembered.get(key)
+        if entry is None or entry[0] is not record:
+            entry = (record, effective(record, column, value))
             if len(self._remembered) >= REMEMBERED:
                 self._remembered.clear()
-            self._remembered[key] = found
-        return found[1]
+            self._remembered[key] = entry
+        return entry[1]
 
     def at_samples(self, record: Record, windows: Windows, value: Value) -> FloatArray:
         """The first input behind these effects at the samples of windows, (N,)."""

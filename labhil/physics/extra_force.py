@@ -54,7 +54,7 @@ def along_positive(
 class MovedPart:
     """What one more force may act on.
 
-    ``position`` and ``velocity`` are names of coordinates, empty where recordings do not tell them; ``turn``
+    ``position`` and ``velocity`` are names of coordinates, empty where recordings lack them; ``turn``
     is the period of the position, 0 where it does not repeat; ``joint`` the joint of an arm that it is.
     ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks.
     """
@@ -137,21 +137,21 @@ class AcceptsExtraForce(Model, Protocol):
 
 @runtime_checkable
 class PositionUnobserved(AcceptsExtraForce, Protocol):
-    """A model of which recordings may not tell where its part stands.
+    """A model whose recordings may lack the position of its part.
 
-    Under a force that depends on that, each window may find it out from what it shows.
+    Under a force that depends on the position, each window may estimate it from its outputs.
     """
 
-    def placed(self) -> AcceptsExtraForce:
-        """The same with the place as one more state of every window; itself where recordings tell it."""
+    def with_place(self) -> AcceptsExtraForce:
+        """The same with the place as one more state of every window; itself where recordings have it."""
         ...
 
 
-def placed(model: AcceptsExtraForce, over: Collection[str]) -> AcceptsExtraForce:
+def with_place(model: AcceptsExtraForce, over: Collection[str]) -> AcceptsExtraForce:
     """The model as it takes forces ``over`` these coordinates: it has to know its place for some."""
     if not isinstance(model, PositionUnobserved):
         return model
-    other = model.placed()
+    other = model.with_place()
     unseen = {part.position for part in other.moved} - {part.position for part in model.moved}
     return other if unseen & set(over) else model
 
@@ -175,7 +175,7 @@ class PushedCourse(NamedTuple, Generic[C]):
 
 
 @inlined
-def looked_up(x: float, b: CompiledForce) -> float:
+def look_up(x: float, b: CompiledForce) -> float:
     """The curve at ``x``: straight between its nodes, constant outside."""
     if b.turn > 0.0:
         x = b.low + (x - b.low) % b.turn
@@ -194,18 +194,18 @@ def looked_up(x: float, b: CompiledForce) -> float:
 def pushes(s: Motion, b: CompiledForce) -> float:
     """What acts along the positive direction, over the inertia."""
     if b.over == 1:
-        return looked_up(s.x, b)
+        return look_up(s.x, b)
     if b.over == 5:
-        return -s.v * looked_up(s.x, b)
-    return looked_up(s.v, b) if b.over == 3 else b.course
+        return -s.v * look_up(s.x, b)
+    return look_up(s.v, b) if b.over == 3 else b.course
 
 
 @inlined
 def rubs(s: Motion, b: CompiledForce) -> float:
     """What acts against the motion, over the inertia."""
     if b.over == 2:
-        return looked_up(s.x, b)
-    return looked_up(abs(s.v), b) if b.over == 4 else 0.0
+        return look_up(s.x, b)
+    return look_up(abs(s.v), b) if b.over == 4 else 0.0
 
 
 Pull = Callable[[Motion, float, float, Part], float]
@@ -216,46 +216,48 @@ def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Cour
     pull, target, follow, settled, grip, pace, damping, at = laws
 
     @specialised
-    def pulled(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
+    def extra_pull(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
         return pull(s, side, u, p.part) + pushes(s, p.beyond) - side * rubs(s, p.beyond)
 
     @specialised
-    def aimed(s: Motion, u: float, how: Follows, p: Pushed[Part]) -> float:
+    def extra_target(s: Motion, u: float, how: Follows, p: Pushed[Part]) -> float:
         return target(s, u, how, p.part)
 
     @specialised
-    def following(s: Motion, p: Pushed[Part]) -> Follows:
+    def extra_follow(s: Motion, p: Pushed[Part]) -> Follows:
         return follow(s, p.part)
 
     @specialised
-    def at_rest(s: Motion, u: float, p: Pushed[Part]) -> float:
+    def extra_settled(s: Motion, u: float, p: Pushed[Part]) -> float:
         return settled(s, u, p.part)
 
     @specialised
-    def gripped(s: Motion, u: float, p: Pushed[Part]) -> tuple[float, float]:
+    def extra_grip(s: Motion, u: float, p: Pushed[Part]) -> tuple[float, float]:
         drive, level = grip(s, u, p.part)
         return drive + pushes(s, p.beyond), max(level + rubs(s, p.beyond), 0.0)
 
     @specialised
-    def paced(
+    def extra_pace(
         s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float,
         p: Pushed[Part],
     ) -> float:  # fmt: skip
         size = pace(s, side, u, rise, since, how, finest, p.part)
         if side == 0.0 or p.beyond.over == 0:
             return size
-        rate = pulled(s, side, u, p) if 3 <= p.beyond.over <= 4 else s.v
+        rate = extra_pull(s, side, u, p) if 3 <= p.beyond.over <= 4 else s.v
         return min(size, max(p.beyond.width / (abs(rate) + TINY), finest))
 
     @specialised
-    def damped(s: Motion, side: float, p: Pushed[Part]) -> tuple[float, float]:
-        # a curve over velocity damps as well: such a part is not said to creep
+    def extra_damping(s: Motion, side: float, p: Pushed[Part]) -> tuple[float, float]:
+        # a curve over velocity damps as well: such a part does not count as creeping
         return damping(s, side, p.part) if p.beyond.over < 3 else (0.0, 0.0)
 
     @specialised
-    def between(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
+    def extra_at(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
         b = p.beyond
-        here = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
-        return Pushed(at(p.part, c.course, k), here)
+        force = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
+        return Pushed(at(p.part, c.course, k), force)
 
-    return Laws(pulled, aimed, following, at_rest, gripped, paced, damped, between)
+    return Laws(
+        extra_pull, extra_target, extra_follow, extra_settled, extra_grip, extra_pace, extra_damping, extra_at
+    )

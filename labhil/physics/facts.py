@@ -26,7 +26,7 @@ CERTAIN = 10.0
 """Standard errors from zero at which a slope counts: residuals are correlated, so errors look too small."""
 
 HOLE = 3.0
-"""Usual steps of time from which one is a hole: nobody knows what the signals did in it."""
+"""Usual steps of time from which one is a hole: what the signals did in it is not known."""
 
 LEAST_R2 = 0.5
 """Share of the variance that a regression has to explain for its slopes to mean anything."""
@@ -80,15 +80,15 @@ def size_fact(name: str, unit: str, values: FloatArray, high: float, typical: fl
 
 def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, v: FloatArray) -> list[Fact]:
     """That a measured rate (n, …) is the derivative of a measured position (n, …), where both move."""
-    whole = ~_holes(t)
-    step = np.diff(t)[whole, None] if x.ndim > 1 else np.diff(t)[whole]
-    moved, by_rate = np.diff(x, axis=0)[whole], 0.5 * step * (v[1:] + v[:-1])[whole]
+    complete = ~_holes(t)
+    step = np.diff(t)[complete, None] if x.ndim > 1 else np.diff(t)[complete]
+    moved, by_rate = np.diff(x, axis=0)[complete], 0.5 * step * (v[1:] + v[:-1])[complete]
     power = float(np.sum(by_rate**2))
     if not power > 0.0 or not np.any(moved):
         return []
     slope = float(np.sum(moved * by_rate)) / power
-    alike = float(np.sum(moved * by_rate)) / np.sqrt(power * float(np.sum(moved**2)))
-    if abs(alike) < np.sqrt(LEAST_R2):
+    correlation = float(np.sum(moved * by_rate)) / np.sqrt(power * float(np.sum(moved**2)))
+    if abs(correlation) < np.sqrt(LEAST_R2):
         return []
     what = f"the change of {position} over what {rate} adds up to"
     powers = {position: 1, rate: -1, TIME: -1}
@@ -121,9 +121,9 @@ def slopes(
         count = len(t) // length
         if count < 2 or length <= degree + 1 + len(columns):
             continue
-        found = _slopes(target, columns, t, degree, (count, length))
-        if found is not None and abs(found[1][0]) > abs(best[1][0]):
-            best = found
+        candidate = _slopes(target, columns, t, degree, (count, length))
+        if candidate is not None and abs(candidate[1][0]) > abs(best[1][0]):
+            best = candidate
     return best
 
 
@@ -131,15 +131,15 @@ def _slopes(
     target: FloatArray, columns: Sequence[FloatArray], t: FloatArray, degree: int, shape: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray] | None:
     count, length = shape
-    whole = ~np.r_[_holes(t), False][: count * length].reshape(count, length)[:, :-1].any(axis=1)
-    every = np.column_stack([target, *columns])[: count * length].reshape(count, length, -1)[whole]
-    time = t[: count * length].reshape(count, length)[whole]
+    complete = ~np.r_[_holes(t), False][: count * length].reshape(count, length)[:, :-1].any(axis=1)
+    samples = np.column_stack([target, *columns])[: count * length].reshape(count, length, -1)[complete]
+    time = t[: count * length].reshape(count, length)[complete]
     count = len(time)
     if count < 2:
         return None
     time = (time - time[:, :1]) / max(float(np.mean(time[:, -1] - time[:, 0])), 1e-300)
     basis, _ = np.linalg.qr(np.stack([time**k for k in range(degree + 1)], axis=2))
-    apart = (every - basis @ (np.swapaxes(basis, 1, 2) @ every)).reshape(count * length, -1)
+    apart = (samples - basis @ (np.swapaxes(basis, 1, 2) @ samples)).reshape(count * length, -1)
     y, design = apart[:, 0], apart[:, 1:]
     norms = np.linalg.norm(design, axis=0)
     total = float(y @ y)
@@ -147,16 +147,16 @@ def _slopes(
         return None
     design = design / norms
     factors, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-9)
-    left = y - design @ factors
-    if rank < len(norms) or float(left @ left) > (1.0 - LEAST_R2) * total:
+    residuals = y - design @ factors
+    if rank < len(norms) or float(residuals @ residuals) > (1.0 - LEAST_R2) * total:
         return None
     freedom = max(count * (length - degree - 1) - len(norms), 1)
-    errors = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * float(left @ left) / freedom)
+    errors = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * float(residuals @ residuals) / freedom)
     return factors / norms, factors / np.maximum(errors, 1e-300)
 
 
 def second_order_gain(t: FloatArray, u: FloatArray, x: FloatArray) -> float | None:
-    """Acceleration of x per unit of u, by ẍ = g·u + c − d·ẋ; None where the recording does not tell.
+    """Acceleration of x per unit of u, by ẍ = g·u + c − d·ẋ; None where the recording does not show it.
 
     Positions are compared with double integrals, so no derivative of a noisy signal is needed.
     """

@@ -21,7 +21,7 @@ ACROSS = 33
 """Nodes in each direction of the grid that scattered points are brought to; what that costs is stated."""
 
 NEIGHBOURS = 64
-"""Points next to a node that tell its force where there are many more: all of them take a minute."""
+"""Points next to a node that give its force where there are many more: all of them take a minute."""
 
 BEYOND = 0.01
 """Share of the table's range that noise of a reading may lie beyond its edge without a word."""
@@ -61,21 +61,21 @@ class ForceMap:
             if self.gridded
             else f"on no grid, brought to one of {ACROSS} × {ACROSS}"
         )
-        found = [
+        lines = [
             f"force_map: {self.points} points {how}; the bicubic spline is off them by {self.rms:.2g} N "
             f"(RMS), at most {self.worst:.2g} N. Beyond {low:.4g} to {high:.4g} A and "
             f"{left:.4g} to {right:.4g} m it goes on straight."
         ]
         ranges = ((current, low, high, "coil_current", "A"), (position, left, right, "plunger_position", "m"))
         for values, least, most, name, unit in ranges:
-            off = np.maximum(least - values, values - most)
-            share = float(np.mean(off > BEYOND * (most - least)))
+            excess = np.maximum(least - values, values - most)
+            share = float(np.mean(excess > BEYOND * (most - least)))
             if share > 0.0:
-                found.append(
+                lines.append(
                     f"force_map: {name} leaves the table in {100.0 * share:.2g} % of the samples, by up to "
-                    f"{off.max():.3g} {unit}: the force there is the table's edge and its slope."
+                    f"{excess.max():.3g} {unit}: the force there is the table's edge and its slope."
                 )
-        return found
+        return lines
 
 
 def read_force_map(table: KnownFile) -> ForceMap:
@@ -101,19 +101,19 @@ def read_force_map(table: KnownFile) -> ForceMap:
             f"{len(np.unique(i))} and {len(np.unique(x))}"
         )
     grid = _grid(i, x, force)
-    found = grid if grid is not None else _brought_to_a_grid(table.source, i, x, force)
-    chart = chart_of(*found)
-    off = np.array([charted_force(*place, chart) for place in zip(i, x, strict=True)]) - force
+    gridded = grid if grid is not None else _bring_to_grid(table.source, i, x, force)
+    chart = chart_of(*gridded)
+    errors = np.array([charted_force(*place, chart) for place in zip(i, x, strict=True)]) - force
     return ForceMap(
-        found[0], found[1], chart, len(force), grid is not None,
-        float(np.sqrt(np.mean(off**2))), float(np.abs(off).max()),
+        gridded[0], gridded[1], chart, len(force), grid is not None,
+        float(np.sqrt(np.mean(errors**2))), float(np.abs(errors).max()),
     )  # fmt: skip
 
 
 def chart_of(current: FloatArray, position: FloatArray, force: FloatArray) -> Chart:
     """The bicubic spline through ``force`` (n, m) at ``current`` (n,) and ``position`` (m,)."""
     spline = _spline(current, position, force)
-    i, x = _equal(current), _equal(position)
+    i, x = _equal_nodes(current), _equal_nodes(position)
     h, w = i[1] - i[0], x[1] - x[0]
     # a polynomial of third degree in each direction is what its values and slopes at the corners make it
     f, f_x = _slope(spline, i, x, 0, 0), w * _slope(spline, i, x, 0, 1)
@@ -121,8 +121,10 @@ def chart_of(current: FloatArray, position: FloatArray, force: FloatArray) -> Ch
     cells = np.empty((len(i) - 1, len(x) - 1, 4, 4))
     for m in range(len(i) - 1):
         for n in range(len(x) - 1):
-            here = np.s_[m : m + 2, n : n + 2]
-            cells[m, n] = HERMITE @ np.block([[f[here], f_x[here]], [f_i[here], f_ix[here]]]) @ HERMITE.T
+            corners = np.s_[m : m + 2, n : n + 2]
+            cells[m, n] = (
+                HERMITE @ np.block([[f[corners], f_x[corners]], [f_i[corners], f_ix[corners]]]) @ HERMITE.T
+            )
     return Chart(_axis(i), _axis(x), cells.ravel(), 1.0)
 
 
@@ -131,7 +133,7 @@ def _axis(edges: FloatArray) -> Axis:
     return Axis(low, high, cells, cells / (high - low))
 
 
-def _equal(nodes: FloatArray) -> FloatArray:
+def _equal_nodes(nodes: FloatArray) -> FloatArray:
     """Nodes at equal distances over these: the same where they are equal, else as close as the closest.
 
     Up to ``FINEST`` of them: between nodes that are no multiples apart the spline is met to the fourth order.
@@ -166,7 +168,7 @@ def _grid(
     return current, position, table
 
 
-def _brought_to_a_grid(
+def _bring_to_grid(
     source: str, i: FloatArray, x: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A thin plate through scattered points, on a grid over them."""
@@ -180,10 +182,10 @@ def _brought_to_a_grid(
     points, row = np.unique(points, axis=0, return_inverse=True)
     values = np.bincount(row.ravel(), values) / np.bincount(row.ravel())
     nodes = np.stack(np.meshgrid(current, position, indexing="ij"), axis=-1).reshape(-1, 2)
-    near = NEIGHBOURS if len(values) > 20 * NEIGHBOURS else None
+    neighbours = NEIGHBOURS if len(values) > 20 * NEIGHBOURS else None
     try:
-        plate = RBFInterpolator(points / size, values, neighbors=near)
-        found = plate(nodes / size)
+        plate = RBFInterpolator(points / size, values, neighbors=neighbours)
+        forces = plate(nodes / size)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise RigFileError(f"{source}: expected points that span an area: {error}") from error
-    return current, position, found.reshape(ACROSS, ACROSS)
+    return current, position, forces.reshape(ACROSS, ACROSS)

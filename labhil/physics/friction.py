@@ -60,7 +60,7 @@ def law_of(f: FloatArray) -> Law:
 
 
 @inlined
-def thinned(f: Law, change: float) -> Law:
+def scale_viscous(f: Law, change: float) -> Law:
     """The same law with viscous friction times ``change``."""
     return f[0] * change, f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], f[9]
 

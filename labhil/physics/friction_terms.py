@@ -31,83 +31,107 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
     ``force`` and ``length`` are units ("N", "m"; "N·m", "rad"); ``level`` a typical friction force
     and ``speed`` a typical velocity in those units, for scales and starts.
     """
-    velocity = f"{length}/s"
     slope = level / speed
     return (
-        Term(
-            "viscous_friction",
-            Enters.FORCE,
-            "friction that grows in proportion to velocity",
-            "F = c·v",
-            SOURCE,
-            "motion at several speeds",
-            (Parameter("viscous_friction.coefficient", f"{force}·s/{length}", slope, 0.0),),
-        ),
-        Term(
-            "coulomb_friction",
-            Enters.FORCE,
-            "dry friction: a force of constant size against the motion, which also holds at rest",
-            "F = F_c·sgn v",
-            SOURCE,
-            "motion in both directions, reversals",
-            (
-                Parameter(
-                    "coulomb_friction.level", force, level, 0.0, starts=(0.2,), of=CharacteristicScale.DRIVE
-                ),
+        _viscous(force, length, slope),
+        _coulomb(force, level),
+        _static(force, level),
+        _stribeck(force, length, level, speed),
+        *_fast(force, length, level, speed),
+        *_uneven(force, length, level, speed),
+    )
+
+
+def _viscous(force: str, length: str, slope: float) -> Term:
+    return Term(
+        "viscous_friction",
+        Enters.FORCE,
+        "friction that grows in proportion to velocity",
+        "F = c·v",
+        SOURCE,
+        "motion at several speeds",
+        (Parameter("viscous_friction.coefficient", f"{force}·s/{length}", slope, 0.0),),
+    )
+
+
+def _coulomb(force: str, level: float) -> Term:
+    return Term(
+        "coulomb_friction",
+        Enters.FORCE,
+        "dry friction: a force of constant size against the motion, which also holds at rest",
+        "F = F_c·sgn v",
+        SOURCE,
+        "motion in both directions, reversals",
+        (
+            Parameter(
+                "coulomb_friction.level", force, level, 0.0, starts=(0.2,), of=CharacteristicScale.DRIVE
             ),
         ),
-        Term(
-            "static_friction",
-            Enters.FORCE,
-            "a hold at rest beyond the friction of creeping motion",
-            "|F| ≤ F_c + F_st + F_hold at v = 0",
-            "Coulomb's stiction as an event",
-            "slow reversals with stops",
-            (
-                # between two samples a held input does not change: the moment of breaking loose goes in steps
-                Parameter(
-                    "static_friction.level",
-                    force,
-                    level,
-                    0.0,
-                    starts=(0.1,),
-                    of=CharacteristicScale.DRIVE,
-                    step=0.05,
-                    in_steps=True,
-                ),
+    )
+
+
+def _static(force: str, level: float) -> Term:
+    return Term(
+        "static_friction",
+        Enters.FORCE,
+        "a hold at rest beyond the friction of creeping motion",
+        "|F| ≤ F_c + F_st + F_hold at v = 0",
+        "Coulomb's stiction as an event",
+        "slow reversals with stops",
+        (
+            # between two samples a held input does not change: the moment of breaking loose goes in steps
+            Parameter(
+                "static_friction.level",
+                force,
+                level,
+                0.0,
+                starts=(0.1,),
+                of=CharacteristicScale.DRIVE,
+                step=0.05,
+                in_steps=True,
             ),
         ),
-        Term(
-            "stribeck_friction",
-            Enters.FORCE,
-            "dry friction that falls from its break-away value as motion sets in",
-            "F = F_st·exp(−|v|/v_s)·sgn v",
-            SOURCE,
-            "creeping motion and reversals",
-            (
-                Parameter(
-                    "stribeck_friction.level",
-                    force,
-                    level,
-                    -10.0 * level,
-                    10.0 * level,
-                    starts=(0.1,),
-                    of=CharacteristicScale.DRIVE,
-                ),
-                Parameter(
-                    "stribeck_friction.velocity",
-                    velocity,
-                    0.1 * speed,
-                    5e-4 * speed,
-                    10.0 * speed,
-                    starts=(0.2, 0.05, 0.8),
-                    of=CharacteristicScale.SPEED,
-                    shape=True,
-                ),
+    )
+
+
+def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
+    return Term(
+        "stribeck_friction",
+        Enters.FORCE,
+        "dry friction that falls from its break-away value as motion sets in",
+        "F = F_st·exp(−|v|/v_s)·sgn v",
+        SOURCE,
+        "creeping motion and reversals",
+        (
+            Parameter(
+                "stribeck_friction.level",
+                force,
+                level,
+                -10.0 * level,
+                10.0 * level,
+                starts=(0.1,),
+                of=CharacteristicScale.DRIVE,
             ),
-            with_terms=("coulomb_friction",),
-            narrow="static_friction",
+            Parameter(
+                "stribeck_friction.velocity",
+                f"{length}/s",
+                0.1 * speed,
+                5e-4 * speed,
+                10.0 * speed,
+                starts=(0.2, 0.05, 0.8),
+                of=CharacteristicScale.SPEED,
+                shape=True,
+            ),
         ),
+        with_terms=("coulomb_friction",),
+        narrow="static_friction",
+    )
+
+
+def _fast(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
+    """Drag, which grows faster than velocity."""
+    slope = level / speed
+    return (
         Term(
             "quadratic_viscous_friction",
             Enters.FORCE,
@@ -134,6 +158,13 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
                 ),
             ),
         ),
+    )
+
+
+def _uneven(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
+    """Friction that differs with direction or place."""
+    slope = level / speed
+    return (
         Term(
             "friction_asymmetry",
             Enters.FORCE,

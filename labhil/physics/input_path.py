@@ -104,7 +104,7 @@ def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
 
 
 @inlined
-def refined(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
+def refine(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
     """Cut every stretch into equal parts: for what follows to bend the signal smoothly between samples."""
     n = t.size
     times, values = np.empty(parts * (n - 1) + 1), np.empty(parts * (n - 1) + 1)

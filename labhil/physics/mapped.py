@@ -53,7 +53,7 @@ def rise_at(a: float, b: float, k: int, c: FloatArray) -> float:
 
 
 @inlined
-def located(u: float, x: float, c: Chart) -> tuple[float, float, int]:
+def locate(u: float, x: float, c: Chart) -> tuple[float, float, int]:
     """Where in its cell (or how far beyond the last one) a place is, and where the cell's numbers begin."""
     a, b = (u - c.u.low) * c.u.per_unit, (x - c.x.low) * c.x.per_unit
     i, j = min(max(int(a), 0), c.u.cells - 1), min(max(int(b), 0), c.x.cells - 1)
@@ -63,7 +63,7 @@ def located(u: float, x: float, c: Chart) -> tuple[float, float, int]:
 @inlined
 def charted_force(u: float, x: float, c: Chart) -> float:
     """The force."""
-    a, b, k = located(u, x, c)
+    a, b, k = locate(u, x, c)
     n = c.numbers
     if a < 0.0 or a > 1.0 or b < 0.0 or b > 1.0:
         return beyond_edges(a, b, k, c)
@@ -84,6 +84,6 @@ def beyond_edges(a: float, b: float, k: int, c: Chart) -> float:
 @compiled
 def charted_slope(u: float, x: float, c: Chart) -> float:
     """The slope of the force along the way."""
-    a, b, k = located(u, x, c)
+    a, b, k = locate(u, x, c)
     f, g = min(max(a, 0.0), 1.0), min(max(b, 0.0), 1.0)
     return c.scale * c.x.per_unit * rise_at(f, g, k, c.numbers)

@@ -28,7 +28,7 @@ NORMAL = 0.6745
 """Median size of normal noise over its standard deviation."""
 
 FEWEST = 300
-"""Samples from which the noise of an input can be told from what drives the plant."""
+"""Samples from which the noise of an input can be separated from what drives the plant."""
 
 LARGEST = 0.5
 """Of the input's own spread, beyond which such noise is no sensor's: it may be what drives the plant."""
@@ -46,17 +46,17 @@ def with_input_smoothing(record: Record) -> Record:
     if record.input_names[0] not in MEASURED_INPUTS:
         return record
     pairs = zip(record.begins, record.recordings(), strict=True)
-    begins = (replace(begin, input_smoothing=smoothing_of(each)) for begin, each in pairs)
+    begins = (replace(begin, input_smoothing=smoothing_of(recording)) for begin, recording in pairs)
     return replace(record, begins=tuple(begins))
 
 
 def smoothing_of(record: Record) -> Smoothing:
     """How to smooth the first input of one recording; none where there is no white noise on it."""
     (begin,) = record.begins
-    return begin.input_smoothing or _estimated(record)
+    return begin.input_smoothing or _estimate(record)
 
 
-def _estimated(record: Record) -> Smoothing:
+def _estimate(record: Record) -> Smoothing:
     u = record.inputs[:, 0]
     if record.input_holds[0] is not Hold.LINEAR or len(u) < FEWEST:
         return Smoothing(0.0)
@@ -88,12 +88,16 @@ def smoothing_notes(record: Record, unit: str) -> list[str]:
     """What is done with a measured input that has white noise, for people; a line a recording."""
     if record.input_names[0] not in MEASURED_INPUTS:
         return []
-    noisy = [(each, how) for each in record.recordings() if (how := smoothing_of(each)).noise]
+    noisy = [
+        (recording, smoothing)
+        for recording in record.recordings()
+        if (smoothing := smoothing_of(recording)).noise
+    ]
     return list(
         dict.fromkeys(
-            f"{record.input_names[0]} is measured with white noise of {how.noise:.2g} {unit}; the model is "
-            f"driven by it smoothed over up to {WIDTHS[-1]} samples (local cubics), which leaves "
-            f"{how.left(each.inputs[:, 0]):.2g} {unit}."
-            for each, how in noisy
+            f"{record.input_names[0]} is measured with white noise of {smoothing.noise:.2g} {unit}; the "
+            f"model is driven by it smoothed over up to {WIDTHS[-1]} samples (local cubics), which leaves "
+            f"{smoothing.remaining_noise(recording.inputs[:, 0]):.2g} {unit}."
+            for recording, smoothing in noisy
         )
     )

@@ -1,4 +1,4 @@
-"""What identification asks of a model: its parameters, its terms, and simulated windows of a recording."""
+"""What identification needs of a model: its parameters, its terms, and simulated windows of a recording."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
 
-from labhil.errors import RecordingError, UnknownNameError, UsageError
+from labhil.errors import UnknownNameError, UsageError
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.recording.clock_faults import ClockFault
 from labhil.signals import FloatArray, Hold, IntArray
@@ -50,12 +50,12 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One recording as a model sees it, or several, one after another (see :func:`joined`).
+    """One recording as a model sees it, or several, one after another (see ``physics.joining``).
 
     ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units;
     ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
     the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
-    has one. ``begins`` tells where each recording begins: nothing may be followed from one to the next.
+    has one. ``begins`` marks where each recording begins: nothing may be followed from one to the next.
     ``least_noise`` (channels,) is the least standard deviation of the noise that the whole recording shows: a
     part of it that rests shows none; empty where nothing is known. ``censored`` (n, channels) is +1 where a
     reading stands at the upper end of its range and says only "at least this", −1 at the lower end,
@@ -131,8 +131,8 @@ class Record:
 
     def with_holds(self, holds: Mapping[str, Hold]) -> Record:
         """The same with what some inputs do between samples, by column name."""
-        found = tuple(holds.get(n, h) for n, h in zip(self.input_names, self.input_holds, strict=False))
-        return self if found == self.input_holds else replace(self, input_holds=found)
+        input_holds = tuple(holds.get(n, h) for n, h in zip(self.input_names, self.input_holds, strict=False))
+        return self if input_holds == self.input_holds else replace(self, input_holds=input_holds)
 
     def channel(self, j: int) -> tuple[str, int | None]:
         """Signal and joint of output column ``j``."""
@@ -142,14 +142,14 @@ class Record:
 
     def part(self, first: int, last: int) -> Record:
         """The samples first … last − 1."""
-        here = [self.begins[k] for k in self.within(first, last)]
+        begins = [self.begins[k] for k in self.within(first, last)]
         return replace(
             self,
             t=self.t[first:last],
             inputs=self.inputs[first:last],
             outputs=self.outputs[first:last],
             auxiliary={name: values[first:last] for name, values in self.auxiliary.items()},
-            begins=tuple(replace(begin, row=max(begin.row - first, 0)) for begin in here) or (Begin(),),
+            begins=tuple(replace(begin, row=max(begin.row - first, 0)) for begin in begins) or (Begin(),),
             censored=None if self.censored is None else self.censored[first:last],
         )
 
@@ -159,23 +159,26 @@ class Record:
 
     def followed_by(self, others: Sequence[Record]) -> Record:
         """This recording and others of the same channels as one record, numbered in their order."""
-        every = (self, *others)
-        begins, row, end = list[Begin](), 0, float(self.t[0])
-        for number, record in enumerate(every, 1):
-            shift = end - float(record.t[0]) if row else 0.0
+        records = (self, *others)
+        begins, row, next_start = list[Begin](), 0, float(self.t[0])
+        for number, record in enumerate(records, 1):
+            shift = next_start - float(record.t[0]) if row else 0.0
             begins.append(replace(record.begins[0], row=row, number=number, shift=shift, noise_scale=()))
-            row, end = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
+            row, next_start = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
         return replace(
             self,
-            t=np.concatenate([r.t + b.shift if b.shift else r.t for r, b in zip(every, begins, strict=True)]),
-            inputs=np.concatenate([record.inputs for record in every]),
-            outputs=np.concatenate([record.outputs for record in every]),
+            t=np.concatenate(
+                [r.t + b.shift if b.shift else r.t for r, b in zip(records, begins, strict=True)]
+            ),
+            inputs=np.concatenate([record.inputs for record in records]),
+            outputs=np.concatenate([record.outputs for record in records]),
             auxiliary={
-                name: np.concatenate([record.auxiliary[name] for record in every]) for name in self.auxiliary
+                name: np.concatenate([record.auxiliary[name] for record in records])
+                for name in self.auxiliary
             },
             begins=tuple(begins),
-            least_noise=_common_floor(every),
-            censored=_censored_of(every),
+            least_noise=_common_floor(records),
+            censored=_censored_of(records),
         )
 
 
@@ -195,42 +198,6 @@ def _censored_of(records: Sequence[Record]) -> IntArray | None:
             for record in records
         ]
     )
-
-
-def joined(records: Sequence[Record], names: Sequence[str] = ()) -> Record:
-    """Several recordings as one record, one after another, numbered from 1; a single one as it is.
-
-    ``names`` are what messages call them. Raises RecordingError when one has no samples or other channels
-    than the first.
-    """
-    every = [each for record in records for each in record.recordings()]
-    if len(every) == 1:
-        return every[0]
-    called = list(names) or [f"recording {number}" for number in range(1, len(every) + 1)]
-    for name, record in zip(called, every, strict=True):
-        if not len(record):
-            raise RecordingError(f"{name}: expected samples, found 0")
-        for what, one, other in zip(CHANNELS, _channels(every[0]), _channels(record), strict=True):
-            if one != other:
-                raise RecordingError(
-                    f"{name}: expected the {what} {_listed(one)} as in {called[0]}, found {_listed(other)}: "
-                    "recordings that are fitted together need the same channels"
-                )
-    return every[0].followed_by(every[1:])
-
-
-CHANNELS = ("inputs", "hold of the inputs", "outputs", "units", "joints", "other channels")
-
-
-def _channels(record: Record) -> tuple[tuple[object, ...], ...]:
-    """What records have to have in common, in the order of CHANNELS."""
-    holds = tuple(hold.value for hold in record.input_holds)
-    outputs = (record.output_names, record.output_units, record.output_joints)
-    return (record.input_names, holds, *outputs, tuple(sorted(record.auxiliary)))
-
-
-def _listed(names: Sequence[object]) -> str:
-    return ", ".join(str(name) for name in names) or "none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,14 +314,14 @@ class Model(Protocol):
 
     @property
     def coordinate_units(self) -> Mapping[str, str]:
-        """Units of those coordinates by which a person would say where a mismatch lives; a vector's by its
-        name alone."""
+        """Units of those coordinates by which a person would locate a mismatch; a vector's by its name
+        alone."""
         ...
 
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Those of the coordinates that say how the motion ``along`` is driven, each (N,), by this ``theta``.
+        """Those of the coordinates that describe how ``theta`` drives the motion ``along``, each (N,).
 
         What effects on the way in, of the winding or of a load change, with the motion as it is.
         """
@@ -397,11 +364,11 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
     """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
     measure = model.characteristic_scales(record)
     parameters = [p for term in terms for p in term.parameters]
-    begun = {p.key: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
-    neutral = {p.key: begun[p.key][0] if p.shape and begun[p.key] else p.neutral for p in parameters}
-    count = max((len(values) for values in begun.values()), default=0)
+    starts = {p.key: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
+    neutral = {p.key: starts[p.key][0] if p.shape and starts[p.key] else p.neutral for p in parameters}
+    count = max((len(values) for values in starts.values()), default=0)
     return [neutral] + [
-        {name: values[min(i, len(values) - 1)] if values else 0.0 for name, values in begun.items()}
+        {name: values[min(i, len(values) - 1)] if values else 0.0 for name, values in starts.items()}
         for i in range(count)
     ]
 
@@ -409,7 +376,7 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
 def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
     """The terms of a model by name or key, duplicates removed; a name alone means all joints.
 
-    UnknownNameError lists the terms that exist; UsageError tells why one cannot be seen in this recording.
+    UnknownNameError lists the terms that exist; UsageError says why this recording cannot show one.
     """
     by_name: dict[str, list[str]] = {}
     for key, term in model.terms.items():

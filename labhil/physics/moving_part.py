@@ -92,7 +92,7 @@ class Laws(NamedTuple, Generic[Part, Course]):
 
 
 @inlined
-def answers(y: float) -> tuple[float, float, float, float, float]:
+def step_responses(y: float) -> tuple[float, float, float, float, float]:
     """How a unit target is followed over a step of y/rate.
 
     Half of the step: answer to a constant target and to one that rises straight from 0; the whole step: to
@@ -104,8 +104,8 @@ def answers(y: float) -> tuple[float, float, float, float, float]:
         short, ramp = z * one, z * two
         one, two = shares(y)
         return short, ramp, y * one, y * two, 1.0 - 2.0 * two
-    left = np.exp(-0.5 * y)
-    short, whole = 1.0 - left, 1.0 - left * left
+    decay = np.exp(-0.5 * y)
+    short, whole = 1.0 - decay, 1.0 - decay * decay
     long_ramp = 1.0 - whole / y
     return short, 1.0 - 2.0 * short / y, whole, long_ramp, 1.0 - 2.0 * long_ramp / y
 
@@ -118,7 +118,7 @@ def shares(y: float) -> tuple[float, float]:
 
 
 @inlined
-def followed(
+def follow_parabola(
     a: float, first: float, middle: float, last: float, whole: float, ramp: float, bend: float
 ) -> float:
     """What a becomes over a step with a parabola of targets."""
@@ -135,14 +135,14 @@ def stepper(laws: Laws[Part, Course]) -> Step[Part]:
     pull, target = laws.pull, laws.target
 
     @specialised
-    def crept(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
+    def creep(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
         end, goal, pulled = u + h * rise, target(s, u, how, part), pull(s, side, u, part)
-        _, _, long, long_ramp, bend = answers(h * how.rate)
-        _, _, whole, ramp, _ = answers(h * how.creep)
+        _, _, long, long_ramp, bend = step_responses(h * how.rate)
+        _, _, whole, ramp, _ = step_responses(h * how.creep)
         x, v, a = s.x + h * s.v, s.v, s.a
-        for _ in range(2):  # the way there tells where the drive will be
+        for _ in range(2):  # the way there shows where the drive will be
             last = target(Motion(x, v, s.a), end, how, part)
-            a = followed(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, bend)
+            a = follow_parabola(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, bend)
             drift = pull(Motion(x, s.v, a), side, end, part) - pulled
             v = s.v + (whole * pulled + ramp * drift) / how.creep
             way = ramp * pulled + (0.5 - ramp / (h * how.creep)) * drift
@@ -152,11 +152,11 @@ def stepper(laws: Laws[Part, Course]) -> Step[Part]:
     @specialised
     def step(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
         if how.creep > 0.0 and side != 0.0 and h > 0.0:
-            return crept(s, side, u, rise, h, how, part)
+            return creep(s, side, u, rise, h, how, part)
         moves = 0.0 if side == 0.0 else 1.0
         half = 0.5 * h
         middle, end = u + half * rise, u + h * rise
-        short, ramp, whole, long_ramp, bend = answers(h * how.rate)
+        short, ramp, whole, long_ramp, bend = step_responses(h * how.rate)
         goal1 = target(s, u, how, part)
         pull1 = moves * pull(s, side, u, part)
         v2 = s.v + half * pull1
@@ -169,11 +169,11 @@ def stepper(laws: Laws[Part, Course]) -> Step[Part]:
         pull3 = moves * pull(s3, side, middle, part)
         v4 = s.v + h * pull3
         goal4 = target(Motion(s.x + h * v3, v4, s.a), end, how, part)
-        a4 = followed(s.a, goal1, goal3, goal4, whole, long_ramp, bend)
+        a4 = follow_parabola(s.a, goal1, goal3, goal4, whole, long_ramp, bend)
         pull4 = moves * pull(Motion(s.x + h * v3, v4, a4), side, end, part)
         x = s.x + h * (s.v + 2.0 * (v2 + v3) + v4) / 6.0
         v = s.v + h * (pull1 + 2.0 * (pull2 + pull3) + pull4) / 6.0
         goal = target(Motion(x, v, s.a), end, how, part)
-        return Motion(x, v, followed(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, bend))
+        return Motion(x, v, follow_parabola(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, bend))
 
     return step

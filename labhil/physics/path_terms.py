@@ -17,6 +17,23 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "any input that changes; several frequencies tell it from a lag",
             (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,), step=0.04),),
         ),
+        *_play_terms(unit),
+        *_limit_terms(unit),
+        Term(
+            "actuator_lag",
+            Enters.INPUT,
+            "an actuator that follows as a first-order lag",
+            "T·u̇_eff + u_eff = u",
+            "standard",
+            "several frequencies; tells itself from a delay by the fall in gain",
+            (Parameter("actuator_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
+        ),
+    )
+
+
+def _play_terms(unit: str) -> tuple[Term, ...]:
+    """Commands that have no effect: around zero, or after a reversal."""
+    return (
         Term(
             "dead_zone",
             Enters.INPUT,
@@ -38,6 +55,12 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "reversals of the command at different amplitudes",
             (Parameter("backlash.gap", unit, 0.1, 0.0, starts=(0.1, 0.3), of=CharacteristicScale.INPUT),),
         ),
+    )
+
+
+def _limit_terms(unit: str) -> tuple[Term, ...]:
+    """Commands that are larger or faster than the actuator allows."""
+    return (
         Term(
             "saturation",
             Enters.INPUT,
@@ -75,15 +98,6 @@ def input_terms(unit: str) -> tuple[Term, ...]:
                     power=-1,
                 ),
             ),
-        ),
-        Term(
-            "actuator_lag",
-            Enters.INPUT,
-            "an actuator that follows as a first-order lag",
-            "T·u̇_eff + u_eff = u",
-            "standard",
-            "several frequencies; tells itself from a delay by the fall in gain",
-            (Parameter("actuator_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
         ),
     )
 

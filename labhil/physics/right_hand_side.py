@@ -73,8 +73,8 @@ class RightHandSideModel:
         self.unobservable_terms = stated.unobservable_terms
         self.horizon = rig.metric.horizon or stated.horizon
         self.fixed = {n: v for n in rig.kind.known if (v := rig.known_number(n)) is not None}
-        own = tuple(p for p in stated.parameters if p.name not in self.fixed)
-        self.parameters = own + tuple(p for term in stated.terms for p in term.parameters)
+        estimated = tuple(p for p in stated.parameters if p.name not in self.fixed)
+        self.parameters = estimated + tuple(p for term in stated.terms for p in term.parameters)
         self._index = index_of(self.parameters)
 
     def horizon_at(self, theta: FloatArray) -> float:

@@ -26,10 +26,9 @@ class RigModel:
     """How a rig kind is modelled.
 
     ``model`` names its class as "module:class", imported when needed, or is what makes it. ``baseline`` are
-    the terms that a model holds when nobody says otherwise and something is to be found missing, ``general``
-    those when it is to be fitted and nobody says otherwise (the reference text's general models). ``facts``
-    names the function that states what physics knows of a recording of such a rig (see ``physics.facts``),
-    "" for none.
+    the terms that a diagnosis starts from by default, ``general`` those of a fit by default (the reference
+    text's general models). ``facts`` names the function that states what physics knows of a recording of such
+    a rig (see ``physics.facts``), "" for none.
     """
 
     model: str | Callable[[RigFile, Record | None], Model]
@@ -42,16 +41,16 @@ class RigModel:
         if not self.facts:
             return []
         module, _, name = self.facts.partition(":")
-        found: list[Fact] = getattr(import_module(module), name)(record, known)
-        return found
+        figures: list[Fact] = getattr(import_module(module), name)(record, known)
+        return figures
 
     def load(self) -> Callable[[RigFile, Record | None], Model]:
         """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
         if not isinstance(self.model, str):
             return self.model
         module, _, name = self.model.partition(":")
-        found: Callable[[RigFile, Record | None], Model] = getattr(import_module(module), name)
-        return found
+        factory: Callable[[RigFile, Record | None], Model] = getattr(import_module(module), name)
+        return factory
 
 
 VISCOUS = ("viscous_friction",)

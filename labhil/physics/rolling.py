@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.bracket import Bracket, crossing, narrowed
+from labhil.physics.bracket import Bracket, crossing, narrow
 from labhil.physics.extra_force import CompiledForce
 from labhil.signals import FloatArray, IntArray
 
@@ -204,7 +204,7 @@ def time_to_rest(
         speed = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
         if abs(speed) < 1e-10:
             return middle
-        between = narrowed(between, middle, speed)
+        between = narrow(between, middle, speed)
     return 0.5 * (between.low + between.high)
 
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.extra_force import AcceptsExtraForce, ExtraForce
-from labhil.physics.model import Metric, Model, Record, Windows, joined
+from labhil.physics.joining import join_records
+from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray, IntArray
 
@@ -24,7 +25,7 @@ REMEMBERED = 8
 """Records of which the recordings are kept: models remember what they know of a record."""
 
 RECORDING = "recording"
-"""The coordinate that tells by its number which recording a sample belongs to."""
+"""The coordinate that is the number of the recording to which a sample belongs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +68,12 @@ class SeveralModel:
         self.fading_memory = inner.fading_memory
         self.horizon = inner.horizon
         self.coordinate_units = inner.coordinate_units
-        apart = {p.key for name in names for p in _named(inner, name)}
+        apart = {p.key for name in names for p in _parameters_named(inner, name)}
         copies = [_copies(p, count) if p.key in apart else (p,) for p in inner.parameters]
-        self.parameters = tuple(p for each in copies for p in each)
-        by_key = {p.key: each for p, each in zip(inner.parameters, copies, strict=True)}
+        self.parameters = tuple(p for group in copies for p in group)
+        by_key = {p.key: group for p, group in zip(inner.parameters, copies, strict=True)}
         self.terms: Mapping[str, Term] = {
-            key: replace(term, parameters=tuple(p for one in term.parameters for p in by_key[one.key]))
+            key: replace(term, parameters=tuple(p for shared in term.parameters for p in by_key[shared.key]))
             for key, term in inner.terms.items()
         }
         self._places = _places(copies, count if apart else 1)
@@ -99,7 +100,7 @@ class SeveralModel:
 
     def prepare(self, record: Record) -> Record:
         """Each recording as the inner model prepares it."""
-        return joined([self.inner.prepare(each) for each in record.recordings()])
+        return join_records([self.inner.prepare(recording) for recording in record.recordings()])
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """The inner model's, (w, states)."""
@@ -109,85 +110,85 @@ class SeveralModel:
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Simulated outputs of all windows, (N, channels)."""
-        found = []
+        outputs = []
         for share in self._of(record, windows):
-            own, model = self.of_recording(theta, share.number), self._under(share)
-            found.append(model.simulate(own, share.record, share.windows, states[share.whose]))
-        return np.concatenate(found)
+            vector, model = self.of_recording(theta, share.number), self._under(share)
+            outputs.append(model.simulate(vector, share.record, share.windows, states[share.whose]))
+        return np.concatenate(outputs)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
         """The inner model's along the simulation, and the number of the recording, each (N,)."""
-        found = []
+        parts = []
         for share in self._of(record, windows):
-            own, model = self.of_recording(theta, share.number), self._under(share)
-            along = model.coordinates(own, share.record, share.windows, states[share.whose])
-            found.append({**along, RECORDING: np.full(len(share.windows.rows), float(share.number))})
-        return _together(found)
+            vector, model = self.of_recording(theta, share.number), self._under(share)
+            along = model.coordinates(vector, share.record, share.windows, states[share.whose])
+            parts.append({**along, RECORDING: np.full(len(share.windows.rows), float(share.number))})
+        return _concatenate(parts)
 
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """The inner model's, each (N,)."""
-        found = []
+        parts = []
         for share in self._of(record, windows):
-            own, here = self.of_recording(theta, share.number), _rows_of(along, share.rows)
-            found.append(self.inner.driven(own, share.record, share.windows, here))
-        return _together(found)
+            vector, motion = self.of_recording(theta, share.number), _rows_of(along, share.rows)
+            parts.append(self.inner.driven(vector, share.record, share.windows, motion))
+        return _concatenate(parts)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's in the recording of each sample, (N,) or (N, joints)."""
         numbers = np.rint(coordinates[RECORDING]).astype(np.int64)
         edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
-        found = []
+        forces = []
         for rows in (slice(a, b) for a, b in pairwise(edges)):
-            own = self.of_recording(theta, int(numbers[rows.start]))
-            found.append(self.inner.generalised_force(own, _rows_of(coordinates, rows)))
-        return np.concatenate(found)
+            vector = self.of_recording(theta, int(numbers[rows.start]))
+            forces.append(self.inner.generalised_force(vector, _rows_of(coordinates, rows)))
+        return np.concatenate(forces)
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """Of each the largest that a recording has."""
-        found = [self.inner.characteristic_scales(each) for each in self._recordings(record)]
-        return {yardstick: max(each[yardstick] for each in found) for yardstick in found[0]}
+        parts = [self.inner.characteristic_scales(recording) for recording in self._recordings(record)]
+        return {name: max(part[name] for part in parts) for name in parts[0]}
 
     def _under(self, share: Share) -> Model:
         """The model of a recording, under its share of the forces beside the model's own."""
         model = self.inner
         for force in self._forces:
             assert isinstance(model, AcceptsExtraForce)
-            own = None if force.course is None else force.course[share.span]
-            model = model.with_force(replace(force, course=own))
+            course = None if force.course is None else force.course[share.span]
+            model = model.with_force(replace(force, course=course))
         return model
 
     def _of(self, record: Record, windows: Windows) -> Iterator[Share]:
         """What windows have of each recording in which some of them lie."""
-        for begin, span, each in zip(record.begins, record.spans, self._recordings(record), strict=True):
+        for begin, span, recording in zip(record.begins, record.spans, self._recordings(record), strict=True):
             a, b = np.searchsorted(windows.first, span).tolist()
             if a == b:
                 continue
             rows = slice(*np.searchsorted(windows.owner, (a, b)).tolist())
-            own = Windows(
+            inner_windows = Windows(
                 windows.first[a:b] - begin.row,
                 windows.last[a:b] - begin.row,
                 windows.rows[rows] - begin.row,
                 windows.owner[rows] - a,
             )
-            yield Share(begin.number, slice(*span), each, own, slice(a, b), rows)
+            yield Share(begin.number, slice(*span), recording, inner_windows, slice(a, b), rows)
 
     def _recordings(self, record: Record) -> tuple[Record, ...]:
         """The recordings of a record, the same ones every time."""
-        found = self._apart.get(id(record))
-        if found is None or found[0] is not record:
-            found = (record, record.recordings())
+        entry = self._apart.get(id(record))
+        if entry is None or entry[0] is not record:
+            entry = (record, record.recordings())
             if len(self._apart) >= REMEMBERED:
                 self._apart.clear()
-            self._apart[id(record)] = found
-        return found[1]
+            self._apart[id(record)] = entry
+        return entry[1]
 
 
 class SeveralYieldingModel(SeveralModel):
-    """The same of a model that takes one more force (satisfies ``physics.extra_force.Yielding``)."""
+    """The same of a model that takes one more force (satisfies ``physics.extra_force.AcceptsExtraForce``)."""
 
     def __init__(self, inner: AcceptsExtraForce, names: Sequence[str], count: int) -> None:
         super().__init__(inner, names, count)
@@ -214,20 +215,20 @@ def names_per_recording(model: Model) -> tuple[str, ...]:
 
 
 def for_every_recording(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Values by key; what is said of no recording holds for all that have a value of their own."""
-    whole: dict[str, list[str]] = {}
+    """Values by key; one without a recording holds for every recording that has a value of its own."""
+    keys_of: dict[str, list[str]] = {}
     for p in model.parameters:
         if p.recording is not None:
-            whole.setdefault(keyed(p.name, p.joint), []).append(p.key)
-    spread = {key: value for name, value in values.items() for key in whole.get(name, ())}
-    return spread | {name: value for name, value in values.items() if name not in whole}
+            keys_of.setdefault(keyed(p.name, p.joint), []).append(p.key)
+    spread = {key: value for name, value in values.items() for key in keys_of.get(name, ())}
+    return spread | {name: value for name, value in values.items() if name not in keys_of}
 
 
-def _named(model: Model, name: str) -> list[Parameter]:
+def _parameters_named(model: Model, name: str) -> list[Parameter]:
     """The parameters that a name stands for: those of a term, of all joints or of one, or a single one."""
-    found = [p for p in model.parameters if name in _called(p)]
-    if found:
-        return found
+    parameters = [p for p in model.parameters if name in _names_of(p)]
+    if parameters:
+        return parameters
     fixed = {unkeyed(key)[0] for key in model.fixed} | set(model.fixed)
     if name in fixed:
         raise UsageError(
@@ -243,7 +244,7 @@ def _named(model: Model, name: str) -> list[Parameter]:
     raise UnknownNameError(f"term or parameter of {model.kind}", name, known)
 
 
-def _called(parameter: Parameter) -> set[str | None]:
+def _names_of(parameter: Parameter) -> set[str | None]:
     """Every name that means a parameter."""
     term, dot, _ = parameter.name.partition(".")
     return {parameter.name, parameter.key} | ({term, parameter.term} if dot else set())
@@ -255,9 +256,9 @@ def _copies(parameter: Parameter, count: int) -> tuple[Parameter, ...]:
 
 def _places(copies: Sequence[tuple[Parameter, ...]], count: int) -> tuple[IntArray, ...]:
     """For each recording, where the inner model's parameters stand in the vector of all."""
-    first = np.cumsum([0, *(len(each) for each in copies)])[:-1]
-    own = np.array([len(each) > 1 for each in copies], dtype=bool)
-    return tuple(np.where(own, first + k, first).astype(np.int64) for k in range(count))
+    first = np.cumsum([0, *(len(group) for group in copies)])[:-1]
+    varies = np.array([len(group) > 1 for group in copies], dtype=bool)
+    return tuple(np.where(varies, first + k, first).astype(np.int64) for k in range(count))
 
 
 def _rows_of(along: Mapping[str, FloatArray], rows: slice) -> dict[str, FloatArray]:
@@ -265,5 +266,5 @@ def _rows_of(along: Mapping[str, FloatArray], rows: slice) -> dict[str, FloatArr
     return {name: values[rows] for name, values in along.items() if name != RECORDING}
 
 
-def _together(found: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
-    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+def _concatenate(parts: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.compiled import by_type, inlined
 from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra
-from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
+from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, scale_viscous
 from labhil.physics.mapped import Chart, charted_force, charted_slope
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
 from labhil.physics.stick_slip import integrator
@@ -70,7 +70,7 @@ def table_of(c: FloatArray) -> Table:
 @inlined
 def at(p: Slider, c: Course, k: int) -> Slider:
     """The part between samples k and k + 1."""
-    return Slider(p.part, p.drive, thinned(c.first.law, c.change[k]))
+    return Slider(p.part, p.drive, scale_viscous(c.first.law, c.change[k]))
 
 
 @inlined
@@ -97,7 +97,7 @@ def powers_slope(u: float, x: float, c: Table) -> float:
     return slope(x, c[0]) + u * (slope(x, c[1]) + u * (slope(x, c[2]) + u * slope(x, c[3])))
 
 
-def driven(u: float, x: float, drive: Drive) -> float:
+def drive_force(u: float, x: float, drive: Drive) -> float:
     """The drive's force over the mass, m/s²."""
     return charted_force(u, x, drive) if isinstance(drive, Chart) else powers_force(u, x, drive)
 
@@ -107,7 +107,7 @@ def rise(u: float, x: float, drive: Drive) -> float:
     return charted_slope(u, x, drive) if isinstance(drive, Chart) else powers_slope(u, x, drive)
 
 
-by_type(driven, {Chart: charted_force}, powers_force)
+by_type(drive_force, {Chart: charted_force}, powers_force)
 by_type(rise, {Chart: charted_slope}, powers_slope)
 
 
@@ -120,7 +120,7 @@ def stiffness(u: float, x: float, p: Slider) -> float:
 
 
 @inlined
-def pushed(drive: float, x: float, part: Part) -> float:
+def drive_acceleration(drive: float, x: float, part: Part) -> float:
     """Acceleration by everything but friction, of which ``drive`` is the drive's part, m/s²."""
     push = drive + part.force - x * (part.spring + part.hardening * x * x)
     if part.cogging_sine != 0.0 or part.cogging_cosine != 0.0:
@@ -132,15 +132,15 @@ def pushed(drive: float, x: float, part: Part) -> float:
 @inlined
 def pull(s: Motion, side: float, u: float, p: Slider) -> float:
     """Acceleration of a moving part, m/s²."""
-    drive = driven(u, s.x, p.drive)
-    return pushed(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
+    drive = drive_force(u, s.x, p.drive)
+    return drive_acceleration(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
 
 
 @inlined
 def grip(s: Motion, u: float, p: Slider) -> tuple[float, float]:
     """Acceleration that a part at rest would have, and the largest that it withstands."""
-    drive = driven(u, s.x, p.drive)
-    return pushed(drive, s.x, p.part), hold(s.x, abs(drive), p.law)
+    drive = drive_force(u, s.x, p.drive)
+    return drive_acceleration(drive, s.x, p.part), hold(s.x, abs(drive), p.law)
 
 
 @inlined
@@ -179,12 +179,12 @@ def longest(
 
 
 @inlined
-def damped(s: Motion, side: float, p: Slider) -> tuple[float, float]:
+def part_damping(s: Motion, side: float, p: Slider) -> tuple[float, float]:
     """How friction damps a moving part."""
     return damping(s.v, side, p.law)
 
 
-LAWS = Laws(pull, target, follow, settled, grip, longest, damped, at)
+LAWS = Laws(pull, target, follow, settled, grip, longest, part_damping, at)
 run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 
@@ -222,13 +222,13 @@ def simulate(
     ``viscous_change`` (n,) scales viscous friction at each sample. Window w covers the samples
     first[w] … last[w] − 1 and begins with states[w] = (x, v).
     """
-    begun = np.zeros((first.size, 3))
+    starts = np.zeros((first.size, 3))
     for w in range(first.size):
-        begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
+        starts[w, 0], starts[w, 1] = states[w, 0], states[w, 1]
     slider = Slider(p, drive, law_of(f))
     stops = Stops(p.low, p.high, p.restitution)
     course = Course(viscous_change, slider)
-    run(t, node_t, values, first, last, begun, stops, slider, course, out)
+    run(t, node_t, values, first, last, starts, stops, slider, course, out)
 
 
 @inlined
@@ -248,10 +248,10 @@ def simulate_pushed(
     out: FloatArray,
 ) -> None:
     """:func:`simulate` under one more force: ``beyond`` a curve, ``along`` (n,) a course, over the mass."""
-    begun = np.zeros((first.size, 3))
+    starts = np.zeros((first.size, 3))
     for w in range(first.size):
-        begun[w, 0], begun[w, 1] = states[w, 0], states[w, 1]
+        starts[w, 0], starts[w, 1] = states[w, 0], states[w, 1]
     slider = Slider(p, drive, law_of(f))
     stops = Stops(p.low, p.high, p.restitution)
     course = PushedCourse(Course(viscous_change, slider), along)
-    run_pushed(t, node_t, values, first, last, begun, stops, Pushed(slider, beyond), course, out)
+    run_pushed(t, node_t, values, first, last, starts, stops, Pushed(slider, beyond), course, out)

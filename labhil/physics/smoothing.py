@@ -40,7 +40,7 @@ class Smoothing:
         cubics = _cubics(values)
         return np.take_along_axis(cubics, self._widest(cubics)[None], axis=0)[0]
 
-    def left(self, values: FloatArray) -> float:
+    def remaining_noise(self, values: FloatArray) -> float:
         """Standard deviation of the noise that is left on values (n,), RMS."""
         if not self.noise:
             return 0.0

@@ -6,7 +6,7 @@ The text gives no coefficients: the default map is ours (0 N without current, ab
 hysteresis act between the current and the force.
 
 The current that drives it is the measured one. What an amplifier or its loop does to a command (lag, play,
-dead zone, limits) has happened before, and no recording of current and position can tell of it: behind a
+dead zone, limits) has happened before, and no recording of current and position can show it: behind a
 measured current a lag is the field's and a play is the iron's. Such terms are not offered, see ``AMPLIFIER``.
 """
 
@@ -62,7 +62,22 @@ def periods_of(stiffness: float, mass: float) -> float:
 
 def catalogue(level: float, speed: float) -> dict[str, Term]:
     """All terms; ``level`` is a typical friction force, N, ``speed`` a typical velocity, m/s."""
-    loads = (
+    constant = Term(
+        "constant_force", Enters.FORCE, "a constant push (tilt, pressure)", "F = F_0", "standard",
+        "motion both ways; a spring's preload looks the same away from the stops",
+        (Parameter("constant_force.force", "N", level),),
+    )  # fmt: skip
+    way_in = tuple(term for term in input_terms("A") if term.key not in AMPLIFIER)
+    terms = friction_terms("N", "m", level, speed) + _mechanical_terms(level)
+    terms += _magnetic_terms() + way_in
+    terms += (constant, load_dependent_friction("the magnet's force (its side pull)"))
+    terms += (*output_terms("plunger_position", "m", STROKE), offset_term("plunger_position", "m", 1e-4))
+    return {term.key: term for term in terms}
+
+
+def _mechanical_terms(level: float) -> tuple[Term, ...]:
+    """Effects of the spring and the stops."""
+    return (
         Term(
             "spring_preload",
             Enters.FORCE,
@@ -91,7 +106,11 @@ def catalogue(level: float, speed: float) -> dict[str, Term]:
             (Parameter("end_stop_contact.restitution", "1", 0.2, 0.0, 0.95, starts=(0.3,)),),
         ),
     )
-    magnetic = (
+
+
+def _magnetic_terms() -> tuple[Term, ...]:
+    """Effects between the current and the force."""
+    return (
         Term(
             "eddy_current", Enters.MAGNETIC, "a field that lags behind the current (eddy currents)",
             "τ·i̇_eff + i_eff = i", "diffusion of the field, first mode", "fast changes of the current",
@@ -117,16 +136,6 @@ def catalogue(level: float, speed: float) -> dict[str, Term]:
             (Parameter("residual_magnetism.current", "A", 0.1, -1.0, 1.0),),
         ),
     )  # fmt: skip
-    constant = Term(
-        "constant_force", Enters.FORCE, "a constant push (tilt, pressure)", "F = F_0", "standard",
-        "motion both ways; a spring's preload looks the same away from the stops",
-        (Parameter("constant_force.force", "N", level),),
-    )  # fmt: skip
-    way_in = tuple(term for term in input_terms("A") if term.key not in AMPLIFIER)
-    terms = friction_terms("N", "m", level, speed) + loads + magnetic + way_in
-    terms += (constant, load_dependent_friction("the magnet's force (its side pull)"))
-    terms += (*output_terms("plunger_position", "m", STROKE), offset_term("plunger_position", "m", 1e-4))
-    return {term.key: term for term in terms}
 
 
 class SolenoidModel:
@@ -165,13 +174,13 @@ class SolenoidModel:
         self.table = None if table is None else read_force_map(table)
         self.notes = self._notes(record)
         middle = 0.5 * (self.low + self.high)
-        self.force = sliding.driven(self._strongest(record), middle, self._magnet(1.0))
+        self.force = sliding.drive_force(self._strongest(record), middle, self._magnet(1.0))
         self.speed = self._speed(record)
         self.terms: Mapping[str, Term] = catalogue(0.05 * abs(self.force), self.speed)
-        own = {"moving_mass": ("kg", TYPICAL_MASS), "spring_stiffness": ("N/m", self._stiffness())}
+        typical_sizes = {"moving_mass": ("kg", TYPICAL_MASS), "spring_stiffness": ("N/m", self._stiffness())}
         self.parameters = tuple(
             Parameter(n, unit, size, 1e-2 * size, 1e2 * size, starts=(size,))
-            for n, (unit, size) in own.items()
+            for n, (unit, size) in typical_sizes.items()
             if n not in self.fixed
         ) + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.02 * (self.high - self.low), 0.2 * self.speed])
@@ -206,9 +215,9 @@ class SolenoidModel:
         if record is None:
             return 0.05
         speeds = []
-        for each in record.recordings():
-            stride = max(1, int(0.005 / each.period))
-            speeds.append(np.diff(each.outputs[::stride, 0]) / np.diff(each.t[::stride]))
+        for recording in record.recordings():
+            stride = max(1, int(0.005 / recording.period))
+            speeds.append(np.diff(recording.outputs[::stride, 0]) / np.diff(recording.t[::stride]))
         return float(np.sqrt(np.mean(np.concatenate(speeds) ** 2))) or 0.05
 
     def _stiffness(self) -> float:

@@ -29,7 +29,7 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     stops = [abs(known[name]) for name in ("stop_low", "stop_high") if name in known]
     high = 1.5 * max(stops) if len(stops) == 2 else LONGEST_STROKE
     why = "the stops of the rig file" if len(stops) == 2 else "a plunger's stroke is shorter"
-    found = [
+    figures = [
         rate_fact(record, 20.0, 1e6, 1000.0),
         size_fact("plunger_position", "m", x, high, TYPICAL_STROKE, why),
         size_fact("coil_current", "A", i, STRONGEST, 1.0, "a bench's coil takes less"),
@@ -41,5 +41,5 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
             powers = {"plunger_position": 1}
             why = "current pulls the plunger away from its rest stop"
             # its sign alone scales: a correlation has no unit
-            found.append(Fact(what, float(np.sign(alike)), "", 0.0, inf, powers, why, dynamic=True))
-    return found
+            figures.append(Fact(what, float(np.sign(alike)), "", 0.0, inf, powers, why, dynamic=True))
+    return figures

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from labhil.compiled import inlined, merged, specialised
-from labhil.physics.bracket import Bracket, crossing, narrowed
+from labhil.physics.bracket import Bracket, crossing, narrow
 from labhil.physics.moving_part import Course, Follows, Laws, Motion, Part, Step, Stops, stepper
 from labhil.signals import FloatArray, IntArray
 
@@ -23,7 +23,7 @@ AT_ONCE = 1e6
 """Rate times the length of a stretch above which the following quantity is simply there."""
 
 SWIFT = 3.0
-"""Time constants of damping in the rest of a stretch from which on a part may be said to creep."""
+"""Time constants of damping in the rest of a stretch from which on a part may count as creeping."""
 
 BALANCED = 0.1
 """Share of itself by which the damping of a creeping part may change on its way to the balance."""
@@ -75,7 +75,7 @@ def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
             f = excess(step(s, 0.0, u, rise, middle, how, part), u + middle * rise, side, part)
             if abs(f) <= close:
                 return min(middle + INSTANT, h)
-            between = narrowed(between, middle, f)
+            between = narrow(between, middle, f)
         return between.high
 
     return time_to_leave
@@ -98,11 +98,11 @@ def finder(step: Step[Part]) -> Event[Part]:
             if between.high - between.low < INSTANT or f_high == f_low:
                 break
             middle = crossing(between)
-            there = step(s, side, u, rise, middle, how, part)
-            f = (stop - there.x) * side if meets else there.v * side
+            reached = step(s, side, u, rise, middle, how, part)
+            f = (stop - reached.x) * side if meets else reached.v * side
             if abs(f) <= close:
                 return middle
-            between = narrowed(between, middle, f)
+            between = narrow(between, middle, f)
         return 0.5 * (between.low + between.high)
 
     return time_to_event
@@ -119,7 +119,7 @@ def rester(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
         part: Part,
     ) -> tuple[Motion, float, float]:  # fmt: skip
         later = step(s, 0.0, u, rise, h, how, part)
-        towards = torn(later.x, grip(later, u + h * rise, part), stops)
+        towards = break_away_side(later.x, grip(later, u + h * rise, part), stops)
         if towards == 0.0:
             return later, 0.0, h
         taken = time_to_leave(s, towards, u, rise, h, how, np.inf, part)
@@ -165,8 +165,8 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
 
 @inlined
-def torn(x: float, grip: tuple[float, float], stops: Stops) -> float:
-    """The side towards which a resting part is torn away; 0 where it holds, or leans on a stop."""
+def break_away_side(x: float, grip: tuple[float, float], stops: Stops) -> float:
+    """The side towards which a resting part breaks away; 0 where it holds, or leans on a stop."""
     pull, level = grip
     if pull > level and x < stops.high:
         return 1.0
@@ -186,9 +186,9 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
     rest, move = rester(laws, step), mover(laws, step)
 
     @specialised
-    def creep(s: Motion, side: float, u: float, left: float, part: Part) -> float:
+    def creep(s: Motion, side: float, u: float, remaining: float, part: Part) -> float:
         rate, bend = damping(s, side, part)
-        if rate * left < SWIFT:
+        if rate * remaining < SWIFT:
             return 0.0
         return rate if abs(pull(s, side, u, part)) * bend <= BALANCED * rate * rate else 0.0
 
@@ -207,7 +207,7 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
                 how = Follows(np.inf, how.gauge, how.bias, 0.0)
                 s = Motion(s.x, s.v, settled(s, now, part))
             if side == 0.0:
-                side = torn(s.x, grip(s, now, part), stops)
+                side = break_away_side(s.x, grip(s, now, part), stops)
             if side != 0.0:
                 how = Follows(how.rate, how.gauge, how.bias, creep(s, side, now, h - t, part))
             size = min(h - t, pace(s, side, now, rise, t, how, finest, part))
@@ -267,12 +267,12 @@ def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
                 row += 1
                 if lost or k == last[w] - 1:
                     continue
-                here, before = at(part, course, k), s
+                part_here, before = at(part, course, k), s
                 while now < t[k + 1]:
                     until = min(t[k + 1], node_t[node]) if node < node_t.size else t[k + 1]
                     if until > now:
                         u, rise = stretch(node_t, values, node, now)
-                        s, side = advance(s, side, u, rise, until - now, finest, stops, here)
+                        s, side = advance(s, side, u, rise, until - now, finest, stops, part_here)
                         now = until
                     while node < node_t.size and node_t[node] <= now:
                         node += 1

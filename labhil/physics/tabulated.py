@@ -89,14 +89,14 @@ def run_pushed(
 @compiled
 def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
     """Accelerations (n,) of a moving part; zero where it rests."""
-    found = np.zeros(x.size)
+    accelerations = np.zeros(x.size)
     for k in range(x.size):
         if v[k] != 0.0:
-            found[k] = _pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
-    return found
+            accelerations[k] = _pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
+    return accelerations
 
 
 @compiled
-def looked_up(x: float, v: float, u: float, table: Table) -> float:
+def look_up(x: float, v: float, u: float, table: Table) -> float:
     """The table's acceleration, for callers from Python."""
     return acceleration(x, v, u, table)

@@ -51,8 +51,8 @@ class Parameter:
     parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
     is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
     that an estimator may project it out, ``in_steps`` that they change with it in steps, so that only
-    wide differences tell slopes and a profile its interval. ``waves_over`` names the coordinate along which
-    the term repeats so often per unit (an order). ``joint`` (from 0) tells apart the same law of
+    wide differences give slopes and only a profile its interval. ``waves_over`` names the coordinate along
+    which the term repeats so often per unit (an order). ``joint`` (from 0) distinguishes the same law of
     several joints, ``recording`` (from 1) what has a value of its own in each of several recordings.
     """
 
@@ -164,5 +164,5 @@ def keyed(name: str, joint: int | None, recording: int | None = None) -> str:
 
     What has a value of its own in a recording names that too: ``payload.mass@1``.
     """
-    whole = name if joint is None else f"{name}[{joint}]"
-    return whole if recording is None else f"{whole}@{recording}"
+    key = name if joint is None else f"{name}[{joint}]"
+    return key if recording is None else f"{key}@{recording}"

@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra
-from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, thinned
+from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, scale_viscous
 from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
 from labhil.physics.stick_slip import FINEST, integrator
 from labhil.signals import FloatArray, IntArray
@@ -61,7 +61,7 @@ class Course(NamedTuple):
 def at(r: Rotor, c: Course, k: int) -> Rotor:
     """The motor between samples k and k + 1."""
     cold = c.cold
-    return Rotor(cold.motor, cold.resistance * c.warm[k], thinned(cold.law, c.change[k]))
+    return Rotor(cold.motor, cold.resistance * c.warm[k], scale_viscous(cold.law, c.change[k]))
 
 
 @inlined
@@ -132,7 +132,7 @@ def longest(
 ) -> float:
     """The longest step, s.
 
-    After a jump of the voltage the current's own decay must be resolved as far as it is off the course
+    After a jump of the voltage the current's own decay must be resolved as far as it deviates from the course
     that it settles on, and ever less the longer the jump is past.
     """
     m = r.motor
@@ -151,17 +151,17 @@ def longest(
     if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
         return size
     course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
-    off = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
-    return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * off**-0.2)
+    deviation = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
+    return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * deviation**-0.2)
 
 
 @inlined
-def damped(s: Motion, side: float, r: Rotor) -> tuple[float, float]:
+def rotor_damping(s: Motion, side: float, r: Rotor) -> tuple[float, float]:
     """How friction damps a turning rotor."""
     return damping(s.v, side, r.law)
 
 
-LAWS = Laws(pull, target, follow, settled, grip, longest, damped, at)
+LAWS = Laws(pull, target, follow, settled, grip, longest, rotor_damping, at)
 run = integrator(LAWS)
 run_pushed = integrator(with_extra(LAWS))
 
@@ -198,12 +198,12 @@ def simulate(
     ``warm`` (n,) is the resistance over its value when cold, ``viscous_change`` (n,) the same of viscous
     friction. Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
     """
-    begun = np.empty_like(states)
+    starts = np.empty_like(states)
     for w in range(first.size):
-        begun[w, 0], begun[w, 1], begun[w, 2] = states[w, 2], states[w, 0], states[w, 1]
+        starts[w, 0], starts[w, 1], starts[w, 2] = states[w, 2], states[w, 0], states[w, 1]
     cold = Rotor(m, m.resistance, law_of(f))
     course = Course(warm, viscous_change, cold)
-    run(t, node_t, voltage, first, last, begun, NO_STOPS, cold, course, out)
+    run(t, node_t, voltage, first, last, starts, NO_STOPS, cold, course, out)
     for row in range(out.shape[0]):
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]
 
@@ -225,11 +225,11 @@ def simulate_pushed(
     out: FloatArray,
 ) -> None:
     """:func:`simulate` under one more torque: ``beyond`` a curve, ``along`` (n,) a course, over inertia."""
-    begun = np.empty_like(states)
+    starts = np.empty_like(states)
     for w in range(first.size):
-        begun[w, 0], begun[w, 1], begun[w, 2] = states[w, 2], states[w, 0], states[w, 1]
+        starts[w, 0], starts[w, 1], starts[w, 2] = states[w, 2], states[w, 0], states[w, 1]
     cold = Rotor(m, m.resistance, law_of(f))
     course = PushedCourse(Course(warm, viscous_change, cold), along)
-    run_pushed(t, node_t, voltage, first, last, begun, NO_STOPS, Pushed(cold, beyond), course, out)
+    run_pushed(t, node_t, voltage, first, last, starts, NO_STOPS, Pushed(cold, beyond), course, out)
     for row in range(out.shape[0]):
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]

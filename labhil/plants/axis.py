@@ -14,8 +14,8 @@ from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
-from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
+from labhil.plants.trajectory import Channel, Stamps, Trajectory, sense
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, with_sizes
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("position", "velocity", "temperature", "drive_current")
@@ -24,10 +24,10 @@ WARMTH, LOAD_X, LOAD_V = INNER, INNER + 1, INNER + 2
 AXIS = World(
     bare={
         "moving_mass": 95.0,  # kg
-        "drive_gain": 35.15,  # N/V, of the voltage that is told beside the force
-        "drive_constant": 50.0,  # N/A, of the current that is told beside the force
+        "drive_gain": 35.15,  # N/V, of the voltage that is reported beside the force
+        "drive_constant": 50.0,  # N/A, of the current that is reported beside the force
         "temperature_start": 25.0,  # °C, also of what surrounds the axis
-        "reference_temperature": 25.0,  # °C, at which viscous friction is what is said
+        "reference_temperature": 25.0,  # °C, at which viscous friction has the stated value
         "warming": 0.0,  # K/J of friction heat
         "cooling": 0.0,  # 1/s
         "position_noise": 2e-6,  # m
@@ -38,7 +38,7 @@ AXIS = World(
         **SAMPLING,
     },
     effects={
-        **sized(
+        **with_sizes(
             FRICTION,
             {
                 "viscous_friction": {"coefficient": 204.0},
@@ -67,7 +67,7 @@ AXIS = World(
             "a share of the mass hangs on a spring (m/N) with a damper (N·s/m), behind the encoder",
             {"compliance": 2e-6, "damping": 300.0, "share": 0.7},
         ),
-        **sized(
+        **with_sizes(
             WAY_IN,
             {
                 "time_delay": {"delay": 0.004},
@@ -78,7 +78,7 @@ AXIS = World(
                 "rate_limit": {"rate": 5000.0},
             },
         ),
-        **sized(
+        **with_sizes(
             WAY_OUT,
             {
                 "sensor_offset": {"offset": 0.001},
@@ -278,7 +278,7 @@ class AxisPlant:
         p = self.parameters
         position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
         true = {
-            "position": sensed(position, p),
+            "position": sense(position, p),
             "velocity": rows[:, V],
             "temperature": rows[:, WARMTH],
             "drive_current": rows[:, -1] / p["drive_constant"],

@@ -11,7 +11,7 @@ from labhil.compiled import compiled
 from labhil.errors import UsageError
 from labhil.plants.effects import resolve
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, delayed, first_order, follow, settled
+from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, first_order, follow, read_delayed, settle
 from labhil.plants.motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
 from labhil.plants.sensor import Sensor
 from labhil.signals import FloatArray, IntArray
@@ -73,7 +73,7 @@ class BallBeamPlant:
         self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position
-        self._memory = settled(angle, self._path)
+        self._memory = settle(angle, self._path)
         self._lagged = np.array([position])
         self._history = np.full(HISTORY, angle)
         self._newest = 0
@@ -104,7 +104,7 @@ class BallBeamPlant:
         """
         if angles[0] != self.angle:
             self.angle = float(angles[0])
-            self._memory = settled(self.angle, self._path)
+            self._memory = settle(self.angle, self._path)
             self._history[:] = self.angle
         first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
         truth = np.concatenate([first, self._walk(np.asarray(angles[1:], dtype=np.float64))])
@@ -185,7 +185,7 @@ def walk(
             behind = p.delay / period + 1.0 - moment
             linkage = memory[-1]
             before = ball[POSITION]
-            turned = follow(memory, delayed(history, newest, behind), h, p)
+            turned = follow(memory, read_delayed(history, newest, behind), h, p)
             move(ball, linkage, turned, h, m, f)
             lagged[0] = first_order(lagged[0], before, ball[POSITION], h, sensor_lag)
         out[i, 0], out[i, 1], out[i, 2] = ball[POSITION], ball[VELOCITY], lagged[0]

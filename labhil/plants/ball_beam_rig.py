@@ -17,7 +17,7 @@ BALL_BEAM = World({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIVE), HIDDEN
 
 
 class BallBeamRig:
-    """A :class:`BallBeamPlant` that tells contract signals; servo angle in (rad), straight between samples.
+    """A :class:`BallBeamPlant` with contract signals; servo angle in (rad), straight between samples.
 
     Takes the plant's parameters and those of ``SAMPLING``. Begins level, at rest at ``start_position``.
     """

@@ -14,7 +14,7 @@ from labhil.plants.driven import TOLERANCE, Drive, kernel_for
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
-from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
+from labhil.plants.trajectory import Channel, Stamps, Trajectory, sense
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("speed", "current", "angle", "winding_temperature")
@@ -193,8 +193,8 @@ class DcMotorPlant:
         p = self.parameters
         speed = rows[:, SENSOR if "sensor_lag.time_constant" in p else V]
         true = {
-            "speed": sensed(speed, p),
-            "current": sensed(rows[:, CURRENT], p, "current_"),
+            "speed": sense(speed, p),
+            "current": sense(rows[:, CURRENT], p, "current_"),
             "angle": rows[:, X],
             "winding_temperature": rows[:, WARMTH],
         }

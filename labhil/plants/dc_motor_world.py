@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, sized
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, with_sizes
 
 COPPER = 0.0039
 
@@ -16,7 +16,7 @@ MOTOR = World(
         "heat_capacity": 60.0,  # J/K, of the winding
         "heat_resistance": 4.0,  # K/W, from the winding to the air
         "ambient": 25.0,  # °C, where the winding begins
-        "reference_temperature": 25.0,  # °C, at which resistance and viscous friction are what is said
+        "reference_temperature": 25.0,  # °C, at which resistance and viscous friction are as stated
         "speed_noise": 0.03,  # rad/s
         "current_noise": 0.03,  # A
         "angle_noise": 0.0,  # rad
@@ -27,7 +27,7 @@ MOTOR = World(
         **SAMPLING,
     },
     effects={
-        **sized(
+        **with_sizes(
             FRICTION,
             {
                 "viscous_friction": {"coefficient": 0.05},
@@ -54,7 +54,7 @@ MOTOR = World(
         "brush_drop": Effect("a voltage that the brushes take, V", {"voltage": 0.3}),
         "supply_sag": Effect("a supply that gives way, 1/V", {"coefficient": 0.02}),
         "thermal_resistance": Effect("resistance that rises with warmth, 1/K", {"coefficient": COPPER}),
-        **sized(
+        **with_sizes(
             WAY_IN,
             {
                 "dead_zone": {"left": 0.4, "right": 0.5},
@@ -63,7 +63,7 @@ MOTOR = World(
                 "rate_limit": {"rate": 60.0},
             },
         ),
-        **sized(
+        **with_sizes(
             WAY_OUT,
             {
                 "sensor_gain": {"current_gain": 0.0},

@@ -47,8 +47,8 @@ def run(
         t, u = begin, 0.0
         while end - t > near:
             course = command(times, values, count, t, p.delay, near, held)
-            u, rise, left = through(memory, course, p)
-            h = max(min(left, end - t), near)
+            u, rise, remaining = through(memory, course, p)
+            h = max(min(remaining, end - t), near)
             move(s, mode, u, rise, h, b, m, f, w)
             memory[LIMITED] += h * rise
             u += h * rise
@@ -70,7 +70,7 @@ def kernel_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str)
     return bound
 
 
-def packed(numbers: Any) -> Any:
+def pack(numbers: Any) -> Any:
     """A named tuple of numbers, and of arrays of them, as one record, which kernels hand on as a whole."""
     kinds = [
         (name, value.dtype, value.shape) if isinstance(value, np.ndarray) else (name, type(value))
@@ -101,14 +101,14 @@ class Drive:
         self.path = InputPath.of(values)
         if self.path.delay > LONGEST_DELAY * stamps.period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {stamps.period:g} s")
-        self._kernel, self._numbers, self._body = kernel, packed(numbers), packed(body)
+        self._kernel, self._numbers, self._body = kernel, pack(numbers), pack(body)
         friction = Friction.of(values)
-        self._friction, self._way = packed(friction), packed(self.path)
+        self._friction, self._way = pack(friction), pack(self.path)
         self.stamps, self._held = stamps, held
-        own = INNER + len(inner)
-        n = own + (ROOM if friction.attraction > 0.0 else 0)
+        inner_end = INNER + len(inner)
+        n = inner_end + (ROOM if friction.attraction > 0.0 else 0)
         self._state = np.zeros(n)
-        self._state[X], self._state[INNER:own] = place, inner
+        self._state[X], self._state[INNER:inner_end] = place, inner
         self._state[SENSOR] = self._state[body.seen]
         self._mode = np.array([0.0, FIRST_PACE * stamps.period])
         self._clock, self._memory = np.zeros(1), np.zeros(2)

@@ -101,8 +101,8 @@ LONGEST_DELAY = 2.0
 
 def parameters_of(effect: str) -> dict[str, float]:
     """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
-    found = HIDDEN[effect] if effect in HIDDEN else EFFECTS[effect]
-    return {f"{effect}.{name}": value for name, value in found.parameters.items()}
+    definition = HIDDEN[effect] if effect in HIDDEN else EFFECTS[effect]
+    return {f"{effect}.{name}": value for name, value in definition.parameters.items()}
 
 
 def all_parameters() -> dict[str, float]:

@@ -31,7 +31,7 @@ FEWEST = 6
 """Points: a plane and its curvature."""
 
 NEIGHBOURS = 64
-"""Points next to a node that tell its force where there are very many more."""
+"""Points next to a node that determine its force where there are very many more."""
 
 DEGREE_I, DEGREE_X, KNOTS_I, KNOTS_X = 0, 1, 2, 3
 FIRST_I = 4
@@ -74,7 +74,7 @@ def force_map_of(path: Path) -> FloatArray:
         current, position, table = nodes if nodes is not None else _plate(i, x, force)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise UsageError(f"{path}: expected points at least that span an area: {error}") from error
-    return _packed(current, position, table)
+    return _pack(current, position, table)
 
 
 def _on_a_grid(
@@ -104,7 +104,7 @@ def _plate(i: FloatArray, x: FloatArray, force: FloatArray) -> tuple[FloatArray,
     return current, position, plate(nodes / size).reshape(ACROSS, ACROSS)
 
 
-def _packed(current: FloatArray, position: FloatArray, table: FloatArray) -> FloatArray:
+def _pack(current: FloatArray, position: FloatArray, table: FloatArray) -> FloatArray:
     if max(table.shape) > MOST:
         spline = _spline(current, position, table)
         current, position = (np.linspace(a[0], a[-1], min(len(a), MOST)) for a in (current, position))
@@ -143,7 +143,7 @@ def _span(value: float, first: int, knots: int, degree: int, s: FloatArray) -> i
 
 
 @compiled
-def _basis(value: float, first: int, left: int, degree: int, s: FloatArray) -> Four:
+def _basis(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
     """The splines of a degree that are not zero in the interval, in their order (de Boor's recursion)."""
     a, b, c, d = 1.0, 0.0, 0.0, 0.0
     for k in range(1, degree + 1):
@@ -151,7 +151,7 @@ def _basis(value: float, first: int, left: int, degree: int, s: FloatArray) -> F
         old = (a, b, c, d)
         w, x, y, z = new
         for r in range(k):
-            low, high = s[first + left + 1 + r - k], s[first + left + 1 + r]
+            low, high = s[first + interval + 1 + r - k], s[first + interval + 1 + r]
             part = old[r] / (high - low) if high > low else 0.0
             falls, climbs = part * (high - value), part * (value - low)
             if r == 0:
@@ -165,13 +165,13 @@ def _basis(value: float, first: int, left: int, degree: int, s: FloatArray) -> F
 
 
 @compiled
-def _rises(value: float, first: int, left: int, degree: int, s: FloatArray) -> Four:
+def _rises(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
     """Their slopes."""
-    p, q, r, _ = _basis(value, first, left, degree - 1, s)
+    p, q, r, _ = _basis(value, first, interval, degree - 1, s)
     lower = (p, q, r)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for k in range(degree):
-        wide = s[first + left + 1 + k] - s[first + left + 1 + k - degree]
+        wide = s[first + interval + 1 + k] - s[first + interval + 1 + k - degree]
         part = degree * lower[k] / wide if wide > 0.0 else 0.0
         if k == 0:
             a, b = a - part, b + part

@@ -50,14 +50,14 @@ NEUTRAL = InputPath.of({})
 
 
 @compiled
-def delayed(history: FloatArray, newest: int, behind: float) -> float:
+def read_delayed(history: FloatArray, newest: int, behind: float) -> float:
     """Return the angle ``behind`` samples before the one with number ``newest``."""
-    whole = math.floor(behind)
-    part = behind - whole
-    after = float(history[(newest - whole) % HISTORY])
+    samples = math.floor(behind)
+    part = behind - samples
+    after = float(history[(newest - samples) % HISTORY])
     if part == 0.0:
         return after
-    return after + part * (float(history[(newest - whole - 1) % HISTORY]) - after)
+    return after + part * (float(history[(newest - samples - 1) % HISTORY]) - after)
 
 
 @compiled
@@ -91,7 +91,7 @@ def follow(path: FloatArray, angle: float, h: float, p: InputPath) -> float:
     return float(path[LAGGED])
 
 
-def settled(angle: float, p: InputPath) -> FloatArray:
+def settle(angle: float, p: InputPath) -> FloatArray:
     """Return the path's memory after a long time at ``angle`` (rad), in the middle of the play."""
     wanted = min(max(without_dead_zone(angle, p.left, p.right), -p.limit), p.limit)
     path = np.full(PATH_SIZE, wanted)

@@ -12,7 +12,7 @@ wiped out. One thing is added: an element that slips is loaded no faster than on
 slows down would else be given energy, since the level rises and the attraction does not wait for the way.
 
 The elements are the last ``ROOM`` of a part's states: their forces (N), then for each the side (±1) towards
-which it slips, or 0, and last the level's sum over time (N·s), of which the rate tells the level at a step's
+which it slips, or 0, and last the level's sum over time (N·s), of which the rate is the level at a step's
 end. Quantities of a rotor are N·m and rad.
 """
 
@@ -107,12 +107,12 @@ def relax_elements(s: FloatArray, v: float, level: float, h: float, f: Friction)
     if side == 0.0:
         return
     let_slip(s, side, level)
-    stiffness, left = f.stiffest, math.exp(-attraction(level, f) * h)
+    stiffness, decay = f.stiffest, math.exp(-attraction(level, f) * h)
     for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
         before = side * s[i]
         loaded = before + stiffness * abs(v) * h
         if s[i + ELEMENTS] != 0.0:
-            loaded = min(share + (before - share) * left, loaded)
+            loaded = min(share + (before - share) * decay, loaded)
         elif loaded >= share:
             s[i + ELEMENTS], loaded = side, share
         s[i] = side * loaded

@@ -208,24 +208,24 @@ def roll_to_event(
 ) -> float:
     """Move a rolling ball on by at most h (s), up to its next event; return how long that took."""
     x, v, side = ball[POSITION], ball[VELOCITY], ball[SIDE]
-    there, speed = roll(x, v, side, angle, turning, h, m, f)
+    reached, speed = roll(x, v, side, angle, turning, h, m, f)
     if speed * side <= 0.0:
         if v == 0.0:
             # broken away by less than rounding: it rests for this step
             ball[SIDE] = 0.0
             return h
         taken = time_to_event(x, v, side, angle, turning, h, False, m, f)
-        there, _ = roll(x, v, side, angle, turning, taken, m, f)
-        if there * side <= m.stop:
-            ball[POSITION], ball[VELOCITY], ball[SIDE] = there, 0.0, 0.0
+        reached, _ = roll(x, v, side, angle, turning, taken, m, f)
+        if reached * side <= m.stop:
+            ball[POSITION], ball[VELOCITY], ball[SIDE] = reached, 0.0, 0.0
             return taken
-    if there * side > m.stop:
+    if reached * side > m.stop:
         taken = time_to_event(x, v, side, angle, turning, h, True, m, f)
         _, speed = roll(x, v, side, angle, turning, taken, m, f)
         ball[POSITION], ball[VELOCITY] = side * m.stop, bounce(speed, m)
         ball[SIDE] = side_of(ball[VELOCITY])
         return taken
-    ball[POSITION], ball[VELOCITY] = there, speed
+    ball[POSITION], ball[VELOCITY] = reached, speed
     return h
 
 
@@ -237,14 +237,14 @@ def move_by_events(
     t = 0.0
     while t < h:
         now = angle + t * turning
-        left = min(h - t, LONGEST_STEP)
+        remaining = min(h - t, LONGEST_STEP)
         if ball[SIDE] == 0.0:
-            waited, side = rest(ball[POSITION], now, turning, left, m, f)
+            waited, side = rest(ball[POSITION], now, turning, remaining, m, f)
             ball[SIDE] = side
             t += waited
         else:
-            left = min(left, stride(ball[POSITION], ball[VELOCITY], ball[SIDE], now, turning, m, f))
-            t += roll_to_event(ball, now, turning, left, m, f)
+            remaining = min(remaining, stride(ball[POSITION], ball[VELOCITY], ball[SIDE], now, turning, m, f))
+            t += roll_to_event(ball, now, turning, remaining, m, f)
 
 
 @compiled

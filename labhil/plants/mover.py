@@ -183,7 +183,7 @@ def error_of(h: float, b: Body, w: Work) -> float:
     return worst / b.tolerance
 
 
-def happened(
+def has_happened(
     y: FloatArray, u: float, side: float, stops: bool, b: Body, m: Any, f: Friction, w: Work
 ) -> bool:
     """Whether a part at rest has left, or a moving one has turned back or has an element that yields.
@@ -210,7 +210,7 @@ def time_to(
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         attempt(s, u, rise, middle, side, b, m, f, w)
-        if happened(w.end, u + middle * rise, side, stops, b, m, f, w):
+        if has_happened(w.end, u + middle * rise, side, stops, b, m, f, w):
             high = middle
         else:
             low = middle
@@ -255,11 +255,11 @@ def to_event(
     """See what happened in a step of h (s) that led to ``w.end``, and go back to it; how long that took."""
     side, taken = mode[SIDE], h
     if side == 0.0:
-        if happened(w.end, u + h * rise, side, False, b, m, f, w):
+        if has_happened(w.end, u + h * rise, side, False, b, m, f, w):
             taken = time_to(s, u, rise, h, side, False, b, m, f, w)
             mode[SIDE] = leaves(w.end, u + taken * rise, b, m, f, w.stages[6])
         return taken
-    breaks = happened(w.end, u + h * rise, side, False, b, m, f, w)
+    breaks = has_happened(w.end, u + h * rise, side, False, b, m, f, w)
     if breaks:
         taken = time_to(s, u, rise, h, side, False, b, m, f, w)
         if b.low <= w.end[X] <= b.high:
@@ -268,7 +268,7 @@ def to_event(
             else:
                 let_slip(w.end, side, w.stages[6, s.size - 1])
             return taken
-    if breaks or happened(w.end, u + taken * rise, side, True, b, m, f, w):
+    if breaks or has_happened(w.end, u + taken * rise, side, True, b, m, f, w):
         taken = time_to(s, u, rise, taken, side, True, b, m, f, w)
         against_stop(mode, b, f, w)
     return taken
@@ -309,7 +309,7 @@ def move(
 
 
 PIECES = (
-    slopes, leaves, attempt, happened, time_to, dips, to_rest, against_stop, to_event, move,
+    slopes, leaves, attempt, has_happened, time_to, dips, to_rest, against_stop, to_event, move,
 )  # fmt: skip
 
 

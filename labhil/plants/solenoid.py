@@ -15,7 +15,7 @@ from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
 from labhil.plants.solenoid_world import SOLENOID, STROKE
-from labhil.plants.trajectory import Channel, Stamps, Trajectory, sensed
+from labhil.plants.trajectory import Channel, Stamps, Trajectory, sense
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("plunger_position", "coil_current", "coil_voltage", "magnetic_force")
@@ -117,7 +117,7 @@ def force_per_current(i: float, x: float, m: Plunger) -> float:
 
 
 @compiled
-def turned(before: float, u: float, width: float) -> float:
+def turn_magnet(before: float, u: float, width: float) -> float:
     """The current that a magnet remembers which comes from ``before`` to ``u`` (A): a play of full width."""
     return min(max(before, u - 0.5 * width), u + 0.5 * width)
 
@@ -125,7 +125,7 @@ def turned(before: float, u: float, width: float) -> float:
 @compiled
 def field_of(s: FloatArray, u: float, m: Plunger) -> float:
     """The current (A) that the field corresponds to."""
-    i = s[EDDY] if m.eddy > 0.0 else turned(s[TURNED], u, m.width)
+    i = s[EDDY] if m.eddy > 0.0 else turn_magnet(s[TURNED], u, m.width)
     i += m.residual
     return i / (1.0 + m.knee * abs(i))
 
@@ -135,7 +135,7 @@ def push(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float,
     """Force without friction, further dry friction (N), and what is left of viscous friction."""
     x, v = s[X], s[V]
     rates[TURNED] = 0.0
-    rates[EDDY] = (turned(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0
+    rates[EDDY] = (turn_magnet(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0
     resistance = m.resistance * (1.0 + m.copper * (s[WARMTH] - m.reference))
     rates[WARMTH] = (resistance * u * u - (s[WARMTH] - m.ambient) / m.to_air) / m.capacity
     magnet = magnet_force(field_of(s, u, m), x, m)
@@ -155,7 +155,7 @@ def push(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float,
 @compiled
 def remember(s: FloatArray, u: float, m: Plunger) -> None:
     """The magnet keeps where its current turned."""
-    s[TURNED] = turned(s[TURNED], u, m.width)
+    s[TURNED] = turn_magnet(s[TURNED], u, m.width)
 
 
 run_plunger = kernel_for(push, remember, __name__)
@@ -270,7 +270,7 @@ class SolenoidPlant:
         ripple = np.sin(2.0 * np.pi * p.get("pwm_ripple.frequency", 0.0) * t)
         position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
         true = {
-            "plunger_position": sensed(position, p),
+            "plunger_position": sense(position, p),
             "coil_current": i + p.get("pwm_ripple.current", 0.0) * ripple,
             "coil_voltage": self._resistance(rows) * i
             + p["coil_inductance"] * slope

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_OUT, World, sized
+from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_OUT, World, with_sizes
 
 STROKE = 0.005
 COPPER = 0.0039
@@ -23,11 +23,11 @@ SOLENOID = World(
         **FORCE_MAP,
         "coil_resistance": 4.0,  # Ω
         "coil_inductance": 0.02,  # H
-        "loop_time": 0.001,  # s, by which the current is behind what is asked of the current loop
+        "loop_time": 0.001,  # s, by which the current is behind the setpoint of the current loop
         "heat_capacity": 30.0,  # J/K, of the coil
         "heat_resistance": 5.0,  # K/W, from the coil to the air
         "ambient": 25.0,  # °C, where the coil begins
-        "reference_temperature": 25.0,  # °C, at which the coil's resistance is what is said
+        "reference_temperature": 25.0,  # °C, at which the coil's resistance has the stated value
         "plunger_position_noise": 1e-5,  # m
         "coil_current_noise": 0.0,  # A
         "coil_voltage_noise": 0.0,  # V
@@ -37,7 +37,7 @@ SOLENOID = World(
         **SAMPLING,
     },
     effects={
-        **sized(
+        **with_sizes(
             FRICTION,
             {
                 "viscous_friction": {"coefficient": 5.0},
@@ -73,7 +73,7 @@ SOLENOID = World(
         ),
         # no other way in: the input is the coil's current itself, and what drives it is the current loop's
         "time_delay": Effect("the position is seen later than the current, s", {"delay": 0.002}),
-        **sized(
+        **with_sizes(
             WAY_OUT,
             {
                 "sensor_offset": {"offset": 1e-4},

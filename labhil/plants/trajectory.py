@@ -38,9 +38,9 @@ def generator(seed: int, what: str) -> np.random.Generator:
 
 
 class Stamps:
-    """When samples are taken and commands take effect, and what stamps say of it.
+    """When samples are taken and commands take effect, and the stamps of both.
 
-    ``stamp_jitter`` (s) is the standard deviation of both from an even beat, which the stamps tell;
+    ``stamp_jitter`` (s) is the standard deviation of both from an even beat, which the stamps show;
     ``stamp_error`` (s) that of the stamps from the truth.
     """
 
@@ -63,7 +63,7 @@ class Stamps:
         return np.asarray(self.period * beats + np.minimum(np.maximum(late, -most), most))
 
     def seen(self, t: FloatArray) -> FloatArray:
-        """What stamps say of the true times ``t`` (n,)."""
+        """The stamps of the true times ``t`` (n,)."""
         return t + self._error * self._lies.standard_normal(len(t)) if self._error else t
 
 
@@ -121,7 +121,7 @@ class Channel:
         return np.rint(seen / self.resolution) * self.resolution if self.resolution else seen
 
 
-def sensed(x: FloatArray, values: Mapping[str, float], channel: str = "") -> FloatArray:
+def sense(x: FloatArray, values: Mapping[str, float], channel: str = "") -> FloatArray:
     """What a sensor with nonlinearity, gain error and offset makes of ``x`` (n,), lagged already.
 
     A second ``channel`` (with "_" at its end) has a gain error and an offset of its own.

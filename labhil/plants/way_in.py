@@ -41,76 +41,76 @@ def command(
     """The command in effect at t (s) after its delay; knots within ``near`` (s) ahead count as reached."""
     while count[CURRENT] < count[NEWEST] and times[(count[CURRENT] + 1) % HISTORY] + delay <= t + near:
         count[CURRENT] += 1
-    here = count[CURRENT] % HISTORY
+    current = count[CURRENT] % HISTORY
     if count[CURRENT] == count[NEWEST]:
-        return values[here], 0.0, math.inf
+        return values[current], 0.0, math.inf
     ahead = (count[CURRENT] + 1) % HISTORY
-    left = times[ahead] + delay - t
-    if held or times[ahead] == times[here]:
-        return values[here], 0.0, left
-    if t - delay < times[here]:
-        return values[here], 0.0, times[here] + delay - t
-    slope = (values[ahead] - values[here]) / (times[ahead] - times[here])
-    return values[ahead] - slope * left, slope, left
+    remaining = times[ahead] + delay - t
+    if held or times[ahead] == times[current]:
+        return values[current], 0.0, remaining
+    if t - delay < times[current]:
+        return values[current], 0.0, times[current] + delay - t
+    slope = (values[ahead] - values[current]) / (times[ahead] - times[current])
+    return values[ahead] - slope * remaining, slope, remaining
 
 
 @compiled
 def behind_play(memory: FloatArray, course: Course, gap: float) -> Course:
     """What a play of full width ``gap`` lets through; ``memory`` keeps where it stands."""
-    value, slope, left = course
+    value, slope, remaining = course
     half = 0.5 * gap
     memory[PLAY] = min(max(memory[PLAY], value - half), value + half)
     if gap == 0.0 or slope == 0.0:
-        return memory[PLAY], slope if gap == 0.0 else 0.0, left
+        return memory[PLAY], slope if gap == 0.0 else 0.0, remaining
     room = memory[PLAY] - value + half if slope > 0.0 else value + half - memory[PLAY]
     if room <= ENOUGH * gap:
-        return memory[PLAY], slope, left
-    return memory[PLAY], 0.0, min(left, room / abs(slope))
+        return memory[PLAY], slope, remaining
+    return memory[PLAY], 0.0, min(remaining, room / abs(slope))
 
 
 @compiled
 def behind_dead_zone(course: Course, low: float, high: float) -> Course:
-    """What is left of a command outside ``low`` … ``high`` (eq. 4.18 of the reference text)."""
-    value, slope, left = course
+    """The part of a command outside ``low`` … ``high`` (eq. 4.18 of the reference text)."""
+    value, slope, remaining = course
     if value > high or (value == high and slope > 0.0):
-        return value - high, slope, min(left, (value - high) / -slope) if slope < 0.0 else left
+        return value - high, slope, min(remaining, (value - high) / -slope) if slope < 0.0 else remaining
     if value < low or (value == low and slope < 0.0):
-        return value - low, slope, min(left, (low - value) / slope) if slope > 0.0 else left
+        return value - low, slope, min(remaining, (low - value) / slope) if slope > 0.0 else remaining
     if slope > 0.0:
-        left = min(left, (high - value) / slope)
+        remaining = min(remaining, (high - value) / slope)
     elif slope < 0.0:
-        left = min(left, (low - value) / slope)
-    return 0.0, 0.0, left
+        remaining = min(remaining, (low - value) / slope)
+    return 0.0, 0.0, remaining
 
 
 @compiled
-def clipped(course: Course, limit: float) -> Course:
+def clip(course: Course, limit: float) -> Course:
     """A command that goes no further than ± ``limit``."""
-    value, slope, left = course
+    value, slope, remaining = course
     side = 1.0 if value > 0.0 else -1.0
     if abs(value) > limit or (abs(value) == limit and slope * side > 0.0):
         returns = (abs(value) - limit) / abs(slope) if slope * side < 0.0 else math.inf
-        return side * limit, 0.0, min(left, returns)
+        return side * limit, 0.0, min(remaining, returns)
     if slope != 0.0:
         edge = limit if slope > 0.0 else -limit
-        left = min(left, (edge - value) / slope)
-    return value, slope, left
+        remaining = min(remaining, (edge - value) / slope)
+    return value, slope, remaining
 
 
 @compiled
-def rate_limited(memory: FloatArray, course: Course, rate: float) -> Course:
+def limit_rate(memory: FloatArray, course: Course, rate: float) -> Course:
     """A command that changes no faster than ``rate`` per second; ``memory`` keeps where it stands."""
-    value, slope, left = course
+    value, slope, remaining = course
     if rate == math.inf:
         memory[LIMITED] = value
         return course
     behind = value - memory[LIMITED]
-    if abs(behind) <= ENOUGH * rate * min(left, 1.0):
+    if abs(behind) <= ENOUGH * rate * min(remaining, 1.0):
         memory[LIMITED] = value
-        return value, min(max(slope, -rate), rate), left
+        return value, min(max(slope, -rate), rate), remaining
     side = 1.0 if behind > 0.0 else -1.0
     closing = rate - side * slope
-    return memory[LIMITED], side * rate, min(left, abs(behind) / closing) if closing > 0.0 else left
+    return memory[LIMITED], side * rate, min(remaining, abs(behind) / closing) if closing > 0.0 else remaining
 
 
 @compiled
@@ -118,5 +118,5 @@ def through(memory: FloatArray, course: Course, p: InputPath) -> Course:
     """A delayed command behind everything that has no state of its own."""
     course = behind_play(memory, course, p.gap)
     course = behind_dead_zone(course, -p.left, p.right)
-    course = clipped(course, p.limit)
-    return rate_limited(memory, course, p.rate)
+    course = clip(course, p.limit)
+    return limit_rate(memory, course, p.rate)

@@ -35,10 +35,10 @@ class World:
 
         UnknownNameError lists the effects that there are, but for hidden ones.
         """
-        found = self.effects.get(effect) or self.hidden.get(effect)
-        if found is None:
+        definition = self.effects.get(effect) or self.hidden.get(effect)
+        if definition is None:
             raise UnknownNameError("effect", effect, self.effects)
-        return {f"{effect}.{name}": value for name, value in found.parameters.items()}
+        return {f"{effect}.{name}": value for name, value in definition.parameters.items()}
 
     def all_parameters(self) -> dict[str, float]:
         """Every parameter that the plant takes, with its default (SI); hidden effects' too."""
@@ -71,8 +71,8 @@ class World:
         known = self.all_parameters()
         effect = name.partition(".")[0]
         if name not in known:
-            told = [one for one in known if one.partition(".")[0] not in self.hidden]
-            raise UnknownNameError("parameter", name, told)
+            listed = [key for key in known if key.partition(".")[0] not in self.hidden]
+            raise UnknownNameError("parameter", name, listed)
         raise UsageError(
             f"{name} belongs to {effect}, which is not among the terms: {', '.join(chosen) or 'none'}"
         )
@@ -94,7 +94,7 @@ class World:
 
 SAMPLING: Mapping[str, float] = {
     "noise_correlation": 0.0,  # of neighbouring samples, every channel's
-    "stamp_jitter": 0.0,  # s, standard deviation of samples and commands beside their beat; stamps tell it
+    "stamp_jitter": 0.0,  # s, standard deviation of samples and commands beside their beat; stamps show it
     "stamp_error": 0.0,  # s, standard deviation of stamps beside the samples' true times
 }
 """What every recording may suffer from."""
@@ -156,7 +156,7 @@ WAY_OUT: Mapping[str, Effect] = {
 """Effects between the first measured quantity and its samples."""
 
 
-def sized(effects: Mapping[str, Effect], sizes: Mapping[str, Mapping[str, float]]) -> dict[str, Effect]:
+def with_sizes(effects: Mapping[str, Effect], sizes: Mapping[str, Mapping[str, float]]) -> dict[str, Effect]:
     """Effects with the defaults of one rig in the place of the general ones."""
     return {
         name: Effect(effect.about, {**effect.parameters, **sizes.get(name, {})})

@@ -83,25 +83,24 @@ def bad_rows(sheet: Sheet, taken: Taken, finite: Mask, followed: Mask, excused: 
         for reason, mask in masks.items()
         if mask.any()
     }
-    found = BadRows(len(finite), masks, first)
-    total = sum(found.counts.values())
+    bad = BadRows(len(finite), masks, first)
+    total = sum(bad.counts.values())
     stated = sheet.rig.table.bad_rows
     if total and stated == "fail":
         row = int(np.flatnonzero(np.any(list(masks.values()), axis=0))[0])
         raise TableError(f"{sheet.path}, {_blame(sheet, taken, row)}")
     if total > max(1, MOST_DROPPED * len(finite)) and stated is None:
-        raise TableError(_too_many(sheet, found, total))
-    return found
+        raise TableError(_too_many(sheet, bad, total))
+    return bad
 
 
-def _too_many(sheet: Sheet, found: BadRows, total: int) -> str:
+def _too_many(sheet: Sheet, bad: BadRows, total: int) -> str:
     parts = [
-        f"{found.count(reason)} {WHY[reason]}, the first in {quoted}"
-        for reason, quoted in found.first.items()
+        f"{bad.count(reason)} {WHY[reason]}, the first in {quoted}" for reason, quoted in bad.first.items()
     ]
     return (
-        f"{sheet.path}: expected rows that can be read, found {total} of {found.rows} "
-        f"({100.0 * total / found.rows:.3g} %) that cannot: {'; '.join(parts)}. Correct what reads them, or "
+        f"{sheet.path}: expected rows that can be read, found {total} of {bad.rows} "
+        f"({100.0 * total / bad.rows:.3g} %) that cannot: {'; '.join(parts)}. Correct what reads them, or "
         f'write [table] bad_rows = "drop" in {sheet.rig.path} to go on without these rows'
     )
 
@@ -110,55 +109,53 @@ def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
     """What is wrong with one row, with its place."""
     if not sheet.columns.complete[row]:
         return f"{sheet.place(row)}: expected {sheet.columns.width} fields, found {sheet.columns.counts[row]}"
-    for one, values in taken:
-        for column, value in zip(one.columns, values[row], strict=True):
+    for mapped, values in taken:
+        for column, value in zip(mapped.columns, values[row], strict=True):
             if not np.isfinite(value):
-                return _no_number(sheet, taken, one, column, row)
-    one, values = taken[0]
-    found = sheet.columns.text(one.columns[0], row)
-    return (
-        f"{sheet.place(row)}: expected a time that follows the others, found {found} ({values[row, 0]:g} s)"
-    )
+                return _no_number(sheet, taken, mapped, column, row)
+    mapped, values = taken[0]
+    text = sheet.columns.text(mapped.columns[0], row)
+    return f"{sheet.place(row)}: expected a time that follows the others, found {text} ({values[row, 0]:g} s)"
 
 
-def _no_number(sheet: Sheet, taken: Taken, one: Mapped, column: int, row: int) -> str:
+def _no_number(sheet: Sheet, taken: Taken, mapped: Mapped, column: int, row: int) -> str:
     """That a number is missing where it should be, what stands there, and what would make a number of it."""
-    found, name = sheet.columns.text(column, row), one.signal.name
-    hint = _hint(sheet, taken, name, _as_written(found))
+    text, name = sheet.columns.text(column, row), mapped.signal.name
+    hint = _hint(sheet, taken, name, _as_written(text))
     return (
         f"{sheet.place(row)}: column {sheet.column(column)} ({name}): expected a finite number, "
-        f"found {found}{hint}"
+        f"found {text}{hint}"
     )
 
 
-def _as_written(found: str) -> str:
+def _as_written(quoted: str) -> str:
     """The text that a message quotes, with its blanks and signs as they stand in the file."""
     try:
-        text = literal_eval(found)
+        text = literal_eval(quoted)
     except (ValueError, SyntaxError):
-        return found
-    return text if isinstance(text, str) else found
+        return quoted
+    return text if isinstance(text, str) else quoted
 
 
 def _hint(sheet: Sheet, taken: Taken, name: str, text: str) -> str:
     """Which keys of ``[table]`` would make a number of a text, if they make the table better as a whole."""
     if is_time(text):
         return "" if name == "t" else " (a date or a time of day, which counts only as t)"
-    columns = [column for one, _ in taken for column in one.columns]
-    now = sum(int(np.count_nonzero(np.isfinite(values))) for _, values in taken)
+    columns = [column for mapped, _ in taken for column in mapped.columns]
+    readable = sum(int(np.count_nonzero(np.isfinite(values))) for _, values in taken)
     hints = [
         hint
         for notation, hint in other_notations(text, Notation.of(sheet.rig.table))
-        if sum(sheet.columns.readable(column, notation) for column in columns) > now
+        if sum(sheet.columns.readable(column, notation) for column in columns) > readable
     ]
     return f" ({'; '.join(hints)})" if hints else ""
 
 
 def _no_good_row(sheet: Sheet, taken: Taken) -> str:
     complete = np.flatnonzero(sheet.columns.complete)
-    for one, values in taken:
-        for column, scaled in zip(one.columns, values.T, strict=True):
+    for mapped, values in taken:
+        for column, scaled in zip(mapped.columns, values.T, strict=True):
             if not np.isfinite(scaled).any():
-                blamed = _no_number(sheet, taken, one, column, int(complete[0]))
-                return f"{sheet.path}, {blamed}; no other row has a number there either"
+                complaint = _no_number(sheet, taken, mapped, column, int(complete[0]))
+                return f"{sheet.path}, {complaint}; no other row has a number there either"
     return f"{sheet.path}: expected rows with finite numbers in all mapped columns, found none"

@@ -11,7 +11,7 @@ from labhil.rig_sections import Channel
 from labhil.signals import FloatArray, Hold, Signal, Stream
 
 
-def held_as_stated(signal: Signal, channel: Channel | None) -> Signal:
+def with_stated_hold(signal: Signal, channel: Channel | None) -> Signal:
     """The signal with the hold that its channel states."""
     return signal if channel is None or channel.hold is None else replace(signal, hold=channel.hold)
 
@@ -31,20 +31,20 @@ def with_channel_keys(
         The samples (n, columns), and a line about each key that was applied. Where a shifted channel has no
         sample for a row at an end of the table, its nearest one stands there.
     """
-    found, notes = values, list[str]()
+    adjusted, notes = values, list[str]()
     for signal in stream.signals:
         channel = channels.get(signal.name)
         if channel is None or (channel.unwrap is None and channel.shift == 0.0):
             continue
-        found = found.copy()
-        columns = found[:, stream.columns_of(signal.name)]
+        adjusted = adjusted.copy()
+        columns = adjusted[:, stream.columns_of(signal.name)]
         if channel.unwrap is not None:
             columns[:] = np.unwrap(columns, period=channel.unwrap, axis=0)
             notes.append(f"{signal.name}: unwrapped, period {channel.unwrap:.7g} {signal.unit}")
         if channel.shift:
             columns[:] = np.column_stack([_at(t, t + channel.shift, x, signal.hold) for x in columns.T])
             notes.append(f"{signal.name}: stamps shifted by {channel.shift:+.6g} s")
-    return found, tuple(notes)
+    return adjusted, tuple(notes)
 
 
 def _at(t: FloatArray, stamps: FloatArray, x: FloatArray, hold: Hold) -> FloatArray:

@@ -149,7 +149,7 @@ def _hand_over(contents: Contents, on_block: OnBlock | None) -> None:
 def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
     stream = ReadDataStream(BytesIO(body))
     if opcode == Opcode.CHUNK:
-        _take_chunk(contents, _unpacked(Chunk.read(stream), budget), budget)
+        _take_chunk(contents, _unpack(Chunk.read(stream), budget), budget)
     elif opcode == Opcode.CHANNEL:
         _take_channel(contents, Channel.read(stream))
     elif opcode == Opcode.ATTACHMENT:
@@ -166,7 +166,7 @@ def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
         contents.messages[int.from_bytes(body[:2], "little")].add(row)
 
 
-def _unpacked(chunk: Chunk, budget: Budget) -> bytes:
+def _unpack(chunk: Chunk, budget: Budget) -> bytes:
     budget.take_content(chunk.uncompressed_size)
     raw = unpack(chunk.compression, chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
@@ -198,13 +198,13 @@ def _take_chunk(contents: Contents, raw: bytes, budget: Budget) -> None:
         elif opcode != Opcode.CHUNK:  # there is none within another
             _take(contents, opcode, raw[start : start + length], budget)
     flat = np.frombuffer(raw, dtype=np.uint8)
-    for channel, found in places.items():
-        starts, lengths = np.array(found).T
+    for channel, spans in places.items():
+        starts, lengths = np.array(spans).T
         if (lengths == lengths[0]).all():
             rows: Any = sliding_window_view(flat, lengths[0])[starts]
             contents.messages[channel].add(rows)
         else:
-            for start, length in found:
+            for start, length in spans:
                 contents.messages[channel].add(flat[np.newaxis, start : start + length])
 
 

@@ -42,11 +42,10 @@ class ClockFit:
     ``t`` is the time of the samples in seconds of the device's world: its own clock, set at its first sample
     to the host's time since ``origin`` (shape (n,)); the host's stamps where the device has no clock that
     can be used (``device_clock`` False). ``drift`` is the relative error of the device's clock against the
-    host's (50e-6: 50 ppm fast; 0 where it could not be told), ``jitter`` the robust standard deviation of
-    the stamps' delays, s; ``outliers`` how many are far off. ``offset_error`` (s, in the middle of the
-    longest stretch without steps) and ``drift_error`` are standard errors; None where they could not be
-    told. ``steps`` are jumps of the host's stamps against the device's clock; ``map`` leads from the one to
-    the other.
+    host's (50e-6: 50 ppm fast; 0 where unknown), ``jitter`` the robust standard deviation of the stamps'
+    delays, s; ``outliers`` how many are far off. ``offset_error`` (s, in the middle of the longest stretch
+    without steps) and ``drift_error`` are standard errors; None where unknown. ``steps`` are jumps of the
+    host's stamps against the device's clock; ``map`` leads from the one to the other.
     """
 
     t: FloatArray
@@ -94,7 +93,7 @@ def fit_clock(
     x = device / speed
     delay = host - x
     steps = tuple(ClockStep(row, size) for row, size in steps_in(x, delay))
-    line, clock_map = _mapped(int(t_hw_ns[0]), origin_ns, speed, x, delay, steps)
+    line, clock_map = _map_clock(int(t_hw_ns[0]), origin_ns, speed, x, delay, steps)
     wrong = abs(line.slope) > LARGEST_DRIFT
     paused = wrong and 0.0 < line.slope < LONGEST_PAUSES and _is_even(device)
     if wrong and not steady and not paused:
@@ -115,7 +114,7 @@ def fit_clock(
     )
 
 
-def _mapped(
+def _map_clock(
     zero_ns: int,
     origin_ns: int,
     speed: float,

@@ -42,7 +42,7 @@ class ClockFault:
     """One fault of a stream's stamps.
 
     ``times`` (s) are times of analysis; ``bends_time`` says whether the time of analysis is itself wrong
-    there, rather than only its place in the host's time. ``statement`` says what was found and what it means.
+    there, rather than only its place in the host's time. ``statement`` says what is wrong and what it means.
     """
 
     kind: ClockFaultKind
@@ -62,15 +62,15 @@ def clock_faults(stamps: Stamps, fit: ClockFit, t: FloatArray) -> tuple[ClockFau
 
 
 def _steps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockFault]:
-    """Jumps of one clock against the other, told apart by the samples' own numbers."""
+    """Jumps of one clock against the other, attributed by the samples' own numbers."""
     if not fit.steps:
         return []
     rows = np.array([step.row for step in fit.steps])
     sizes = np.array([step.size for step in fit.steps])
     own = _own_jumps(stamps, rows, sizes)
-    found = []
+    faults = []
     if own.any():
-        found.append(
+        faults.append(
             ClockFault(
                 ClockFaultKind.STEP, tuple(t[rows[own]].tolist()), True,
                 f"the device's clock jumps{_where(-sizes[own] * stamps.speed, t[rows[own]])} against its own "
@@ -79,7 +79,7 @@ def _steps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockFault]:
         )  # fmt: skip
     if not own.all():
         sizes, rows = sizes[~own], rows[~own]
-        found.append(
+        faults.append(
             ClockFault(
                 ClockFaultKind.STEP, tuple(t[rows].tolist()), False,
                 f"the host's stamps jump{_where(sizes, t[rows])} against the device's clock: "
@@ -87,7 +87,7 @@ def _steps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockFault]:
                 "and has no such jump; Unix times, times of events and the alignment with other devices do.",
             )
         )  # fmt: skip
-    return found
+    return faults
 
 
 def _own_jumps(stamps: Stamps, rows: IntArray, sizes: FloatArray) -> np.ndarray:
@@ -112,10 +112,10 @@ def _cause(sizes: FloatArray, *, steady_host: bool) -> str:
 def _where(sizes: FloatArray, times: FloatArray) -> str:
     """ " by −0.5 s at 5.4 s", or how often, by how much in all, and the largest."""
     largest = int(np.argmax(np.abs(sizes)))
-    one = f"{sizes[largest]:+.4g} s at {times[largest]:.4g} s".replace("-", "−")
+    jump = f"{sizes[largest]:+.4g} s at {times[largest]:.4g} s".replace("-", "−")
     if len(sizes) == 1:
-        return f" by {one}"
-    return f" {len(sizes)} times, by {float(sizes.sum()):+.4g} s in all, the largest {one}".replace("-", "−")
+        return f" by {jump}"
+    return f" {len(sizes)} times, by {float(sizes.sum()):+.4g} s in all, the largest {jump}".replace("-", "−")
 
 
 def _rate(fit: ClockFit, stamps: Stamps) -> list[ClockFault]:
@@ -151,13 +151,13 @@ def _rate(fit: ClockFit, stamps: Stamps) -> list[ClockFault]:
 
 def _of_host_stamps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockFault]:
     """Steps and stretches where there are host stamps only: the samples' numbers are the other clock."""
-    found = []
+    faults = []
     numbers = np.diff(stamps.seq)
     moves = np.diff(stamps.t_hw_ns)
     if not fit.device_clock and (moves != 0).any() and not stamps.are_one:
         still = int(np.count_nonzero(moves <= 0))
         what = f"does not advance at {still} samples" if still else "runs at another rate than it declares"
-        found.append(
+        faults.append(
             ClockFault(
                 ClockFaultKind.NO_CLOCK, (), False,
                 f"the device's clock {what}, so the times are the host's stamps, late by what a busy machine "
@@ -165,11 +165,11 @@ def _of_host_stamps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockF
             )
         )  # fmt: skip
     if (numbers <= 0).any():
-        return found
+        return faults
     steps = np.diff(stamps.t_acq_ns) * 1e-9
     period = float(np.median(steps / numbers))
     if period <= 0.0:
-        return found
+        return faults
     x = (stamps.seq - stamps.seq[0]) * period
     delay = (stamps.t_acq_ns - stamps.t_acq_ns[0]) * 1e-9 - x
     smallest = max(SMALLEST_STEP, NO_CLOCK_STEP * period)
@@ -180,9 +180,9 @@ def _of_host_stamps(stamps: Stamps, fit: ClockFit, t: FloatArray) -> list[ClockF
         # a table may have rows at any times, and gaps; but rows that were left out cannot have taken no time
         lone, jumps = [(r, s) for r, s in lone if s < 0.0], []
     if lone:
-        found.append(_step_of_host_stamps(stamps, t, lone))
-    found += _stretches(stamps, t, [pair for pair in jumps if pair not in lone], period)
-    return found
+        faults.append(_step_of_host_stamps(stamps, t, lone))
+    faults += _stretches(stamps, t, [pair for pair in jumps if pair not in lone], period)
+    return faults
 
 
 def _step_of_host_stamps(stamps: Stamps, t: FloatArray, jumps: list[tuple[int, float]]) -> ClockFault:
@@ -205,10 +205,10 @@ def _stretches(
     """Host stamps that run slower or faster than the samples for a while, or all the time."""
     if stamps.are_one:
         return []
-    found = []
+    faults = []
     if moves:
         rows, sizes = np.array([row for row, _ in moves]), np.array([size for _, size in moves])
-        found.append(
+        faults.append(
             ClockFault(
                 ClockFaultKind.RATE, tuple(t[rows].tolist()), False,
                 f"the times part from the count of samples{_where(sizes * stamps.speed, t[rows])}, little by "
@@ -218,11 +218,11 @@ def _stretches(
         )  # fmt: skip
     declared = stamps.rate * period * stamps.speed
     if abs(declared - 1.0) > DECLARED:
-        found.append(
+        faults.append(
             ClockFault(
                 ClockFaultKind.RATE, (), False,
                 f"samples come at {stamps.rate / declared:.5g} Hz by the host's stamps, declared are "
                 f"{stamps.rate:.5g} Hz, and the device has no clock of its own to tell which is right.",
             )
         )  # fmt: skip
-    return found
+    return faults

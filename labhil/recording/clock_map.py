@@ -212,16 +212,16 @@ def steps_in(x: FloatArray, delay: FloatArray) -> list[tuple[int, float]]:
     noise = 1.4826 * float(np.median(np.abs(level))) / np.sqrt(2.0)
     smallest = max(SMALLEST_STEP, STEP_IN_NOISE * noise)
     jumps = _jumps(lows, smallest)
-    found: list[tuple[int, float]] = []
-    while len(found) < MOST_STEPS:
+    steps: list[tuple[int, float]] = []
+    while len(steps) < MOST_STEPS:
         cell = int(np.argmax(np.abs(jumps)))
         if abs(jumps[cell]) < smallest:
             break
         row = _row_of(delay, starts, cell, float(jumps[cell]))
-        found.append((row, _size(delay, row, per_cell, float(jumps[cell]))))
-        at = row // per_cell
-        jumps[max(0, min(at, cell) - REACH) : max(at, cell) + REACH] = 0.0
-    return _without_congestion(sorted(found), x, delay, smallest)
+        steps.append((row, _size(delay, row, per_cell, float(jumps[cell]))))
+        begin = row // per_cell
+        jumps[max(0, min(begin, cell) - REACH) : max(begin, cell) + REACH] = 0.0
+    return _drop_congestion(sorted(steps), x, delay, smallest)
 
 
 def _per_cell(x: FloatArray) -> int:
@@ -276,7 +276,7 @@ def _size(delay: FloatArray, row: int, per_cell: int, jump: float) -> float:
     return near if sharp > 0.5 and 0.5 < near / jump < 2.0 else jump
 
 
-def _without_congestion(
+def _drop_congestion(
     steps: list[tuple[int, float]], x: FloatArray, delay: FloatArray, smallest: float
 ) -> list[tuple[int, float]]:
     """Leave out rises that fall back, and falls from a late begin, where no host stamp goes back."""
@@ -289,10 +289,10 @@ def _without_congestion(
             kept.append((row, size))
             continue
         if kept and kept[-1][1] > 0.0 and x[row] - x[kept[-1][0]] < CONGESTION:
-            rest = kept[-1][1] + size
-            before = kept.pop()
-            if abs(rest) > smallest:
-                kept.append((before[0] if rest > 0.0 else row, rest))
+            net = kept[-1][1] + size
+            rise = kept.pop()
+            if abs(net) > smallest:
+                kept.append((rise[0] if net > 0.0 else row, net))
         elif x[row] - x[0] >= CONGESTION:
             kept.append((row, size))
     return kept

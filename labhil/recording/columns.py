@@ -1,4 +1,4 @@
-"""Which reader a file of others belongs to: told by its content, by its extension where that is silent."""
+"""Which reader a file of others belongs to: chosen by its content, else by its extension."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     kind = _kind_of_numbers(path, data)
     if kind is not None:
         return read_apart(kind, path, table, wanted)
-    found = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
-    if found:
-        raise TableError(f"{path}: expected one of {READ}, found {found}")
+    unreadable = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
+    if unreadable:
+        raise TableError(f"{path}: expected one of {READ}, found {unreadable}")
     return read_text(path, data, table, wanted)
 
 
@@ -63,10 +63,10 @@ def _kind_of_numbers(path: Path, data: bytes) -> str | None:
 
 def _read_folder(path: Path, table: Table, wanted: Sequence[str]) -> Columns:
     if not (path / "metadata.yaml").is_file():
-        found = ", ".join(sorted(inner.name for inner in path.iterdir())[:5]) or "nothing"
+        content = ", ".join(sorted(inner.name for inner in path.iterdir())[:5]) or "nothing"
         raise TableError(
             f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, "
-            f"found a folder with {found}"
+            f"found a folder with {content}"
         )
     return read_apart("bag", path, table, wanted)
 
@@ -103,12 +103,13 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     if any("labhil.stream" in channel.metadata for channel in channels):
         raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
     topics = ", ".join(
-        printable_name(f"{one.topic} ({one.message_encoding or 'no encoding'})") for one in channels
+        printable_name(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
+        for channel in channels
     )
-    found = f"of another program with {topics}" if topics else "without channels"
-    cdr = any(one.message_encoding == "cdr" for one in channels)
+    description = f"of another program with {topics}" if topics else "without channels"
+    cdr = any(channel.message_encoding == "cdr" for channel in channels)
     hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
     raise TableError(
         f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
-        f"found an MCAP file {found}{hint}"
+        f"found an MCAP file {description}{hint}"
     )

@@ -22,10 +22,10 @@ FREE_TEXT = ("operator", "sample", "notes")
 def tags_of(recording: Recording) -> tuple[str, ...]:
     """Return the tags that the experiment gave to a recording."""
     try:
-        found = parse_json(recording.metadata.get("experiment", {}).get("tags", "[]"))
+        tags = parse_json(recording.metadata.get("experiment", {}).get("tags", "[]"))
     except ValueError:
         return ()
-    return tuple(str(tag) for tag in found) if isinstance(found, list) else ()
+    return tuple(str(tag) for tag in tags) if isinstance(tags, list) else ()
 
 
 def how_it_ended(recording: Recording) -> str:
@@ -55,7 +55,7 @@ def fitting_kinds(recording: Recording) -> tuple[str, ...]:
     for data in recording.streams:
         names.setdefault(data.device, set()).update(data.stream.names())
     kinds = [kind_named(name) for name in kind_names()]
-    return tuple(kind.name for kind in kinds if any(_fits(kind, found) for found in names.values()))
+    return tuple(kind.name for kind in kinds if any(_fits(kind, signals) for signals in names.values()))
 
 
 def _fits(kind: RigKind, names: set[str]) -> bool:
@@ -164,10 +164,10 @@ def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
     if info["tags"]:
         yield f"  tags: {', '.join(info['tags'])}"
     if info["campaign"]:
-        told = dict(info["campaign"])
-        head = f"run {told.pop('run', '?')} of {told.pop('of', '?')} of {told.pop('file', '?')}"
-        told.pop("name", None)
-        yield f"  campaign: {', '.join([head, *(f'{key} = {value}' for key, value in told.items())])}"
+        campaign = dict(info["campaign"])
+        head = f"run {campaign.pop('run', '?')} of {campaign.pop('of', '?')} of {campaign.pop('file', '?')}"
+        campaign.pop("name", None)
+        yield f"  campaign: {', '.join([head, *(f'{key} = {value}' for key, value in campaign.items())])}"
     for stream in info["streams"]:
         yield from _stream_in_words(stream)
     if info["events"]:

@@ -66,7 +66,7 @@ class Definitions:
                 self.channels.setdefault(item.id, item)
         known = [channel for number, channel in self.channels.items() if number in used]
         for number, channel in [item for item in self.channels.items() if item[0] not in used]:
-            twin = any(replace(other, id=number) == channel for other in known)
+            twin = any(replace(candidate, id=number) == channel for candidate in known)
             if twin or number not in self._channel_numbers:
                 del self.channels[number]
 

@@ -1,8 +1,8 @@
 """What a recording says of its devices' clocks: each against the host's, and against one another.
 
 Written when a recording ends, from the stamps of all its samples. A constant latency between a device and
-the stamp of the host cannot be told from an offset of its clock: it is left in, and two devices on wires of
-the same kind share it.
+the stamp of the host looks like an offset of its clock: it is left in, and two devices on wires of the same
+kind share it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class ClockWatch:
     """Collects the stamps of one device in bounded memory."""
 
     def __init__(self) -> None:
-        self._kept: list[IntArray] = []
+        self._pieces: list[IntArray] = []
         self._count = 0
         self._next = 0
 
@@ -93,20 +93,20 @@ class ClockWatch:
         if not len(seq):
             return
         self._next = int(seq[-1]) + 1
-        self._kept.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
+        self._pieces.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
         self._count += len(seq)
-        if len(self._kept) > MOST_PIECES:  # an array of one sample takes ten times what is in it
-            self._kept = [np.concatenate(self._kept)]
+        if len(self._pieces) > MOST_PIECES:  # an array of one sample takes ten times what is in it
+            self._pieces = [np.concatenate(self._pieces)]
         while self._count > LARGEST * 2:
-            thinned = _least_delayed(np.concatenate(self._kept))
-            self._kept, self._count = [thinned], len(thinned)
+            thinned = _least_delayed(np.concatenate(self._pieces))
+            self._pieces, self._count = [thinned], len(thinned)
 
     def stamps(self, rate: float, speed: float = 1.0, *, steady_host: bool = False) -> Stamps:
         """Return what was kept; ``rate`` (Hz) is the declared one."""
-        kept = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._kept])
-        while len(kept) > LARGEST:
-            kept = _least_delayed(kept)
-        return Stamps(kept[:, 2], kept[:, 1], kept[:, 0], rate, speed, steady_host)
+        stamps = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._pieces])
+        while len(stamps) > LARGEST:
+            stamps = _least_delayed(stamps)
+        return Stamps(stamps[:, 2], stamps[:, 1], stamps[:, 0], rate, speed, steady_host)
 
     def clock(self, speed: float = 1.0) -> DeviceClock | None:
         """Return the clock, or None where the stamps do not tell one."""

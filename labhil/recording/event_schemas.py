@@ -65,15 +65,15 @@ def schema_of(topic: str) -> bytes:
     return json.dumps(schema, ensure_ascii=False).encode()
 
 
-def stamped(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
+def with_timestamp(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
     """Return an event with its time; a ``timestamp`` that it has already stays."""
     return {"timestamp": _time(t_ns), **body}
 
 
-def published(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
-    """Return an event without the time that :func:`stamped` gave it: as it was published."""
-    own = body.get("timestamp") == _time(t_ns)
-    return {name: value for name, value in body.items() if not (own and name == "timestamp")}
+def without_timestamp(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
+    """Return an event without the time that :func:`with_timestamp` gave it: as it was published."""
+    added = body.get("timestamp") == _time(t_ns)
+    return {name: value for name, value in body.items() if not (added and name == "timestamp")}
 
 
 def _time(t_ns: int) -> dict[str, int]:

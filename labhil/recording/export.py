@@ -15,7 +15,7 @@ from labhil.recording.formats.workbook import write_workbook
 from labhil.recording.mapped import ROWS, let_go_of
 from labhil.recording.recording import Recording, StreamData
 from labhil.signals import FloatArray, Stream
-from labhil.whole import unwritten, whole
+from labhil.whole import whole, write_error
 
 BAG = ".rosbag2"
 """The extension that asks for a ROS 2 bag; a bag is a folder."""
@@ -40,7 +40,7 @@ WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = 
 }
 
 
-def exported_stream(recording: Recording, name: str | None = None) -> StreamData:
+def choose_stream(recording: Recording, name: str | None = None) -> StreamData:
     """The stream that a table is made of: ``name`` (``/device/stream``), or ``state``, or the only one.
 
     RecordingError when there is no such stream, or no samples, or several streams of which none is the one.
@@ -49,17 +49,17 @@ def exported_stream(recording: Recording, name: str | None = None) -> StreamData
     if name is not None:
         topic = f"/{name.strip('/')}"
         if topic not in filled:
-            found = ", ".join(filled) or "none with samples"
+            actual = ", ".join(filled) or "none with samples"
             raise RecordingError(
-                f"{recording.path}: expected a stream {topic}{suggestion(topic, filled)}, found {found}"
+                f"{recording.path}: expected a stream {topic}{suggestion(topic, filled)}, found {actual}"
             )
         return filled[topic]
     chosen = {key: data for key, data in filled.items() if data.stream.name == "state"} or filled
     if len(chosen) == 1:
         return next(iter(chosen.values()))
     nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
-    found = f"found {', '.join(chosen)}; choose with --stream or --device" if chosen else nothing
-    raise RecordingError(f"{recording.path}: expected one stream to export, {found}")
+    actual = f"found {', '.join(chosen)}; choose with --stream or --device" if chosen else nothing
+    raise RecordingError(f"{recording.path}: expected one stream to export, {actual}")
 
 
 def export_csv(recording: Recording, out: Path, stream: StreamData | None = None) -> Path:
@@ -68,13 +68,13 @@ def export_csv(recording: Recording, out: Path, stream: StreamData | None = None
     Numbers are written so that reading them gives the same doubles. Without ``stream`` the recording's
     ``state`` is written. UsageError when ``out`` cannot be written.
     """
-    return _written(write_csv, exported_stream(recording) if stream is None else stream, out)
+    return _write_atomically(write_csv, choose_stream(recording) if stream is None else stream, out)
 
 
 def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
     """Write a recording in the format that the extension of ``out`` names.
 
-    A bag holds all streams that have samples, a table the one that :func:`exported_stream` chooses.
+    A bag holds all streams that have samples, a table the one that :func:`choose_stream` chooses.
     UsageError for other extensions and where ``out`` cannot be written; DiskFailedError for a full disk.
     """
     suffix = out.suffix.lower()
@@ -84,21 +84,21 @@ def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
         raise UsageError(
             f"{out}: expected an extension {', '.join(WRITERS)} or {BAG}, found {suffix or 'none'!r}"
         )
-    return _written(WRITERS[suffix], exported_stream(recording, stream), out)
+    return _write_atomically(WRITERS[suffix], choose_stream(recording, stream), out)
 
 
 def _write_bag(recording: Recording, out: Path, stream: str | None) -> Path:
     filled = [data for data in recording.streams if len(data)]
     if stream is not None or not filled:
-        filled = [exported_stream(recording, stream)]
+        filled = [choose_stream(recording, stream)]
     try:
         write_bag(filled, out)
     except OSError as error:
-        raise unwritten(out, error) from error
+        raise write_error(out, error) from error
     return out
 
 
-def _written(
+def _write_atomically(
     write: Callable[[Stream, FloatArray, FloatArray, Path], None], data: StreamData, out: Path
 ) -> Path:
     """Write beside ``out`` first, so that nobody finds half a table there."""

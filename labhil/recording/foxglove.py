@@ -27,8 +27,8 @@ def foxglove_layout(streams: Iterable[tuple[str, Stream]]) -> dict[str, Any]:
     by_device: dict[str, list[Stream]] = {}
     for device, stream in streams:
         by_device.setdefault(device, []).append(stream)
-    for device, own in by_device.items():
-        for number, (unit, curves) in enumerate(_by_unit(device, own).items()):
+    for device, streams_of_device in by_device.items():
+        for number, (unit, curves) in enumerate(_by_unit(device, streams_of_device).items()):
             panels[f"Plot!{device}-{number}"] = _chart(f"{device}, {unit or '1'}", curves)
     panels["StateTransitions!states"] = {
         "paths": [
@@ -43,7 +43,7 @@ def foxglove_layout(streams: Iterable[tuple[str, Stream]]) -> dict[str, Any]:
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _stacked(list(panels)),
+        "layout": _stack(list(panels)),
     }
 
 
@@ -72,8 +72,8 @@ def _parts(signal: Signal) -> list[tuple[str, str]]:
 
 
 def _label(name: str, signal: Signal) -> str:
-    asked = " requested" if signal.direction is Direction.REQUESTED else ""
-    return f"{name}{asked} [{signal.unit or '1'}]"
+    suffix = " requested" if signal.direction is Direction.REQUESTED else ""
+    return f"{name}{suffix} [{signal.unit or '1'}]"
 
 
 def _chart(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
@@ -91,13 +91,13 @@ def _chart(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _stacked(names: Sequence[str]) -> Any:
+def _stack(names: Sequence[str]) -> Any:
     """One below the other, all of one height; Foxglove splits in two at each level."""
     if len(names) == 1:
         return names[0]
     return {
         "direction": "column",
         "first": names[0],
-        "second": _stacked(names[1:]),
+        "second": _stack(names[1:]),
         "splitPercentage": round(100 / len(names), 1),
     }

@@ -84,13 +84,13 @@ def list_folder(folders: Sequence[Path], wanted: Filter | None = None) -> list[E
     Raises UsageError for one that is no folder.
     """
     wanted = Filter() if wanted is None else wanted
-    found: dict[Path, Entry] = {}
+    entries: dict[Path, Entry] = {}
     for folder in folders:
         if not folder.is_dir():
             raise UsageError(f"{folder}: expected a folder with recordings, found none")
         for entry in _entries(folder):
-            found.setdefault(entry.path.resolve(), entry)
-    return sorted((entry for entry in found.values() if wanted.takes(entry)), key=_newest_first)
+            entries.setdefault(entry.path.resolve(), entry)
+    return sorted((entry for entry in entries.values() if wanted.takes(entry)), key=_newest_first)
 
 
 def _newest_first(entry: Entry) -> tuple[float, str]:
@@ -110,15 +110,15 @@ def _entries(folder: Path) -> Iterator[Entry]:
 
 
 def _recording(path: Path) -> Entry:
-    written = _written(path)
+    written = _modified_at(path)
     try:
         recording = read_recording(path)
     except LabhilError as error:
         summary = str(error).removeprefix(f"{path}: ")
         return Entry(path, "recording", written, "unreadable", summary=summary, text=f"{path} {summary}")
     tags = tags_of(recording)
-    told = recording.metadata.get("experiment", {})
-    summary = ", ".join(told[key] for key in ("name", *FREE_TEXT) if told.get(key))
+    experiment = recording.metadata.get("experiment", {})
+    summary = ", ".join(experiment[key] for key in ("name", *FREE_TEXT) if experiment.get(key))
     return Entry(
         path,
         "recording",
@@ -149,20 +149,20 @@ def _result(path: Path) -> Entry | None:
     if kind is None:
         return None
     recordings = data.get("recordings")
-    told = [one for one in recordings if isinstance(one, dict)] if isinstance(recordings, list) else []
-    rig = data.get("rig") or next((one.get("rig") for one in told), None)
-    of = ", ".join(Path(str(one["path"])).name for one in told if "path" in one)
+    parts = [part for part in recordings if isinstance(part, dict)] if isinstance(recordings, list) else []
+    rig = data.get("rig") or next((part.get("rig") for part in parts), None)
+    subject = ", ".join(Path(str(part["path"])).name for part in parts if "path" in part)
     if kind == "campaign":
         runs = data.get("runs") if isinstance(data.get("runs"), list) else []
         done = sum(isinstance(run, dict) and run.get("status") == "done" for run in runs)
-        status, of = f"{done} of {len(runs)}", str(data.get("experiment", ""))
+        status, subject = f"{done} of {len(runs)}", str(data.get("experiment", ""))
     else:
         status = str(data.get("verdict") or "")
     rig = str(rig) if rig is not None else None
-    return Entry(path, kind, _written(path), status, rig, None, (), of, f"{path} {of} {status}")
+    return Entry(path, kind, _modified_at(path), status, rig, None, (), subject, f"{path} {subject} {status}")
 
 
-def _written(path: Path) -> datetime:
+def _modified_at(path: Path) -> datetime:
     try:
         return datetime.fromtimestamp(path.stat().st_mtime, UTC)
     except OSError:

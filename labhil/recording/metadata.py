@@ -28,10 +28,10 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
         with path.open("rb") as file:
             reader = SeekingReader(file, record_size_limit=LARGEST_RECORD)
             summary = reader.get_summary()
-            found = [] if summary is None else list(reader.iter_metadata())
+            records = [] if summary is None else list(reader.iter_metadata())
     except Exception as error:  # struct, mcap and the decoder of text each raise their own
         raise RecordingError(f"{path}: expected a finished recording, found: {error}") from error
     names = [] if summary is None else [index.name for index in summary.metadata_indexes]
-    if not names or [one.name for one in found] != names:
+    if not names or [record.name for record in records] != names:
         raise RecordingError(f"{path}: expected a finished recording, found no index of its metadata")
-    return {one.name: dict(one.metadata) for one in found}
+    return {record.name: dict(record.metadata) for record in records}

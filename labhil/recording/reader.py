@@ -17,9 +17,9 @@ from labhil.errors import ProtocolError, RecordingError
 from labhil.recording.chunks import Contents, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
 from labhil.recording.clock_faults import clock_faults
-from labhil.recording.event_schemas import published
+from labhil.recording.event_schemas import without_timestamp
 from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
-from labhil.recording.recording import Event, Recording, StreamData, shown, unambiguous
+from labhil.recording.recording import Event, Recording, StreamData, topic_of, unambiguous
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
 from labhil.recording.samples import Samples
@@ -39,13 +39,13 @@ def read_recordings(paths: Sequence[Path], run: int | None = None) -> list[Recor
 
     RecordingError when none of them holds that many.
     """
-    found = [_read(path, run) for path in paths]
-    most = max((recording.runs for recording in found), default=1)
-    if run is not None and found and not 1 <= run <= most:
+    recordings = [_read(path, run) for path in paths]
+    most = max((recording.runs for recording in recordings), default=1)
+    if run is not None and recordings and not 1 <= run <= most:
         names = ", ".join(str(path) for path in paths)
         many = "one run of each stream" if most == 1 else f"{most} runs of a stream"
         raise RecordingError(f"run {run}: expected a number from 1 to {most}, found {many} in {names}")
-    return found
+    return recordings
 
 
 def read_recording(path: Path, run: int | None = None) -> Recording:
@@ -71,7 +71,7 @@ def _read(path: Path, run: int | None) -> Recording:
     topics = _topics(path, contents, samples)
     untimed, span = choose_run(path, topics, run)
     origin_ns = min((int(s.t_acq_ns[0]) for s in untimed if len(s)), default=0)
-    streams = _timed(untimed, origin_ns)
+    streams = _set_times(untimed, origin_ns)
     return Recording(
         path=path,
         sha256=sha256_of(data),
@@ -129,20 +129,20 @@ def _topics(path: Path, contents: Contents, samples: Samples) -> list[list[Strea
             raise RecordingError(f"{path}: {printable_name(channel.topic)}: {error}") from error
         channels.setdefault((device, stream), []).append((channel.metadata, batch))
     topics: dict[tuple[str, str], list[StreamData]] = {}
-    for (device, stream), found in channels.items():
-        filled = [one for one in found if len(one[1])] or found[:1]
+    for (device, stream), parts in channels.items():
+        filled = [part for part in parts if len(part[1])] or parts[:1]
         try:
             runs = runs_of([batch for _, batch in filled])
         except MixedRunsError as error:
-            raise RecordingError(f"{path}: {shown(device, stream)}: {error}") from error
-        told = filled[0][0]
+            raise RecordingError(f"{path}: {topic_of(device, stream)}: {error}") from error
+        metadata = filled[0][0]
         topics.setdefault((device, stream.name), []).extend(
-            _untimed(device, stream, told, run) for run in runs
+            _without_times(device, stream, metadata, run) for run in runs
         )
     return list(topics.values())
 
 
-def _untimed(device: str, stream: Stream, metadata: Mapping[str, str], run: Run) -> StreamData:
+def _without_times(device: str, stream: Stream, metadata: Mapping[str, str], run: Run) -> StreamData:
     batch = run.batch
     untimed = ClockFit(np.zeros(len(batch)), 0.0, 0.0, 0, device_clock=False)
     return StreamData(
@@ -196,22 +196,22 @@ def holes(seq: IntArray) -> int:
     return int(np.maximum(np.diff(seq) - 1, 0).sum())
 
 
-def _timed(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
+def _set_times(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, ...]:
     """Give all streams of a device its own time, which is 0 at the first sample of them all."""
     clocks = {id(data): _fit(data, origin_ns) for data in streams}
     mains = _mains(streams, clocks)
-    found = [
+    fits = [
         in_time_of(data.stamps, clocks[id(data)], mains.get(data.device), measured=data.is_measured)
         for data in streams
     ]
-    pairs = list(zip(streams, found, strict=True))
+    pairs = list(zip(streams, fits, strict=True))
     start = min((float(clock.t[0]) / data.speed for data, clock in pairs if len(data)), default=0.0)
     timed = []
     for data, clock in pairs:
         t = clock.t - start * data.speed
-        # a stream that borrows a device's clock borrows its faults, which are told once
-        own = len(data) and (mains.get(data.device) is None or clock is clocks[id(data)])
-        faults = clock_faults(data.stamps, clock, t) if own and data.is_measured else ()
+        # a stream that borrows a device's clock borrows its faults, which are reported once
+        has_own_clock = len(data) and (mains.get(data.device) is None or clock is clocks[id(data)])
+        faults = clock_faults(data.stamps, clock, t) if has_own_clock and data.is_measured else ()
         timed.append(replace(data, t=t, clock=clock, clock_faults=faults, clock_start=start))
     return tuple(timed)
 
@@ -222,12 +222,12 @@ def _fit(data: StreamData, origin_ns: int) -> ClockFit:
 
 def _mains(streams: list[StreamData], clocks: Mapping[int, ClockFit]) -> dict[str, ClockFit]:
     """The clock of each device that has one: that of its longest stream."""
-    found: dict[str, ClockFit] = {}
+    mains: dict[str, ClockFit] = {}
     for data in sorted(streams, key=len, reverse=True):
         clock = clocks[id(data)]
         if clock.device_clock and clock.map is not None and data.is_measured:
-            found.setdefault(data.device, clock)
-    return found
+            mains.setdefault(data.device, clock)
+    return mains
 
 
 def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -> tuple[Event, ...]:
@@ -246,10 +246,10 @@ def _events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -
             data = devices.get(device, only)
             t = host - start
             if data is not None and data.clock.map is not None:
-                found = data.clock.map
-                begin = float(found.steady_host(np.zeros(1))[0])
-                t = (found.device(host) + begin - start) * data.speed
-            events.append(Event(device, topic, t_ns, t, published(_body(payload), t_ns)))
+                clock_map = data.clock.map
+                begin = float(clock_map.steady_host(np.zeros(1))[0])
+                t = (clock_map.device(host) + begin - start) * data.speed
+            events.append(Event(device, topic, t_ns, t, without_timestamp(_body(payload), t_ns)))
     return tuple(sorted(events, key=lambda event: event.t_ns))
 
 

@@ -71,10 +71,10 @@ class StreamData:
         The device's clock mapped by its rate against the host's, without the jitter and the steps of the
         host's stamps; these themselves where there is no such map.
         """
-        found = self.clock.map
-        if found is None:
+        clock_map = self.clock.map
+        if clock_map is None:
             return self.t / self.speed
-        return found.steady_host(found.elapsed(self.t_hw_ns)) - self.clock_start
+        return clock_map.steady_host(clock_map.elapsed(self.t_hw_ns)) - self.clock_start
 
     def __getitem__(self, name: str) -> FloatArray:
         """Values of the signal ``name``: shape (n,), or (n, width) for a vector.
@@ -162,15 +162,15 @@ class Recording:
 
     def stream_with(self, *names: str) -> StreamData:
         """Return the stream that has all these signals; RecordingError says what is there otherwise."""
-        found = [data for data in self.streams if set(names) <= set(data.stream.names())]
-        if len(found) == 1:
-            return found[0]
+        matching = [data for data in self.streams if set(names) <= set(data.stream.names())]
+        if len(matching) == 1:
+            return matching[0]
         wanted = " and ".join(names)
-        if found:
-            where = ", ".join(printable_name(f"/{data.device}/{data.stream.name}") for data in found)
+        if matching:
+            where = ", ".join(printable_name(f"/{data.device}/{data.stream.name}") for data in matching)
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
-        here = [name for data in self.streams for name in data.stream.names()]
-        near = "".join(suggestion(name, here) for name in names if name not in here)
+        available = [name for data in self.streams for name in data.stream.names()]
+        near = "".join(suggestion(name, available) for name in names if name not in available)
         raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
 
     def no_streams(self) -> str:
@@ -189,11 +189,11 @@ class Recording:
         """Which streams there are with which signals, and which channels of other programs, for messages."""
         if not self.streams:
             return self.no_streams()
-        found = [
-            f"{shown(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
+        descriptions = [
+            f"{topic_of(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
         ]
         others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
-        return "; ".join(found + others)
+        return "; ".join(descriptions + others)
 
     def losses(self) -> list[str]:
         """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
@@ -202,7 +202,7 @@ class Recording:
             names = ", ".join(map(printable_name, self.ambiguous))
             lines.append(f"{self.path}: holds several different attachments of one name: {names}")
         for data in self.streams:
-            name = shown(data.device, data.stream)[1:]
+            name = topic_of(data.device, data.stream)[1:]
             counts = {
                 f"samples of {name} were lost": data.lost,
                 f"exact copies of samples of {name} were dropped": data.copies,
@@ -215,13 +215,13 @@ class Recording:
     @property
     def clocks(self) -> Mapping[str, DeviceClock]:
         """How each device's clock ran against the host's, from the stamps of its first stream."""
-        found: dict[str, DeviceClock] = {}
+        clocks: dict[str, DeviceClock] = {}
         for data in self.streams:
-            if data.device not in found and data.is_measured:
+            if data.device not in clocks and data.is_measured:
                 clock = device_clock(data.stamps, data.clock)
                 if clock is not None:
-                    found[data.device] = clock
-        return found
+                    clocks[data.device] = clock
+        return clocks
 
     @property
     def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
@@ -239,6 +239,6 @@ def unambiguous(attachments: Mapping[str, bytes], ambiguous: Collection[str]) ->
     return {name: content for name, content in attachments.items() if name not in ambiguous}
 
 
-def shown(device: str, stream: Stream) -> str:
+def topic_of(device: str, stream: Stream) -> str:
     """The topic of a stream, for messages."""
     return f"/{printable_name(device)}/{printable_name(stream.name)}"

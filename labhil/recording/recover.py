@@ -74,7 +74,7 @@ class Recovery:
             f"{len(self.attachments)} attachments, {len(self.metadata)} metadata records"
         ]
         lines += [
-            f"lost: bytes {loss.start} to {loss.end} ({loss.end - loss.start}): {loss.what}{_indexed(loss)}"
+            f"lost: bytes {loss.start} to {loss.end} ({loss.end - loss.start}): {loss.what}{_of_index(loss)}"
             for loss in self.losses
         ]
         if self.losses:
@@ -156,24 +156,24 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
     data = _bytes_of(source)
     if out.exists():
         raise RecordingError(f"{out}: expected a new file, found one that exists; nothing was written")
-    found = salvage(data, keep_doubtful=keep_doubtful)
-    if not is_mcap(data) and not found.chunks:
+    salvaged = salvage(data, keep_doubtful=keep_doubtful)
+    if not is_mcap(data) and not salvaged.chunks:
         raise RecordingError(
             f"{source}: expected an MCAP recording, found a file that begins with {data[:8]!r} and holds no "
             "whole chunk of one; nothing was written"
         )
-    known: Sequence[Message] = found.messages
-    nameless = sum(message.channel not in found.channels for message in found.messages)
+    messages: Sequence[Message] = salvaged.messages
+    nameless = sum(message.channel not in salvaged.channels for message in salvaged.messages)
     if nameless:
-        known = [message for message in found.messages if message.channel in found.channels]
-    if not known:
+        messages = [message for message in salvaged.messages if message.channel in salvaged.channels]
+    if not messages:
         raise RecordingError(
             f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
             "nothing was written"
         )
-    ordered = reorder(known, found.channels)
-    result = _account(source, data, out, found, ordered, nameless)
-    _write(found, ordered.messages, result, out)
+    ordered = reorder(messages, salvaged.channels)
+    result = _account(source, data, out, salvaged, ordered, nameless)
+    _write(salvaged, ordered.messages, result, out)
     return result
 
 
@@ -188,55 +188,60 @@ def _bytes_of(source: Path) -> FileBytes:
 
 
 def _account(
-    source: Path, data: FileBytes, out: Path, found: Salvage, ordered: Ordered, nameless: int
+    source: Path, data: FileBytes, out: Path, salvaged: Salvage, ordered: Ordered, nameless: int
 ) -> Recovery:
     tallies: defaultdict[int, Tally] = defaultdict(Tally)
     for message in ordered.messages:
         tallies[message.channel].take(message)
     origin = min(tally.first for tally in tallies.values())
     # the statistics of a file that is pieced together count by numbers that mean several things
-    counted = found.statistics is not None and not found.spliced
-    told = found.statistics.channel_message_counts if found.statistics and counted else {}
-    if any(tally.count > told.get(number, 0) for number, tally in tallies.items()):
-        told = {}  # they are those of a part of it only
+    counted = salvaged.statistics is not None and not salvaged.spliced
+    counts = salvaged.statistics.channel_message_counts if salvaged.statistics and counted else {}
+    if any(tally.count > counts.get(number, 0) for number, tally in tallies.items()):
+        counts = {}  # they are those of a part of it only
     indexed: Counter[int] = Counter()
-    for loss in found.losses:
+    for loss in salvaged.losses:
         indexed.update(loss.messages)
     streams = []
-    for number, channel in found.channels.items():
-        expected = told.get(number, 0) - ordered.copies.get(number, 0) if told else None
+    for number, channel in salvaged.channels.items():
+        expected = counts.get(number, 0) - ordered.copies.get(number, 0) if counts else None
         streams.append(tallies[number].recovery(channel.topic, expected, indexed[number], origin))
     return Recovery(
         source=source,
         sha256=sha256_of(data),
         path=out,
         size=len(data),
-        chunks=found.chunks,
+        chunks=salvaged.chunks,
         streams=tuple(streams),
-        attachments=tuple(attachment.name for attachment in found.attachments),
-        metadata=tuple(metadata.name for metadata in found.metadata),
-        losses=tuple(found.losses),
+        attachments=tuple(attachment.name for attachment in salvaged.attachments),
+        metadata=tuple(metadata.name for metadata in salvaged.metadata),
+        losses=tuple(salvaged.losses),
         nameless=nameless,
-        doubtful=found.doubtful,
-        spliced=found.spliced,
-        ended=found.ended,
+        doubtful=salvaged.doubtful,
+        spliced=salvaged.spliced,
+        ended=salvaged.ended,
         copies=sum(ordered.copies.values()),
         moved=ordered.moved,
         notes=ordered.notes,
     )
 
 
-def _indexed(loss: Loss) -> str:
+def _of_index(loss: Loss) -> str:
     count = sum(loss.messages.values())
     return f"; its index names {count} messages" if count else ""
 
 
-def _write(found: Salvage, known: Sequence[Message], result: Recovery, out: Path) -> None:
+def _write(salvaged: Salvage, messages: Sequence[Message], result: Recovery, out: Path) -> None:
     """Write beside ``out``, look at it, and only then give it its name."""
     part = out.with_name(f"{out.name}{UNFINISHED}")
     try:
         with part.open("xb") as file:
-            _fill(Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4), found, known, result)
+            _fill(
+                Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4),
+                salvaged,
+                messages,
+                result,
+            )
             file.flush()
             os.fsync(file.fileno())
     except FileExistsError as error:
@@ -247,7 +252,7 @@ def _write(found: Salvage, known: Sequence[Message], result: Recovery, out: Path
         part.unlink(missing_ok=True)
         raise RecordingFailedError(f"{out}: could not be written: {error}") from error
     try:
-        _verify(part, found, known)
+        _verify(part, salvaged, messages)
         os.link(part, out)  # unlike a renaming, refuses a file that has come up there meanwhile
     except FileExistsError as error:
         raise RecordingError(f"{out}: expected a new file, found one that exists") from error
@@ -257,18 +262,18 @@ def _write(found: Salvage, known: Sequence[Message], result: Recovery, out: Path
         part.unlink(missing_ok=True)
 
 
-def _fill(writer: Writer, found: Salvage, known: Sequence[Message], result: Recovery) -> None:
-    writer.start(profile=found.profile, library=f"labhil {__version__}")
+def _fill(writer: Writer, salvaged: Salvage, messages: Sequence[Message], result: Recovery) -> None:
+    writer.start(profile=salvaged.profile, library=f"labhil {__version__}")
     schemas = {0: 0}
     numbers: dict[int, int] = {}
-    for number, channel in found.channels.items():
-        schema = found.schemas.get(channel.schema_id)
+    for number, channel in salvaged.channels.items():
+        schema = salvaged.schemas.get(channel.schema_id)
         if schema is not None and schema.id not in schemas:
             schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
         numbers[number] = writer.register_channel(
             channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
         )
-    for attachment in found.attachments:
+    for attachment in salvaged.attachments:
         writer.add_attachment(
             attachment.create_time,
             attachment.log_time,
@@ -276,24 +281,24 @@ def _fill(writer: Writer, found: Salvage, known: Sequence[Message], result: Reco
             attachment.media_type,
             attachment.data,
         )
-    for metadata in found.metadata:
+    for metadata in salvaged.metadata:
         writer.add_metadata(metadata.name, metadata.metadata)
-    told = {
+    record = {
         "source": result.source.name,
         "sha256": result.sha256,
         "lost": "\n".join(result.lines()[1:]),
         "bytes_lost": str(result.bytes_lost),
         "messages_doubtful": str(result.doubtful),
     }
-    writer.add_metadata(METADATA, told)
-    for message in known:
+    writer.add_metadata(METADATA, record)
+    for message in messages:
         writer.add_message(
             numbers[message.channel], message.log_time, message.data, message.publish_time, message.sequence
         )
     writer.finish()
 
 
-def _verify(path: Path, found: Salvage, known: Sequence[Message]) -> None:
+def _verify(path: Path, salvaged: Salvage, messages: Sequence[Message]) -> None:
     """Read the new file with mcap's own readers; RecordingFailedError unless all that was saved is there."""
     topics: dict[int, str] = {}
     attachments: list[Attachment] = []
@@ -301,16 +306,16 @@ def _verify(path: Path, found: Salvage, known: Sequence[Message]) -> None:
     compared = 0
     try:
         with path.open("rb") as file:
-            for record in StreamReader(file, validate_crcs=True, record_size_limit=LARGEST_RECORD).records:
-                if isinstance(record, Channel):
-                    topics[record.id] = record.topic
-                elif isinstance(record, StoredMessage):
-                    _compare(path, record, known[compared], topics, found.channels)
+            for stored in StreamReader(file, validate_crcs=True, record_size_limit=LARGEST_RECORD).records:
+                if isinstance(stored, Channel):
+                    topics[stored.id] = stored.topic
+                elif isinstance(stored, StoredMessage):
+                    _compare(path, stored, messages[compared], topics, salvaged.channels)
                     compared += 1
-                elif isinstance(record, Attachment):
-                    attachments.append(record)
-                elif isinstance(record, Metadata):
-                    metadata.append(record)
+                elif isinstance(stored, Attachment):
+                    attachments.append(stored)
+                elif isinstance(stored, Metadata):
+                    metadata.append(stored)
             file.seek(0)
             summary = make_reader(file).get_summary()
     except Exception as error:
@@ -319,10 +324,10 @@ def _verify(path: Path, found: Salvage, known: Sequence[Message]) -> None:
         raise RecordingFailedError(f"{path}: what was written cannot be read back: {error!r}") from error
     statistics = None if summary is None else summary.statistics
     counted = 0 if statistics is None else statistics.message_count
-    found_rest = (attachments, metadata[:-1]) == (found.attachments, found.metadata)
-    if (compared, counted) != (len(known), len(known)) or not found_rest or _damage(path):
+    rest_matches = (attachments, metadata[:-1]) == (salvaged.attachments, salvaged.metadata)
+    if (compared, counted) != (len(messages), len(messages)) or not rest_matches or _damage(path):
         raise RecordingFailedError(
-            f"{path}: expected {len(known)} messages, the attachments and the metadata back, found "
+            f"{path}: expected {len(messages)} messages, the attachments and the metadata back, found "
             f"{compared} messages ({counted} by its own statistics), {len(attachments)} attachments and "
             f"{len(metadata)} metadata records"
         )

@@ -22,7 +22,7 @@ BLOCK = 1 << 14
 class Ordered:
     """Messages in order; ``copies`` were dropped, by channel; ``moved`` ones stood behind later ones.
 
-    ``notes`` say of which channels the order could not be found, and which hold several runs.
+    ``notes`` say which channels could not be put in order, and which hold several runs.
     """
 
     messages: Sequence[Message]
@@ -43,11 +43,11 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
     """
     result: list[Message | None] | None = None
     copies, moved, notes = {}, 0, []
-    for number, mine in _places(messages, channels).items():
-        if _counts_up(messages, mine):
+    for number, places in _places(messages, channels).items():
+        if _counts_up(messages, places):
             copies[number] = 0
             continue
-        topic, single = channels[number].topic, list(dict.fromkeys(messages[place] for place in mine))
+        topic, single = channels[number].topic, list(dict.fromkeys(messages[place] for place in places))
         try:
             stamps = stamps_of([message.data for message in single])
             runs = order_of(*stamps.T)
@@ -56,11 +56,11 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
             continue
         if len(runs) > 1:
             notes.append(f"{topic}: {len(runs)} runs in one channel; --run N of other commands chooses one")
-        copies[number] = len(mine) - len(single)
+        copies[number] = len(places) - len(single)
         moved += sum(late(stamps[np.sort(run), 0]) for run in runs)
         ordered = [single[place] for place in np.concatenate(runs).tolist()]
         result = list(messages) if result is None else result
-        for place, message in zip(mine, [*ordered, *[None] * copies[number]], strict=True):
+        for place, message in zip(places, [*ordered, *[None] * copies[number]], strict=True):
             result[place] = message
     if result is None:
         return Ordered(messages, copies, moved, tuple(notes))
@@ -69,23 +69,23 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
 
 def _places(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dict[int, array[int]]:
     """Where the messages of each stream of ours stand, by its channel."""
-    found: dict[int, array[int]] = {}
+    places: dict[int, array[int]] = {}
     ours = {number for number, channel in channels.items() if "labhil.stream" in channel.metadata}
     for place, message in enumerate(messages):
         if message.channel in ours:
-            found.setdefault(message.channel, array("Q")).append(place)
-    return found
+            places.setdefault(message.channel, array("Q")).append(place)
+    return places
 
 
 def _counts_up(messages: Sequence[Message], places: array[int]) -> bool:
     """Whether the samples at these places count up as they stand: then each stands once, and in order."""
-    before = None
+    last = None
     for start in range(0, len(places), BLOCK):
         try:
             seq = stamps_of([messages[place].data for place in places[start : start + BLOCK]])[:, 0]
         except ProtocolError:
             return False
-        if not (np.diff(seq) > 0).all() or (before is not None and seq[0] <= before):
+        if not (np.diff(seq) > 0).all() or (last is not None and seq[0] <= last):
             return False
-        before = int(seq[-1])
+        last = int(seq[-1])
     return True

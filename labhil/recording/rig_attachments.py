@@ -27,9 +27,9 @@ def rig_attachments(rig: RigFile, device: str | None = None) -> dict[str, bytes]
     """
     name = rig_name(device)
     files = {
-        _file_name(name, key, str(rig.known[key])): found.content
+        _file_name(name, key, str(rig.known[key])): file.content
         for key, what in rig.kind.known.items()
-        if what.table and (found := rig.known_file(key)) is not None
+        if what.table and (file := rig.known_file(key)) is not None
     }
     return {name: rig.text.encode(), **files}
 

@@ -21,7 +21,7 @@ def rigs_in(path: Path) -> dict[str, str | None]:
         with path.open("rb") as file:
             reader = SeekingReader(file, record_size_limit=LARGEST_RECORD)
             summary = reader.get_summary()
-            attached = {each.name: each.data for each in reader.iter_attachments()}
+            attached = {attachment.name: attachment.data for attachment in reader.iter_attachments()}
     except Exception as error:  # struct, mcap and the decoder of text each raise their own
         raise RecordingError(f"{path}: expected a finished recording, found: {error}") from error
     channels = [] if summary is None else list(summary.channels.values())

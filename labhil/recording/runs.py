@@ -49,20 +49,20 @@ def runs_of(channels: Sequence[Batch]) -> list[Run]:
         channels: The samples of each channel of the topic, as they stand in the file; none is empty.
 
     Raises:
-        MixedRunsError: One channel holds several runs that cannot be told apart.
+        MixedRunsError: One channel holds several runs that cannot be separated.
     """
     groups: list[Batch] = []
     for batch in channels:
         for place, group in enumerate(groups):
-            both = _concatenated([group, batch])
-            if _continues(group, batch, both):
-                groups[place] = both
+            joined = _concatenate([group, batch])
+            if _continues(group, batch, joined):
+                groups[place] = joined
                 break
         else:
             groups.append(batch)
-    found = [run for group in groups for run in _ordered(group)]
+    runs = [run for group in groups for run in _order_runs(group)]
     # a stream may have no samples at all
-    return sorted(found, key=lambda run: int(run.batch.t_acq_ns.min(initial=np.iinfo(np.int64).max)))
+    return sorted(runs, key=lambda run: int(run.batch.t_acq_ns.min(initial=np.iinfo(np.int64).max)))
 
 
 def order_of(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntArray]:
@@ -92,9 +92,9 @@ def order_of(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntAr
         # no number twice: the host's clock was set in one run, unless the pieces are long enough to be runs
         return pieces if min(map(len, pieces)) >= FEWEST else [by_number]
     as_they_stand = np.split(np.arange(len(seq)), np.flatnonzero(np.diff(seq) <= 0) + 1)
-    for found in (pieces, as_they_stand):
-        if len(seq) >= FEWEST * len(found):
-            return found
+    for runs in (pieces, as_they_stand):
+        if len(seq) >= FEWEST * len(runs):
+            return runs
     same = len(seq) - len(np.unique(seq))
     raise MixedRunsError(
         f"expected samples whose numbers count up, found {same} of {len(seq)} with the number of another and "
@@ -103,12 +103,12 @@ def order_of(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntAr
     )
 
 
-def _ordered(batch: Batch) -> list[Run]:
+def _order_runs(batch: Batch) -> list[Run]:
     if _rises(batch.seq):
         return [Run(batch)]
-    single = _taken(batch, _first_of_each(batch))
+    single = _take(batch, _first_of_each(batch))
     places = order_of(single.seq, single.t_acq_ns, single.t_hw_ns)
-    runs = [Run(_taken(single, place), moved=late(single.seq[np.sort(place)])) for place in places]
+    runs = [Run(_take(single, place), moved=late(single.seq[np.sort(place)])) for place in places]
     return [Run(runs[0].batch, len(batch) - len(single), runs[0].moved), *runs[1:]]
 
 
@@ -121,11 +121,11 @@ def _rises(numbers: IntArray) -> bool:
     return bool((np.diff(numbers) > 0).all())
 
 
-def _continues(group: Batch, batch: Batch, both: Batch) -> bool:
+def _continues(group: Batch, batch: Batch, joined: Batch) -> bool:
     """Whether two channels share samples, and make one run together."""
     if not np.isin(_keys(batch), _keys(group)).any():
         return False
-    single = _taken(both, _first_of_each(both))
+    single = _take(joined, _first_of_each(joined))
     try:
         return len(order_of(single.seq, single.t_acq_ns, single.t_hw_ns)) == 1
     except MixedRunsError:
@@ -145,11 +145,11 @@ def _keys(batch: Batch) -> np.ndarray:
     return np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1] * rows.itemsize)))[:, 0]
 
 
-def _taken(batch: Batch, places: IntArray) -> Batch:
+def _take(batch: Batch, places: IntArray) -> Batch:
     return Batch(batch.seq[places], batch.t_acq_ns[places], batch.t_hw_ns[places], batch.values[places])
 
 
-def _concatenated(batches: Sequence[Batch]) -> Batch:
+def _concatenate(batches: Sequence[Batch]) -> Batch:
     return Batch.joined(batches, batches[0].values.shape[1])
 
 
@@ -190,22 +190,22 @@ def choose_run(path: Path, topics: Sequence[Sequence[OneRun]], run: int | None) 
     if run is None:
         runs = several[0]
         topic = f"/{runs[0].device}/{runs[0].stream.name}"
-        found = "; ".join(f"{k}: {_described(one.t_acq_ns)}" for k, one in enumerate(runs, 1))
+        descriptions = "; ".join(f"{k}: {_describe(stream.t_acq_ns)}" for k, stream in enumerate(runs, 1))
         raise RecordingError(
-            f"{path}: expected one run of {topic}, found {len(runs)}: {found}; choose one with --run N"
+            f"{path}: expected one run of {topic}, found {len(runs)}: {descriptions}; choose one with --run N"
         )
     most = max(map(len, several))
     if not 1 <= run <= most:
         raise RecordingError(f"{path}: --run {run}: expected a number from 1 to {most}")
-    begins = [int(one.t_acq_ns.min()) for one in max(several, key=len)]
+    begins = [int(stream.t_acq_ns.min()) for stream in max(several, key=len)]
     begin = begins[run - 1] if run > 1 else everything.start
     end = begins[run] if run < most else everything.stop
     chosen = [runs[run - 1 : run] if len(runs) > 1 else runs for runs in topics]
-    streams = [one for runs in chosen for one in runs]
+    streams = [stream for runs in chosen for stream in runs]
     return streams, range(begin, end)
 
 
-def _described(t_acq_ns: IntArray) -> str:
+def _describe(t_acq_ns: IntArray) -> str:
     """How many samples there are, from when and how long, for messages; ``t_acq_ns`` (n,) is not empty."""
     first, last = int(t_acq_ns.min()), int(t_acq_ns.max())
     begin = f"{first * 1e-9:.6g} s"

@@ -42,6 +42,7 @@ from labhil.recording.whole_records import (
 
 _DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
 
+PART_LOST = "a part of a chunk: a record in it is damaged, or it holds more than a file of this size may"
 _INNER = {Opcode.MESSAGE, *_DESCRIPTIONS}
 """What stands in chunks."""
 
@@ -74,7 +75,7 @@ class Loss:
 
 @dataclass(slots=True)
 class Salvage:
-    """Everything whole that was found, in the order of the file."""
+    """All whole records of a file, in its order."""
 
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -93,8 +94,8 @@ class Salvage:
 def salvage(data: FileBytes, *, keep_doubtful: bool = False) -> Salvage:
     """Find all that is whole in the bytes of an MCAP file, wherever it is damaged.
 
-    ``keep_doubtful`` takes the messages of chunks whose checksum is wrong, as far as they can be told
-    apart; their values may be wrong.
+    ``keep_doubtful`` takes the messages of chunks whose checksum is wrong, as far as they can be
+    separated; their values may be wrong.
     """
     return _Walk(data, keep_doubtful).walk()
 
@@ -103,20 +104,20 @@ class _Walk:
     def __init__(self, data: FileBytes, keep_doubtful: bool) -> None:
         self._data = data
         self._keep_doubtful = keep_doubtful
-        self._found = Salvage()
+        self._result = Salvage()
         self._names = Definitions()
         self._budget = Budget.of(len(data))
         self._resumed = False  # whether what comes may have been in a chunk whose head was damaged
-        self._stray: list[tuple[int, int]] = []  # where such messages stand in the file and in what was found
+        self._stray: list[tuple[int, int]] = []  # positions of such messages in the file and in the result
         self._hit: Loss | None = None  # the chunk that was lost last, until its index has been read
 
     def walk(self) -> Salvage:
         """Go through the file from its first byte to its last."""
-        data, found = self._data, self._found
+        data, result = self._data, self._result
         position = len(MCAP0_MAGIC) if is_mcap(data) else 0
-        before, let_go_at = 0, 0
+        previous_opcode, let_go_at = 0, 0
         while position < len(data):
-            if found.ended and is_end(data, position):
+            if result.ended and is_end(data, position):
                 break
             end = whole_record(data, position)
             if end is None:
@@ -127,19 +128,19 @@ class _Walk:
             self._resumed = self._resumed and opcode in _INNER
             if opcode == Opcode.CHUNK:
                 self._take_chunk(position, end)
-            elif self._resumed or (opcode == Opcode.MESSAGE and before in BEFORE_INDEX):
+            elif self._resumed or (opcode == Opcode.MESSAGE and previous_opcode in BEFORE_INDEX):
                 self._take_stray(opcode, position, body)
             else:
                 self._take(opcode, body)
-            position, before = end, opcode
+            position, previous_opcode = end, opcode
             if end - let_go_at > STRIDE:
                 let_go(data, end)
                 let_go_at = end
         self._judge_stray()
         names = self._names
-        names.settle({message.channel for message in found.messages})
-        found.schemas, found.channels, found.spliced = names.schemas, names.channels, names.renumbered
-        return found
+        names.settle({message.channel for message in result.messages})
+        result.schemas, result.channels, result.spliced = names.schemas, names.channels, names.renumbered
+        return result
 
     def _step_over(self, position: int) -> int:
         """Note what is broken at ``position`` and return where the next whole record begins."""
@@ -165,53 +166,53 @@ class _Walk:
         return after
 
     def _lose(self, loss: Loss) -> None:
-        self._found.losses.append(loss)
+        self._result.losses.append(loss)
         self._hit = loss
 
     def _take(self, opcode: int, body: bytes) -> None:
-        stream, found = ReadDataStream(BytesIO(body)), self._found
+        stream, result = ReadDataStream(BytesIO(body)), self._result
         if opcode == Opcode.MESSAGE_INDEX:
             self._count_lost(body)
             return
         self._hit = None
         if opcode == Opcode.HEADER:
-            found.profile = Header.read(stream).profile
+            result.profile = Header.read(stream).profile
         elif opcode == Opcode.SCHEMA:
             self._names.schema(Schema.read(stream))
         elif opcode == Opcode.CHANNEL:
             self._names.channel(Channel.read(stream))
         elif opcode == Opcode.MESSAGE:
-            found.messages.append(self._message(body))
+            result.messages.append(self._message(body))
         elif opcode == Opcode.ATTACHMENT:
-            found.attachments.append(Attachment.read(stream))
+            result.attachments.append(Attachment.read(stream))
         elif opcode == Opcode.METADATA:
-            found.metadata.append(Metadata.read(stream))
+            result.metadata.append(Metadata.read(stream))
         elif opcode == Opcode.STATISTICS:
-            found.statistics = Statistics.read(stream)
+            result.statistics = Statistics.read(stream)
         elif opcode == Opcode.FOOTER:
-            found.ended = True
+            result.ended = True
 
     def _take_stray(self, opcode: int, position: int, body: bytes) -> None:
         """Take a message or a description after a damaged part: it may be a piece of a damaged chunk."""
         if opcode == Opcode.MESSAGE:
-            self._stray.append((position, len(self._found.messages)))
+            self._stray.append((position, len(self._result.messages)))
             self._take(opcode, body)
         else:
             self._describe(opcode, body, sound=False)
 
     def _judge_stray(self) -> None:
         """In a file with chunks no checksum guards messages outside of them: they are doubtful."""
-        found = self._found
-        if not self._stray or not (found.chunks or any(loss.chunk for loss in found.losses)):
+        result = self._result
+        if not self._stray or not (result.chunks or any(loss.chunk for loss in result.losses)):
             return
         if self._keep_doubtful:
-            found.doubtful += len(self._stray)
+            result.doubtful += len(self._stray)
             return
         for position, place in reversed(self._stray):
-            message = found.messages.pop(place)
+            message = result.messages.pop(place)
             end = position + RECORD.size + MESSAGE.size + len(message.data)
-            found.losses.append(Loss(position, end, "a message outside the chunks, without a checksum"))
-        found.losses.sort(key=lambda loss: loss.start)
+            result.losses.append(Loss(position, end, "a message outside the chunks, without a checksum"))
+        result.losses.sort(key=lambda loss: loss.start)
 
     def _count_lost(self, body: bytes) -> None:
         if self._hit is None or not self._hit.chunk:
@@ -225,7 +226,7 @@ class _Walk:
         assert chunk is not None, "whole_record has looked at it"
         self._hit = None
         try:
-            raw = self._unpacked(chunk.compression, self._data[chunk.content : end], chunk.size)
+            raw = self._unpack(chunk.compression, self._data[chunk.content : end], chunk.size)
         except Exception as error:  # noqa: BLE001 - lz4 and zstd each raise their own
             self._lose(Loss(position, end, f"a chunk that cannot be unpacked: {error}", chunk=True))
             return
@@ -234,22 +235,22 @@ class _Walk:
             what = "a chunk whose checksum is wrong"
             self._lose(Loss(position, end, what, chunk=True))
             return
-        before = len(self._found.messages)
-        whole = self._take_content(raw, sound=sound)
-        self._found.chunks += 1
+        count_before = len(self._result.messages)
+        whole_bytes = self._take_content(raw, sound=sound)
+        self._result.chunks += 1
         if not sound:
-            self._found.doubtful += len(self._found.messages) - before
-        if whole < len(raw):
-            self._lose(Loss(position, end, "a part of a chunk, where a record is damaged", chunk=True))
+            self._result.doubtful += len(self._result.messages) - count_before
+        if whole_bytes < len(raw):
+            self._lose(Loss(position, end, PART_LOST, chunk=True))
 
     def _take_cut_chunk(self, position: int, chunk: ChunkHeader) -> None:
         """Of a chunk that the end of the file cuts off, take the messages before the cut."""
-        data, before = self._data, len(self._found.messages)
+        data, count_before = self._data, len(self._result.messages)
         raw = unpack_prefix(
             chunk.compression.decode(), data[chunk.content :], min(chunk.size, self._budget.content)
         )
         self._take_content(raw, sound=False)
-        saved = len(self._found.messages) - before
+        saved = len(self._result.messages) - count_before
         what = f"a chunk that is cut off; {saved} messages before the cut were saved"
         self._lose(Loss(position, len(data), what, chunk=True))
 
@@ -262,13 +263,15 @@ class _Walk:
         for compression in COMPRESSIONS:
             content = position + RECORD.size + CHUNK.size + len(compression) + 8
             try:
-                raw = self._unpacked(compression, data[content:after], size)
+                raw = self._unpack(compression, data[content:after], size)
             except Exception:  # noqa: BLE001 - it was none of this compression
                 continue
             if raw and zlib.crc32(raw) == crc:
-                self._take_content(raw, sound=True)
-                self._found.chunks += 1
                 self._hit = None
+                whole_bytes = self._take_content(raw, sound=True)
+                self._result.chunks += 1
+                if whole_bytes < len(raw):
+                    self._lose(Loss(position, after, PART_LOST, chunk=True))
                 return True
         return False
 
@@ -278,16 +281,16 @@ class _Walk:
         Descriptions of channels and schemas in content that is not ``sound`` yield to all others.
         """
         position = damaged = 0
-        try:
-            for opcode, start, end in _records(raw):
+        for opcode, start, end in _records(raw):
+            try:
                 self._budget.take_record()
-                position = end
-                if opcode == Opcode.MESSAGE:
-                    self._found.messages.append(self._message(raw[start:end]))
-                elif opcode in _DESCRIPTIONS and not self._describe(opcode, raw[start:end], sound):
-                    damaged += end - start
-        except ImplausibleError:
-            pass  # what follows is lost: it stands behind ``position``
+            except ImplausibleError:
+                break  # more records than a file of this size may hold: the rest counts as not whole
+            position = end
+            if opcode == Opcode.MESSAGE:
+                self._result.messages.append(self._message(raw[start:end]))
+            elif opcode in _DESCRIPTIONS and not self._describe(opcode, raw[start:end], sound):
+                damaged += end - start
         return position - damaged
 
     def _describe(self, opcode: int, body: bytes, sound: bool) -> bool:
@@ -304,7 +307,7 @@ class _Walk:
             self._names.channel(description)
         return True
 
-    def _unpacked(self, compression: bytes, content: bytes, size: int) -> bytes:
+    def _unpack(self, compression: bytes, content: bytes, size: int) -> bytes:
         """The content of a chunk, within what a file of this size may hold; raises what its library raises.
 
         The size that the chunk claims may itself be damaged: it is no limit.

@@ -9,7 +9,7 @@ from labhil.recording.message_store import Message
 from labhil.terminal import printable_name
 
 MOST_SPANS = 5
-"""Spans of lost samples that are told of one stream, the longest first."""
+"""Spans of lost samples that are reported of one stream, the longest first."""
 
 SEQUENCE_WRAPS = 1 << 32
 

@@ -42,26 +42,26 @@ def fill_slow(sheet: Sheet, taken: Sequence[tuple[Mapped, FloatArray]], t: Float
     rows = np.flatnonzero(sheet.columns.complete & np.isfinite(t))
     edge = np.zeros(len(t), dtype=np.bool_)
     notes, result = [], []
-    for one, values in taken:
-        missing = _missing(sheet, one)[rows]
-        there = np.flatnonzero(np.isfinite(values[rows]).all(axis=1))
-        if not _is_slow(sheet, missing, there):
-            result.append((one, values))
+    for mapped, values in taken:
+        missing = _missing(sheet, mapped)[rows]
+        present = np.flatnonzero(np.isfinite(values[rows]).all(axis=1))
+        if not _is_slow(sheet, missing, present):
+            result.append((mapped, values))
             continue
-        if one.signal.direction is Direction.OUTPUT and sheet.rig.table.blanks != "fill":
+        if mapped.signal.direction is Direction.OUTPUT and sheet.rig.table.blanks != "fill":
             if sheet.rig.table.bad_rows == "drop":
-                result.append((one, values))
+                result.append((mapped, values))
                 continue
-            raise TableError(_choices(sheet, one, rows, there))
-        longest = int(np.diff(there).max())
-        result.append((one, _filled(one, values, t, rows, there, missing, longest)))
-        first, last = int(there[0]), int(there[-1])
+            raise TableError(_choices(sheet, mapped, rows, present))
+        longest = int(np.diff(present).max())
+        result.append((mapped, _fill(mapped, values, t, rows, present, missing, longest)))
+        first, last = int(present[0]), int(present[-1])
         edge[rows[max(0, first - longest) : first]] = True
         edge[rows[last + 1 : last + 1 + longest]] = True
-        way = "it keeps the last one" if one.signal.hold is Hold.ZERO else "it goes along straight lines"
+        way = "it keeps the last one" if mapped.signal.hold is Hold.ZERO else "it goes along straight lines"
         notes.append(
-            f"{one.signal.name} is slower: {len(there)} samples in {len(rows)} rows; between its samples "
-            f"{way}"
+            f"{mapped.signal.name} is slower: {len(present)} samples in {len(rows)} rows; between its "
+            f"samples {way}"
         )
     finite = np.all([np.isfinite(values).all(axis=1) for _, values in result], axis=0)
     return Filled(result, edge & ~finite, tuple(notes))
@@ -71,45 +71,45 @@ def _missing(sheet: Sheet, one: Mapped) -> Mask:
     return np.any([sheet.columns.missing(column) for column in one.columns], axis=0)
 
 
-def _is_slow(sheet: Sheet, missing: Mask, there: IntArray) -> bool:
-    if len(there) < FEWEST_SAMPLES or np.count_nonzero(missing) <= MOST_DROPPED * len(missing):
+def _is_slow(sheet: Sheet, missing: Mask, present: IntArray) -> bool:
+    if len(present) < FEWEST_SAMPLES or np.count_nonzero(missing) <= MOST_DROPPED * len(missing):
         return False
     if sheet.rig.table.blanks == "fill":
         return True
-    return bool(np.mean(np.diff(there) > 1) >= SLOWER)
+    return bool(np.mean(np.diff(present) > 1) >= SLOWER)
 
 
-def _filled(
-    one: Mapped,
+def _fill(
+    mapped: Mapped,
     values: FloatArray,
     t: FloatArray,
     rows: IntArray,
-    there: IntArray,
+    present: IntArray,
     missing: Mask,
     longest: int,
 ) -> FloatArray:
     values = values.copy()
     gaps = np.flatnonzero(missing)
-    gaps = gaps[(gaps > there[0]) & (gaps < there[-1] + longest)]
-    if one.signal.hold is Hold.ZERO:
-        before = there[np.searchsorted(there, gaps) - 1]
+    gaps = gaps[(gaps > present[0]) & (gaps < present[-1] + longest)]
+    if mapped.signal.hold is Hold.ZERO:
+        before = present[np.searchsorted(present, gaps) - 1]
         values[rows[gaps]] = values[rows[before]]
         return values
-    gaps = gaps[gaps < there[-1]]
+    gaps = gaps[gaps < present[-1]]
     for column in range(values.shape[1]):
-        known = values[rows[there], column]
-        values[rows[gaps], column] = np.interp(t[rows[gaps]], t[rows[there]], known)
+        known = values[rows[present], column]
+        values[rows[gaps], column] = np.interp(t[rows[gaps]], t[rows[present]], known)
     return values
 
 
-def _choices(sheet: Sheet, one: Mapped, rows: IntArray, there: IntArray) -> str:
-    name = one.signal.name
-    blank = int(rows[np.setdiff1d(np.arange(len(rows)), there)[0]])
+def _choices(sheet: Sheet, mapped: Mapped, rows: IntArray, present: IntArray) -> str:
+    name = mapped.signal.name
+    blank = int(rows[np.setdiff1d(np.arange(len(rows)), present)[0]])
     return (
-        f"{sheet.path}: {name} has a value in {len(there)} of {len(rows)} rows, the first empty cell is in "
-        f"{sheet.place(blank)}, column {sheet.column(one.columns[0])}: a slower channel. It is an output, so "
-        f"values in between would be invented. Choose in {sheet.rig.path}: leave {name} out of [channels]; "
-        "or "
+        f"{sheet.path}: {name} has a value in {len(present)} of {len(rows)} rows, the first empty cell is in "
+        f"{sheet.place(blank)}, column {sheet.column(mapped.columns[0])}: a slower channel. It is an output, "
+        f"so values in between would be invented. Choose in {sheet.rig.path}: leave {name} out of "
+        "[channels]; or "
         f'[table] bad_rows = "drop" for the rows in which it stands; or [table] blanks = "fill" to join its '
-        f"samples by {'steps' if one.signal.hold is Hold.ZERO else 'straight lines'}"
+        f"samples by {'steps' if mapped.signal.hold is Hold.ZERO else 'straight lines'}"
     )

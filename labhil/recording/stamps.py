@@ -46,7 +46,7 @@ class Stamps:
         return bool(np.array_equal(self.t_hw_ns, self.t_acq_ns))
 
 
-def in_time_of(stamps: Stamps, own: ClockFit, main: ClockFit | None, *, measured: bool) -> ClockFit:
+def in_time_of(stamps: Stamps, own_clock: ClockFit, main: ClockFit | None, *, measured: bool) -> ClockFit:
     """Return the times of a stream by the clock ``main`` of its device; ``own`` where that is another one.
 
     Args:
@@ -55,8 +55,8 @@ def in_time_of(stamps: Stamps, own: ClockFit, main: ClockFit | None, *, measured
         main: The clock of the device's longest stream, None where it has none.
         measured: Whether the device made the stamps, or its host worked them out from the newest sample.
     """
-    if main is None or main.map is None or own is main or not len(stamps.seq):
-        return own
+    if main is None or main.map is None or own_clock is main or not len(stamps.seq):
+        return own_clock
     host = (stamps.t_acq_ns - main.map.origin_ns) * 1e-9
     x = main.map.elapsed(stamps.t_hw_ns)
     if not measured:
@@ -66,6 +66,6 @@ def in_time_of(stamps: Stamps, own: ClockFit, main: ClockFit | None, *, measured
     elif (
         not (np.diff(stamps.t_hw_ns) > 0).all() or abs(float(np.median(host - main.map.host(x)))) > SAME_CLOCK
     ):
-        return own
+        return own_clock
     begin = float(main.map.steady_host(np.zeros(1))[0])
     return replace(main, t=(x + begin) * stamps.speed)

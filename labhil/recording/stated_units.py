@@ -19,32 +19,32 @@ def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
     """
     wrong: dict[str, tuple[str, Unit]] = {}
     odd = []
-    for one in taken:
-        stated = _stated(sheet, one.columns[0])
-        if stated is None or one.signal.unit not in OURS or _is_scaled(sheet, one.signal.name):
+    for mapped in taken:
+        stated = _stated_unit(sheet, mapped.columns[0])
+        if stated is None or mapped.signal.unit not in OURS or _is_scaled(sheet, mapped.signal.name):
             continue
         where, text, unit = stated
-        if unit.quantity in (one.signal.unit, _rotary(sheet, one.signal.unit)):
+        if unit.quantity in (mapped.signal.unit, _rotary(sheet, mapped.signal.unit)):
             if (unit.scale, unit.offset) != (1.0, 0.0):
-                wrong[one.signal.name] = f"{one.signal.name} in {text} ({where})", unit
+                wrong[mapped.signal.name] = f"{mapped.signal.name} in {text} ({where})", unit
         else:
             odd.append(
-                f"{where} states {text} for {one.signal.name}, which is in {one.signal.unit}: numbers count "
-                f"as {one.signal.unit} until [channels] gives a scale"
+                f"{where} states {text} for {mapped.signal.name}, which is in {mapped.signal.unit}: numbers "
+                f"count as {mapped.signal.unit} until [channels] gives a scale"
             )
     if wrong:
         raise TableError(_proposal(sheet, taken, wrong))
     return tuple(odd)
 
 
-def _stated(sheet: Sheet, column: int) -> tuple[str, str, Unit] | None:
+def _stated_unit(sheet: Sheet, column: int) -> tuple[str, str, Unit] | None:
     """Where a unit of a column stands, how it is written, and what it is."""
     units = sheet.columns.units
     if column < len(units) and (unit := unit_of(units[column])) is not None:
         return "the line of units below the header", units[column].strip().strip("[]()\"' "), unit
     names = sheet.columns.names
-    found = unit_in_name(names[column]) if names is not None else None
-    return None if found is None else (f"the name of column {sheet.column(column)}", *found)
+    in_name = unit_in_name(names[column]) if names is not None else None
+    return None if in_name is None else (f"the name of column {sheet.column(column)}", *in_name)
 
 
 def _is_scaled(sheet: Sheet, name: str) -> bool:
@@ -57,27 +57,29 @@ def _rotary(sheet: Sheet, unit: str) -> str | None:
 
 
 def _proposal(sheet: Sheet, taken: Sequence[Mapped], wrong: dict[str, tuple[str, Unit]]) -> str:
-    expected = [f"{one.signal.name} in {one.signal.unit}" for one in taken if one.signal.name in wrong]
-    found = [text for text, _ in wrong.values()]
+    expected = [
+        f"{mapped.signal.name} in {mapped.signal.unit}" for mapped in taken if mapped.signal.name in wrong
+    ]
+    texts = [text for text, _ in wrong.values()]
     units = {name: unit for name, (_, unit) in wrong.items()}
     return "\n".join(
         [
-            f"{sheet.path}: expected {', '.join(expected)}, found {', '.join(found)}; write into "
+            f"{sheet.path}: expected {', '.join(expected)}, found {', '.join(texts)}; write into "
             f"{sheet.rig.path} (scale = 1.0 for what is in our unit all the same):",
             "[channels]",
-            *(channel_line(sheet, one, units.get(one.signal.name)) for one in taken),
+            *(channel_line(sheet, mapped, units.get(mapped.signal.name)) for mapped in taken),
         ]
     )
 
 
-def channel_line(sheet: Sheet, one: Mapped, unit: Unit | None = None) -> str:
+def channel_line(sheet: Sheet, mapped: Mapped, unit: Unit | None = None) -> str:
     """A line of ``[channels]`` for a signal, with the scale and offset of a unit."""
-    sources = [sheet.source(column) for column in one.columns]
+    sources = [sheet.source(column) for column in mapped.columns]
     parts = [f"column = {sources[0]}" if len(sources) == 1 else f"columns = [{', '.join(sources)}]"]
-    scale = one.scale.tolist() if unit is None else [unit.scale] * len(sources)
-    offset = one.offset.tolist() if unit is None else [unit.offset] * len(sources)
+    scale = mapped.scale.tolist() if unit is None else [unit.scale] * len(sources)
+    offset = mapped.offset.tolist() if unit is None else [unit.offset] * len(sources)
     for name, values, usual in (("scale", scale, 1.0), ("offset", offset, 0.0)):
         if any(value != usual for value in values):
             same = bool(np.ptp(values) == 0)
             parts.append(f"{name} = {values[0]!r}" if same else f"{name} = {values!r}")
-    return f"{one.signal.name} = {{ {', '.join(parts)} }}"
+    return f"{mapped.signal.name} = {{ {', '.join(parts)} }}"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
-from labhil.recording.channel_keys import held_as_stated, with_channel_keys
+from labhil.recording.channel_keys import with_channel_keys, with_stated_hold
 from labhil.recording.columns import read_columns
 from labhil.recording.formats.time_text import TimeKind
 from labhil.recording.recording import IMPORT, TIME_COLUMN
@@ -30,7 +30,7 @@ from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Strea
 
 TIME_COLUMNS = ("t", "time", "timestamp")
 UNSTEADY = 0.02
-"""A mean rate that differs from the median one by more than this share is told."""
+"""A mean rate that differs from the median one by more than this share is reported."""
 
 SMALLER_UNITS = (1e-3, 1e-6, 1e-9)
 SLOWEST = 2.0
@@ -85,12 +85,12 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     ``bad_rows = "fail"``, and for many of them unless it says ``"drop"``.
     """
     content, sha256 = _content(data)
-    sheet = Sheet(data, read_columns(data, content, rig.table, _wanted(rig)), rig)
+    sheet = Sheet(data, read_columns(data, content, rig.table, _wanted_columns(rig)), rig)
     mapped, clock = _signals(sheet), _clock(sheet)
     timed = [clock.mapped] if clock is not None and clock.kind is TimeKind.NUMBER else []
     units = check_units(sheet, [*timed, *mapped])
-    taken = [(one, _scaled(sheet, one)) for one in mapped]
-    ordered = _ordered(sheet, clock, taken)
+    taken = [(column, _scale(sheet, column)) for column in mapped]
+    ordered = _order_in_time(sheet, clock, taken)
     filled = fill_slow(sheet, taken, ordered.t)
     time = [] if clock is None else [(clock.mapped, clock.seconds[:, None])]
     finite = finite_rows(sheet, [*time, *filled.taken])
@@ -101,7 +101,7 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     t = _seconds(sheet, row, ordered.t)
     notes = [*sheet.columns.notes, *units, *ordered.notes, *filled.notes]
     notes += [_rate_note(sheet)] if clock is None else time_notes(sheet, clock, t, row)
-    stream = Stream("state", tuple(one.signal for one in mapped), float(1.0 / np.median(np.diff(t))))
+    stream = Stream("state", tuple(column.signal for column in mapped), float(1.0 / np.median(np.diff(t))))
     values = np.hstack([scaled for _, scaled in filled.taken])[row]
     values, applied = with_channel_keys(stream, rig.channels, t, values)
     outside, flagged = _outside(stream, values, rig)
@@ -135,7 +135,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     it. The same table always makes the same bytes: the host's time is the table's, from 0.
     """
     t_ns = np.rint(table.t * 1e9).astype(np.int64)
-    told = {
+    metadata = {
         "source": table.source.name,
         "sha256": table.sha256,
         "rows": str(table.rows),
@@ -150,7 +150,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
         try:
             for name, content in rig_attachments(table.rig).items():
                 writer.attach(name, media_type(name), content)
-            writer.metadata(IMPORT, told)
+            writer.metadata(IMPORT, metadata)
             channel = writer.add_stream(table.rig.rig.kind, table.stream, {"source": table.source.name})
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
             writer.finish()
@@ -207,7 +207,7 @@ def _content(path: Path) -> tuple[bytes, str]:
     return b"", digest.hexdigest()
 
 
-def _wanted(rig: RigFile) -> tuple[str, ...]:
+def _wanted_columns(rig: RigFile) -> tuple[str, ...]:
     """The column names that the rig file asks for: the time, the outputs, the others."""
     kind = rig.kind
     signals = (*kind.outputs, *kind.inputs, *kind.optional, *kind.auxiliary)
@@ -221,16 +221,16 @@ def _wanted(rig: RigFile) -> tuple[str, ...]:
 def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
     """The signals that are in the file, with their columns."""
     mapped = tuple(
-        _mapped(sheet, held_as_stated(signal, channel), channel)
+        _map_signal(sheet, with_stated_hold(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )
-    found = {one.signal.name for one in mapped}
+    present = {column.signal.name for column in mapped}
     kind = sheet.rig.kind
     outputs = [signal.name for signal in kind.outputs]
-    if not any(found >= set(names) for names in kind.driven_by):
+    if not any(present >= set(names) for names in kind.driven_by):
         raise TableError(_missing(sheet, "an input", [" and ".join(names) for names in kind.driven_by]))
-    if not found & set(outputs):
+    if not present & set(outputs):
         raise TableError(_missing(sheet, "an output", outputs))
     return mapped
 
@@ -257,10 +257,10 @@ def _clock(sheet: Sheet) -> Clock | None:
     """The column of the time, or None where the rows come at a rate."""
     time = Signal("t", "s", Direction.STATUS)
     if "t" in sheet.rig.channels:
-        return read_clock(sheet, _mapped(sheet, time, sheet.rig.channels["t"]))
+        return read_clock(sheet, _map_signal(sheet, time, sheet.rig.channels["t"]))
     names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
     if names:
-        return best_clock(sheet, [_mapped(sheet, time, Channel(column=name)) for name in names])
+        return best_clock(sheet, [_map_signal(sheet, time, Channel(column=name)) for name in names])
     if sheet.rig.table.rate is None:
         raise TableError(
             f"{sheet.path}: no time: expected a column {' or '.join(TIME_COLUMNS)} (s), a [channels] entry "
@@ -274,7 +274,7 @@ def _name_of(sheet: Sheet, clock: Clock | None) -> str:
     return "" if clock is None or names is None else names[clock.mapped.columns[0]]
 
 
-def _ordered(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:
+def _order_in_time(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:
     """The rows in time: by the column of the time, or one after another at the rate of ``[table]``."""
     rows = len(sheet.columns.counts)
     if clock is None:
@@ -290,7 +290,7 @@ def _rate_note(sheet: Sheet) -> str:
     return f"time: no column; rows come at [table] rate = {sheet.rig.table.rate:g} Hz"
 
 
-def _mapped(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
+def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
     sources = channel.sources()
     if len(sources) != signal.width:
         raise TableError(
@@ -308,17 +308,17 @@ def _place(sheet: Sheet, name: str, source: Column) -> int:
         if source < sheet.columns.width:
             return source
         raise TableError(f"{sheet.path}: {name}: expected a column {source}, found {sheet.available()}")
-    found = sheet.columns.find(source)
-    if len(found) == 1:
-        return found[0]
-    if found:
-        same = ", ".join(names[place] for place in found)
+    places = sheet.columns.find(source)
+    if len(places) == 1:
+        return places[0]
+    if places:
+        same = ", ".join(names[place] for place in places)
         raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several: {same}")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
 
-def _scaled(sheet: Sheet, mapped: Mapped) -> FloatArray:
+def _scale(sheet: Sheet, mapped: Mapped) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
         return mapped.in_ours(raw)
@@ -333,7 +333,7 @@ def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
     seconds: FloatArray = t[row] - t[row[0]]
     if seconds[-1] > LONGEST_TIME:
         step = float(np.median(np.diff(seconds)))
-        scale = next((each for each in SMALLER_UNITS if step * each < SLOWEST), None)
+        scale = next((factor for factor in SMALLER_UNITS if step * factor < SLOWEST), None)
         hint = "" if scale is None else f"; with scale = {scale:g} they span {seconds[-1] * scale:g} s"
         raise TableError(
             f"{sheet.path}: expected times in s, found a span of {seconds[-1]:g} s; [channels] t can have a "

@@ -49,7 +49,7 @@ class Clock:
     kind: TimeKind
     passed_over: str = ""
 
-    def called(self, sheet: Sheet) -> str:
+    def label(self, sheet: Sheet) -> str:
         """The column and its unit, for messages."""
         scale = float(self.mapped.scale[0])
         unit = "s" if scale == 1.0 else f"s, × {scale:g}"
@@ -132,14 +132,14 @@ def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
     notes = []
     wrap = timeline.find_wrap(times, _periods(clock))
     if wrap is not None:
-        times = timeline.unwrapped(times, wrap)
+        times = timeline.unwrap(times, wrap)
         notes.append(_wrap_note(sheet, clock, rows, wrap))
     repeated = np.flatnonzero(np.diff(times) == 0) + 1
     if len(repeated) > max(1.0, MOST_DROPPED * len(rows)):
-        rows, times, note = _unrepeated(sheet, clock, rows, times, bool(copied[rows[repeated]].all()))
+        rows, times, note = _resolve_repeats(sheet, clock, rows, times, bool(copied[rows[repeated]].all()))
         notes.append(note)
     runs = timeline.stretches(times)
-    chosen, elsewhere = _chosen(sheet, clock, rows, times, runs, notes)
+    chosen, elsewhere = _choose_stretch(sheet, clock, rows, times, runs, notes)
     t = np.full(len(clock.seconds), np.nan)
     t[rows[chosen]] = times[chosen]
     nowhere[rows[elsewhere]] = True
@@ -150,7 +150,7 @@ def _refuse_backwards(sheet: Sheet, clock: Clock, rows: IntArray, times: FloatAr
     steps = np.diff(times)
     if len(steps) > 1 and np.mean(steps < 0) > 0.9:
         raise TableError(
-            f"{sheet.path}: expected times that increase, found {clock.called(sheet)} running backwards from "
+            f"{sheet.path}: expected times that increase, found {clock.label(sheet)} running backwards from "
             f"{sheet.place(int(rows[0]))} on: the newest row stands first; sort the rows by time"
         )
 
@@ -185,32 +185,36 @@ def _wrap_note(sheet: Sheet, clock: Clock, rows: IntArray, wrap: timeline.Wrap) 
     return f"time goes back by {wrap.period:.10g} s in {place}{times}: {cause}; this is undone"
 
 
-def _unrepeated(
+def _resolve_repeats(
     sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, copies: bool
 ) -> tuple[IntArray, FloatArray, str]:
     """Rows and their times where stamps repeat: at the stated rate, spread, or the first of each stamp."""
-    found = timeline.find_repeats(times)
+    repeats = timeline.find_repeats(times)
     rate, dropping = sheet.rig.table.rate, sheet.rig.table.bad_rows == "drop"
     if rate is not None:
-        return rows, rows / rate, f"time repeats ({found.text}): rows come at [table] rate = {rate:g} Hz"
-    if found.spread is not None and not copies:
-        return rows, found.spread, f"time repeats ({found.text}): rows are spread evenly between the stamps"
+        return rows, rows / rate, f"time repeats ({repeats.text}): rows come at [table] rate = {rate:g} Hz"
+    if repeats.spread is not None and not copies:
+        return (
+            rows,
+            repeats.spread,
+            f"time repeats ({repeats.text}): rows are spread evenly between the stamps",
+        )
     if dropping:
         first = np.concatenate(([True], np.diff(times) != 0))
-        return rows[first], times[first], f"time repeats ({found.text}): the first row of each stamp stays"
+        return rows[first], times[first], f"time repeats ({repeats.text}): the first row of each stamp stays"
     line = sheet.place(int(rows[np.flatnonzero(np.diff(times) == 0)[0] + 1]))
     what = "copies of the same row" if copies else "no even number to spread"
     span = float(times[-1] - times[0])
-    likely = (len(rows) - int(found.sizes[-1])) / span if span > 0 else 0.0
+    likely = (len(rows) - int(repeats.sizes[-1])) / span if span > 0 else 0.0
     example = f" = {likely:.4g}" if likely else ""
     raise TableError(
-        f"{sheet.path}: expected a time for each row, found a time that repeats in {clock.called(sheet)}, "
-        f"the first in {line}: {found.text}, {what}. In {sheet.rig.path}, [table] rate{example} (Hz) puts "
+        f"{sheet.path}: expected a time for each row, found a time that repeats in {clock.label(sheet)}, "
+        f"the first in {line}: {repeats.text}, {what}. In {sheet.rig.path}, [table] rate{example} (Hz) puts "
         'the rows at that rate, or [table] bad_rows = "drop" keeps the first row of each stamp'
     )
 
 
-def _chosen(
+def _choose_stretch(
     sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, runs: list[IntArray], notes: list[str]
 ) -> tuple[IntArray, IntArray]:
     """The stretch that counts, and the rows of the others."""
@@ -219,7 +223,7 @@ def _chosen(
         back = np.flatnonzero(np.diff(times) < 0) + 1
         raise TableError(
             f"{sheet.path}: expected times that increase from row to row, found {len(back)} steps back in "
-            f"{clock.called(sheet)}, the first in {sheet.place(int(rows[back[0]]))}: are the rows sorted by "
+            f"{clock.label(sheet)}, the first in {sheet.place(int(rows[back[0]]))}: are the rows sorted by "
             "time?"
         )
     if part is not None and part > len(runs):
@@ -235,14 +239,14 @@ def _chosen(
         for number, run in enumerate(runs, 1)
     ]
     shown = "; ".join(listed[:6]) + (f"; and {len(listed) - 6} more" if len(listed) > 6 else "")
-    again = int(runs[1][0])
+    restart = int(runs[1][0])
     cause = (
-        f"time goes back from {times[runs[0][-1]]:.10g} to {times[again]:.10g} s in "
-        f"{sheet.place(int(rows[again]))} ({_cause(times, runs)})"
+        f"time goes back from {times[runs[0][-1]]:.10g} to {times[restart]:.10g} s in "
+        f"{sheet.place(int(rows[restart]))} ({_cause(times, runs)})"
     )
     if part is None and sheet.rig.table.bad_rows != "drop":
         raise TableError(
-            f"{sheet.path}: expected one stretch of increasing times in {clock.called(sheet)}, found "
+            f"{sheet.path}: expected one stretch of increasing times in {clock.label(sheet)}, found "
             f"{len(runs)}: {cause}: {shown}. Choose one in {sheet.rig.path} with [table] part = 1, …"
         )
     number = part - 1 if part is not None else int(np.argmax([len(run) for run in runs]))
@@ -270,7 +274,7 @@ def time_notes(sheet: Sheet, clock: Clock, t: FloatArray, row: IntArray) -> list
     ``t`` and ``row`` (n,) are the times and numbers of the rows that were kept.
     """
     rate = 1.0 / float(np.median(np.diff(t)))
-    line = f"time: {clock.called(sheet)}, {rate:.6g} Hz, {_holes(sheet, t, row)}"
+    line = f"time: {clock.label(sheet)}, {rate:.6g} Hz, {_holes(sheet, t, row)}"
     notes = [f"{line}; {clock.passed_over}" if clock.passed_over else line]
     if clock.kind is not TimeKind.NUMBER:
         return notes
@@ -309,6 +313,6 @@ def _likely(sheet: Sheet, clock: Clock, rate: float) -> str:
     }
     if not likely:
         return ""
-    name = min(likely, key=lambda each: likely[each])
+    name = min(likely, key=lambda unit: likely[unit])
     line = channel_line(sheet, clock.mapped, Unit("s", TIME_UNITS[name]))
     return f"; in {name} they would come at {per_unit / TIME_UNITS[name]:.4g} Hz: [channels] {line}"

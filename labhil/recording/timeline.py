@@ -55,11 +55,11 @@ def find_wrap(times: FloatArray, periods: Sequence[tuple[float, float | None]]) 
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
     usual = median_step(times)
-    found = [
+    candidates = [
         Wrap(period, back[_wraps(times[back], steps[back], period, top, usual)] + 1)
         for period, top in (periods if len(back) else ())
     ]
-    best = max(found, key=lambda wrap: len(wrap.at), default=None)
+    best = max(candidates, key=lambda wrap: len(wrap.at), default=None)
     return best if best is not None and len(best.at) else None
 
 
@@ -71,7 +71,7 @@ def _wraps(
     return wraps if top is None else wraps & (before > top - near) & (before <= top)
 
 
-def unwrapped(times: FloatArray, wrap: Wrap) -> FloatArray:
+def unwrap(times: FloatArray, wrap: Wrap) -> FloatArray:
     """The times of a clock that goes on where it wrapped."""
     turns = np.zeros(len(times))
     turns[wrap.at] = 1.0
@@ -85,25 +85,25 @@ def stretches(times: FloatArray) -> list[IntArray]:
     ``LONGEST_SLIP`` rows in succession with wrong stamps are jumped over and are in none; where a clock was
     set back for more rows than that, another stretch begins. ``times`` (n,) must be finite.
     """
-    found: list[IntArray] = []
+    runs: list[IntArray] = []
     todo = [(0, len(times))]
     usual = median_step(times)
     while todo:
         first, end = todo.pop()
         run = first + _longest_run(times[first:end], usual)
-        found.append(run)
+        runs.append(run)
         todo += [
             side
             for side in ((first, int(run[0])), (int(run[-1]) + 1, end))
             if side[1] - side[0] > LONGEST_SLIP
         ]
-        if len(found) > 1 + len(times) // LONGEST_SLIP:
+        if len(runs) > 1 + len(times) // LONGEST_SLIP:
             break
-    kept = [run for run in found if len(run) > LONGEST_SLIP] or found[:1]
-    return sorted((_without_far_ends(run, times) for run in kept), key=lambda run: int(run[0]))
+    long_runs = [run for run in runs if len(run) > LONGEST_SLIP] or runs[:1]
+    return sorted((_trim_far_ends(run, times) for run in long_runs), key=lambda run: int(run[0]))
 
 
-def _without_far_ends(run: IntArray, times: FloatArray) -> IntArray:
+def _trim_far_ends(run: IntArray, times: FloatArray) -> IntArray:
     """A stretch without a few stamps at its ends that are nowhere near the others."""
     steps = np.diff(times[run])
     for hole in np.flatnonzero(steps > REACH * np.median(steps)) if len(steps) > 2 * LONGEST_SLIP else ():

@@ -88,13 +88,13 @@ def unit_of(text: str) -> Unit | None:
 def unit_in_name(name: str) -> tuple[str, Unit] | None:
     """The unit that a column's name states (``time [ms]``, ``speed (rpm)``, ``pot_mm``), as text and unit."""
     name = name.strip()
-    if found := _IN_BRACKETS.match(name):
-        unit = unit_of(found["unit"])
-        return (found["unit"].strip(), unit) if unit else None
+    if match := _IN_BRACKETS.match(name):
+        unit = unit_of(match["unit"])
+        return (match["unit"].strip(), unit) if unit else None
     if name in SURE_BEHIND and (unit := unit_of(name)):
         return name, unit
-    if (found := _BEHIND.match(name)) and found["unit"] in SURE_BEHIND and (unit := unit_of(found["unit"])):
-        return found["unit"], unit
+    if (match := _BEHIND.match(name)) and match["unit"] in SURE_BEHIND and (unit := unit_of(match["unit"])):
+        return match["unit"], unit
     return None
 
 

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from labhil.codec import LAYOUT_VERSION, Codec, stamps_of, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, RecordingFailedError
-from labhil.recording.event_schemas import schema_of, stamped
+from labhil.recording.event_schemas import schema_of, with_timestamp
 from labhil.recording.log_times import LogTimes
 from labhil.signals import Batch, Direction, Stream
 from labhil.version import __version__
@@ -64,7 +64,7 @@ class RecordingWriter:
         _keep_name(self.part)
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
         self._flushed_at = time.monotonic()
-        with self._guarded():
+        with self._guard():
             self._writer.start(library=f"labhil {__version__}")
 
     def add_stream(self, device: str, stream: Stream, metadata: Mapping[str, str] | None = None) -> int:
@@ -73,22 +73,24 @@ class RecordingWriter:
         ``metadata`` says more about the stream, in strings: ``speed``, ``serial``, ``firmware``.
         """
         codec = Codec(stream)
-        told = {
+        channel_metadata = {
             **(metadata or {}),
             "labhil.layout": LAYOUT_VERSION,
             "labhil.stream": stream_to_json(stream),
             "device": device,
             **{f"labhil.unit.{signal.name}": signal.unit for signal in stream.signals},
         }
-        with self._guarded():
+        with self._guard():
             schema = self._writer.register_schema(
                 codec.schema_name, SchemaEncoding.Protobuf, codec.descriptor_set()
             )
             topic = f"/{device}/{stream.name}"
-            channel = int(self._writer.register_channel(topic, MessageEncoding.Protobuf, schema, told))
+            channel = int(
+                self._writer.register_channel(topic, MessageEncoding.Protobuf, schema, channel_metadata)
+            )
         self._codecs[channel] = codec
         if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
-            self._log_times[channel] = LogTimes(float(told.get("speed", "1")))
+            self._log_times[channel] = LogTimes(float(channel_metadata.get("speed", "1")))
         return channel
 
     def write(self, channel: int, samples: Batch | Sequence[bytes]) -> None:
@@ -108,9 +110,9 @@ class RecordingWriter:
         stamps = stamps_of(payloads)
         if (stamps < 0).any():  # such a log time makes a file that nobody can read
             raise ProtocolError(f"stream {codec.stream.name!r}: expected stamps of 0 or more, found negative")
-        times = self._log_times.get(channel)  # what was asked for has no clock of the device
+        times = self._log_times.get(channel)  # requested values have no clock of the device
         log_ns = stamps[:, 1] if times is None else times.of(stamps[:, 1], stamps[:, 2])
-        with self._guarded():
+        with self._guard():
             for payload, seq, t_ns in zip(payloads, stamps[:, 0].tolist(), log_ns.tolist(), strict=True):
                 self._writer.add_message(channel, t_ns, payload, t_ns, seq & 0xFFFFFFFF)
         self.flush_when_due()
@@ -119,7 +121,7 @@ class RecordingWriter:
         """Store something that happened, as JSON, on ``/<device>/event`` (or another topic)."""
         name = f"/{device}/{topic}"
         t_ns = min(max(int(t_ns), 0), LARGEST_TIME_NS)
-        with self._guarded():
+        with self._guard():
             if name not in self._json_channels:
                 schema = self._writer.register_schema(
                     f"labhil.{topic}", SchemaEncoding.JSONSchema, schema_of(topic)
@@ -128,18 +130,18 @@ class RecordingWriter:
                     name, MessageEncoding.JSON, schema, {"device": device}
                 )
                 self._json_channels[name] = int(channel)
-            data = json.dumps(stamped(body, t_ns)).encode()
+            data = json.dumps(with_timestamp(body, t_ns)).encode()
             self._writer.add_message(self._json_channels[name], t_ns, data, t_ns)
         self.flush_when_due()
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a whole file, such as the rig file."""
-        with self._guarded():
+        with self._guard():
             self._writer.add_attachment(0, 0, name, media_type, data)
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Add a table of strings."""
-        with self._guarded():
+        with self._guard():
             self._writer.add_metadata(name, {key: str(value) for key, value in data.items()})
 
     def flush_when_due(self) -> None:
@@ -149,7 +151,7 @@ class RecordingWriter:
 
     def flush(self) -> None:
         """Close the open chunk and force everything to the disk."""
-        with self._guarded():
+        with self._guard():
             self._writer.flush()
             os.fdatasync(self._file.fileno())
             free = shutil.disk_usage(self.part.parent).free
@@ -167,7 +169,7 @@ class RecordingWriter:
         if self._finished:
             return self.path
         self.metadata("end", {"exit_status": exit_status, "reason": reason})
-        with self._guarded():
+        with self._guard():
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
@@ -197,7 +199,7 @@ class RecordingWriter:
             self.abandon()
 
     @contextmanager
-    def _guarded(self) -> Iterator[None]:
+    def _guard(self) -> Iterator[None]:
         if self.failure is not None:
             raise RecordingFailedError(self.failure)
         try:

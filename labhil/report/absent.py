@@ -1,4 +1,4 @@
-"""What is not there, and of what data cannot speak: the joints of an arm side by side."""
+"""Excluded and undecided terms, with the joints of an arm side by side."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ class Limit(Protocol):
 
     @property
     def joint(self) -> int | None:
-        """The one that it acts on, where terms have one each."""
+        """The joint that it acts on; None for a term without one."""
         ...
 
     @property
     def unit(self) -> str:
-        """Of the parameter."""
+        """Unit of the parameter."""
         ...
 
     @property
     def largest_hidden(self) -> float | None:
-        """None where it is not known."""
+        """The limit; None where it is not known."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
-class OfJoints:
-    """That of a term of an arm in its ``unit``, by joint; a joint of which nothing is said is not in it."""
+class JointLimits:
+    """Limits of one term of an arm in its ``unit``, by joint; a joint without a statement is absent."""
 
     term: str
     unit: str
     largest: dict[int, float | None] = field(default_factory=dict)
 
 
-def of_joints(limits: Iterable[Limit]) -> list[OfJoints]:
+def limits_by_joint(limits: Iterable[Limit]) -> list[JointLimits]:
     """A row for each term of a joint, in the order of the terms."""
-    rows: dict[tuple[str, str], OfJoints] = {}
+    rows: dict[tuple[str, str], JointLimits] = {}
     for limit in limits:
         if limit.joint is not None:
-            row = rows.setdefault((limit.term, limit.unit), OfJoints(limit.term, limit.unit))
+            row = rows.setdefault((limit.term, limit.unit), JointLimits(limit.term, limit.unit))
             row.largest[limit.joint] = limit.largest_hidden
     return list(rows.values())
 
 
-def joints_in(rows: Iterable[OfJoints]) -> list[int]:
-    """All joints of which something is said."""
+def joints_in(rows: Iterable[JointLimits]) -> list[int]:
+    """All joints with a limit in any row."""
     return sorted({joint for row in rows for joint in row.largest})
 
 
-def joints_table(rows: Sequence[OfJoints], style: str) -> Table:
+def joints_table(rows: Sequence[JointLimits], style: str) -> Table:
     """What could still hide, a column for each joint."""
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), style=style, header_style=style)
     joints = joints_in(rows)
@@ -74,8 +74,8 @@ def joints_table(rows: Sequence[OfJoints], style: str) -> Table:
     return table
 
 
-class Silent(Protocol):
-    """A term of which data cannot speak."""
+class Undecided(Protocol):
+    """A term on which the data cannot decide."""
 
     @property
     def term(self) -> str:
@@ -84,12 +84,12 @@ class Silent(Protocol):
 
     @property
     def joint(self) -> int | None:
-        """The one that it acts on, where terms have one each."""
+        """The joint that it acts on; None for a term without one."""
         ...
 
     @property
     def needs(self) -> Sequence[str]:
-        """Channels that are not there."""
+        """Missing channels."""
         ...
 
     @property
@@ -99,18 +99,18 @@ class Silent(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
-    """Why data cannot speak of a ``name``: a term, with all of its joints in brackets."""
+class UndecidedTerm:
+    """Why the data cannot decide on ``name``: a term, with all of its joints in brackets."""
 
     name: str
     reason: str
     needs: tuple[str, ...]
 
 
-def silences(undecided: Iterable[Silent]) -> list[Silence]:
+def group_undecided(undecided: Iterable[Undecided]) -> list[UndecidedTerm]:
     """One for each term and reason, in the order of the terms."""
     keys: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
-    for each in undecided:
-        of = keys.setdefault((each.term, each.reason, tuple(each.needs)), [])
-        of.append(keyed(each.term, each.joint))
-    return [Silence(listed(of)[0], reason, needs) for (_, reason, needs), of in keys.items()]
+    for term in undecided:
+        names = keys.setdefault((term.term, term.reason, tuple(term.needs)), [])
+        names.append(keyed(term.term, term.joint))
+    return [UndecidedTerm(listed(names)[0], reason, needs) for (_, reason, needs), names in keys.items()]

@@ -14,11 +14,11 @@ from labhil.terminal import terminal
 def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
     """Terms of one rig kind, or of all; UnknownNameError lists the kinds."""
     kinds = [kind_named(kind).name] if kind else list(kind_names())
-    found = {}
+    catalogues = {}
     for name in kinds:
         rig = default_rig(name)
-        found[name] = dict(model_for(rig).terms)
-    return found
+        catalogues[name] = dict(model_for(rig).terms)
+    return catalogues
 
 
 def catalogue_json(kind: str | None) -> dict[str, Any]:

@@ -14,24 +14,24 @@ from labhil.identify.statistics import autocorrelation, runs
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
-from labhil.report.plots import broken, time_axis
+from labhil.report.plots import time_axis, with_gaps
 from labhil.signals import FloatArray
 
 LAGS = 60
 MOST_CHANNELS = 6
 
 
-def fit_plot(fit: Fit, judged: Record, path: Path) -> None:
+def fit_plot(fit: Fit, record: Record, path: Path) -> None:
     """Write a row of panels per output channel as PNG; UsageError when the file cannot be written.
 
-    ``judged`` is the record that the test score (without one: the training score) comes from. A row
+    ``record`` is the one that the test score (without one: the training score) comes from. A row
     holds the scored simulation, its errors with the noise floor, their histogram with the normal curve of
     the same spread, and the autocorrelation of the fitted residuals with the 99 % band of white noise.
     """
-    save(fit_figure(fit, judged), path)
+    save(fit_figure(fit, record), path)
 
 
-def fit_figure(fit: Fit, judged: Record, columns: int = 4) -> Figure:
+def fit_figure(fit: Fit, record: Record, columns: int = 4) -> Figure:
     """The four panels of each channel as a figure, in so many columns (4, 2 or 1)."""
     score = fit.test or fit.train
     shown = score.channels[:MOST_CHANNELS]
@@ -39,8 +39,8 @@ def fit_figure(fit: Fit, judged: Record, columns: int = 4) -> Figure:
     figure = figure_of((3.75 * columns if columns == 4 else 5.5 * columns, 3.4 * height))
     rows = figure.subplots(height, columns, squeeze=False).reshape(len(shown), 4)
     for j, channel in enumerate(shown):
-        draw_simulation(rows[j, 0], fit, judged, j)
-        draw_errors(rows[j, 1], fit, judged, j)
+        draw_simulation(rows[j, 0], fit, record, j)
+        draw_errors(rows[j, 1], fit, record, j)
         _draw_histogram(rows[j, 2], score.errors[:, j], channel)
         draw_autocorrelation(rows[j, 3], fit, j)
     return figure
@@ -55,8 +55,8 @@ def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
     score = fit.test or fit.train
     channel = score.channels[j]
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
-    axes.plot(t, broken(score, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
-    simulated = broken(score, measured + score.errors[:, j])
+    axes.plot(t, with_gaps(score, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    simulated = with_gaps(score, measured + score.errors[:, j])
     axes.plot(t, simulated, color=AFTER, lw=1.0, label=f"model, R² {100 * channel.r2:.2f} %")
     finish(axes, "Model and measurement", time_axis(axes, record), _name(channel))
 
@@ -65,7 +65,7 @@ def draw_errors(axes: Axes, fit: Fit, record: Record, j: int) -> None:
     """The errors of output ``j`` over time, with the noise floor."""
     score = fit.test or fit.train
     channel = score.channels[j]
-    axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=AFTER, lw=0.8)
+    axes.plot(record.t[score.rows], with_gaps(score, score.errors[:, j]), color=AFTER, lw=0.8)
     floor = channel.noise_floor
     axes.axhspan(-floor, floor, color="k", alpha=0.12, label="noise floor")
     finish(axes, f"Error, RMSE {channel.rmse:.3g} {channel.unit}", time_axis(axes, record), channel.unit)
@@ -83,12 +83,12 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
 
 
 def draw_autocorrelation(axes: Axes, fit: Fit, j: int) -> None:
-    """That of the fitted residuals of output ``j`` in each recording, the mean of them."""
-    own = runs(fit.fitted.problem.begins, len(fit.residuals))
-    residuals = [fit.residuals[run, j] for run in own]
-    lengths = [len(own) for own in residuals]
-    lags = min(LAGS, min(lengths) // 3)
-    correlation = np.average([autocorrelation(own, lags) for own in residuals], axis=0, weights=lengths)
+    """Autocorrelation of the fitted residuals of output ``j``, the mean over the recordings."""
+    slices = runs(fit.fitted.problem.begins, len(fit.residuals))
+    residuals = [fit.residuals[run, j] for run in slices]
+    lengths = [len(series) for series in residuals]
+    lags = min(LAGS, max(1, min(lengths) // 3))
+    correlation = np.average([autocorrelation(series, lags) for series in residuals], axis=0, weights=lengths)
     band = 2.576 / np.sqrt(sum(lengths))
     axes.vlines(np.arange(1, lags + 1), 0.0, correlation[1:], color=AFTER, lw=1.5)
     axes.axhspan(-band, band, color="k", alpha=0.12, label="white noise, 99 %")

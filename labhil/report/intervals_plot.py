@@ -14,16 +14,16 @@ from labhil.report.html.picture import label
 from labhil.report.html.quantity import quantity
 
 WIDEST = 120.0
-"""Intervals beyond that many per cent of their value are drawn with an arrow."""
+"""Per cent of the value beyond which an interval is drawn with an arrow."""
 
-UNSURE = "#8a8f96"
+UNCERTAIN = "#8a8f96"
 
 MOST_ROWS = 200
-"""Parameters that a picture shows, of which the table beside it has all."""
+"""Parameters in one picture; the table beside it has all."""
 
 
 def drawable(rows: Sequence[Parameter]) -> list[Parameter]:
-    """Those with a value and an interval, ``MOST_ROWS`` at most."""
+    """Rows with a value and an interval, ``MOST_ROWS`` at most."""
     return [row for row in rows if row.value and row.ci99 and None not in row.ci99][:MOST_ROWS]
 
 
@@ -41,14 +41,14 @@ def draw_intervals(axes: Axes, parameters: Sequence[Parameter]) -> None:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no parameter has an interval", ha="center")
         return
-    spans = np.array([_relative(row) for row in rows])
+    spans = np.array([_relative_interval(row) for row in rows])
     limit = min(WIDEST, 1.15 * float(np.abs(spans).max()) or 1.0)
     for place, (row, (low, high)) in enumerate(zip(rows, spans.tolist(), strict=True)):
-        _draw_interval(axes, place, (low, high), limit, UNSURE if _unsure(row) else AFTER)
+        _draw_interval(axes, place, (low, high), limit, UNCERTAIN if _is_uncertain(row) else AFTER)
     axes.axvline(0.0, color="k", lw=0.6)
     axes.set_xlim(-1.08 * limit, 1.08 * limit)
     axes.set_ylim(len(rows) - 0.4, -0.6)
-    axes.set_yticks(range(len(rows)), [label(_labelled(row)) for row in rows])
+    axes.set_yticks(range(len(rows)), [label(_tick_text(row)) for row in rows])
     finish(axes, "", "99 % interval − estimate, % of the estimate", "")
     axes.grid(visible=False, axis="y")
 
@@ -63,17 +63,19 @@ def _draw_interval(axes: Axes, place: int, span: tuple[float, float], limit: flo
         axes.plot([high], [place], ">", color=colour, ms=7)
 
 
-def _relative(row: Parameter) -> tuple[float, float]:
+def _relative_interval(row: Parameter) -> tuple[float, float]:
     """Ends of the interval less the value, in per cent of the value."""
     value = row.value or 1.0
     low, high = row.ci99 or (None, None)
-    ends = [100.0 * ((value if end is None else end) - value) / abs(value) for end in (low, high)]
-    return ends[0], ends[1]
+    percentages = [
+        100.0 * ((value if limit is None else limit) - value) / abs(value) for limit in (low, high)
+    ]
+    return percentages[0], percentages[1]
 
 
-def _unsure(row: Parameter) -> bool:
+def _is_uncertain(row: Parameter) -> bool:
     return not row.identifiable or row.significant is False
 
 
-def _labelled(row: Parameter) -> str:
+def _tick_text(row: Parameter) -> str:
     return f"{row.key} = {quantity(row.value, row.unit)}"

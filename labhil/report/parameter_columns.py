@@ -21,8 +21,8 @@ class Column:
     """One column: heading and cell for the terminal, for pages and for the screen; None where it is not
     shown.
 
-    ``frame`` are its columns in a frame of pandas. One of the ``reference`` text's stands on pages for
-    comparison.
+    ``frame`` holds its columns in a pandas frame. A ``reference`` column, from the reference text, stands on
+    pages for comparison only.
     """
 
     terminal: tuple[str, Cell] | None = None
@@ -32,13 +32,13 @@ class Column:
     reference: bool = False
 
 
-def figure(value: Number, form: str) -> str:
+def number_text(value: Number, format_spec: str) -> str:
     """A number; a dash where it is not known, or not finite."""
-    return NOTHING if value is None else f"{value:{form}}"
+    return NOTHING if value is None else f"{value:{format_spec}}"
 
 
-def small(probability: Number) -> str:
-    """A p value as people write it: ``= 0.03``, ``<1e-99``; a dash where there is none."""
+def p_text(probability: Number) -> str:
+    """A p value as people write it: ``= 0.03``, ``<1e-99``; a dash where it is not known."""
     if probability is None:
         return NOTHING
     return "<1e-99" if probability < 1e-99 else f"= {probability:.2g}"
@@ -50,18 +50,22 @@ def _ends(row: Parameter) -> tuple[Number, Number]:
 
 def _interval(row: Parameter) -> str:
     low, high = _ends(row)
-    return NOTHING if low is None and high is None else f"[{figure(low, '.4g')}, {figure(high, '.4g')}]"
+    return (
+        NOTHING
+        if low is None and high is None
+        else f"[{number_text(low, '.4g')}, {number_text(high, '.4g')}]"
+    )
 
 
 COLUMNS = (
     Column(
-        terminal=("value", lambda row: figure(row.value, ".5g")),
+        terminal=("value", lambda row: number_text(row.value, ".5g")),
         page=("Value", lambda row: quantity(row.value, row.unit)),
         screen=("value", lambda row: quantity(row.value, row.unit)),
         frame=(("value", lambda row: row.value), ("unit", lambda row: row.unit)),
     ),
     Column(
-        terminal=("± std. error", lambda row: figure(row.std_error, ".2g")),
+        terminal=("± std. error", lambda row: number_text(row.std_error, ".2g")),
         page=("Std. error", lambda row: quantity(row.std_error, digits=2)),
         frame=(("std_error", lambda row: row.std_error),),
     ),
@@ -76,12 +80,12 @@ COLUMNS = (
         frame=(("ci_low", lambda row: _ends(row)[0]), ("ci_high", lambda row: _ends(row)[1])),
     ),
     Column(
-        terminal=("z", lambda row: figure(row.z, ".1f")),
+        terminal=("z", lambda row: number_text(row.z, ".1f")),
         page=("z", lambda row: quantity(row.z, digits=3)),
         frame=(("z", lambda row: row.z),),
     ),
     Column(
-        terminal=("p", lambda row: small(row.p_value).removeprefix("= ")),
+        terminal=("p", lambda row: p_text(row.p_value).removeprefix("= ")),
         page=("p", lambda row: p_value(row.p_value)),
         frame=(("p_value", lambda row: row.p_value),),
     ),

@@ -21,9 +21,9 @@ from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, sav
 from labhil.signals import FloatArray
 
 Panel = Callable[[Axes], None]
-"""What draws one panel."""
+"""Draws one panel."""
 
-FOR_THE_LEGEND, WIDEST = 0.3, 36
+LEGEND_ROOM, WIDEST = 0.3, 36
 """Room above a curve, over its range, and characters in a line of its formula."""
 
 
@@ -37,8 +37,8 @@ def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
 
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
     """The panels as a figure: two above, and below them one for each effect and the histogram."""
-    j = located(diagnosis)
-    below: list[Panel] = [*_missing(diagnosis), partial(_draw_histogram, diagnosis=diagnosis, j=j)]
+    j = worst_output(diagnosis)
+    below: list[Panel] = [*_effect_panels(diagnosis), partial(_draw_histogram, diagnosis=diagnosis, j=j)]
     columns = 2 if len(below) in (2, 4) else 3
     rows = 1 + math.ceil(len(below) / columns)
     figure = figure_of((11.0, 4.0 * rows))
@@ -52,28 +52,28 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def located(diagnosis: Diagnosis) -> int:
-    """Place of the output that is off by most; the first where nothing is located."""
-    where = diagnosis.location
-    if where is None:
+def worst_output(diagnosis: Diagnosis) -> int:
+    """Index of the output with the largest mismatch; 0 where none is located."""
+    location = diagnosis.location
+    if location is None:
         return 0
     channels = [(channel.channel, channel.joint) for channel in diagnosis.after.channels]
-    return channels.index((where.channel, where.joint))
+    return channels.index((location.channel, location.joint))
 
 
-def broken(score: Score, values: FloatArray) -> FloatArray:
+def with_gaps(score: Score, values: FloatArray) -> FloatArray:
     """Values (N,) of scored rows with a gap where a new window begins, so that no line crosses it."""
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
 def time_axis(axes: Axes, record: Record) -> str:
-    """What a picture says of its time; borders between several recordings are drawn, with their numbers."""
+    """Label of the time axis; borders between several recordings are drawn, with their numbers."""
     if len(record.begins) == 1:
         return "t, s"
     for begin, (first, _) in zip(record.begins, record.spans, strict=True):
         axes.axvline(record.t[first], color="k", lw=0.6, alpha=0.5)
-        place = axes.get_xaxis_transform()
-        axes.text(record.t[first], 1.0, f"@{begin.number}", transform=place, fontsize=7, va="top")
+        transform = axes.get_xaxis_transform()
+        axes.text(record.t[first], 1.0, f"@{begin.number}", transform=transform, fontsize=7, va="top")
     return "t, s, one recording after another"
 
 
@@ -91,9 +91,9 @@ def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
-    axes.plot(t, broken(diagnosis.after, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
-    for score, colour, label in _both(diagnosis, j):
-        axes.plot(t, broken(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
+    axes.plot(t, with_gaps(diagnosis.after, measured), color=MEASURED, lw=2.5, alpha=0.5, label="measured")
+    for score, colour, label in _before_and_after(diagnosis, j):
+        axes.plot(t, with_gaps(score, measured + score.errors[:, j]), color=colour, lw=1.0, label=label)
     name = keyed(channel.channel, channel.joint)
     inverse = diagnosis.after.metric is Metric.INVERSE_DYNAMICS
     what = "Inverse dynamics" if inverse else "Simulated windows"
@@ -104,37 +104,39 @@ def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     """The errors of output ``j`` before and after, with the noise floor."""
     record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
-    for score, colour, label in _both(diagnosis, j):
-        axes.plot(record.t[score.rows], broken(score, score.errors[:, j]), color=colour, lw=1.0, label=label)
+    for score, colour, label in _before_and_after(diagnosis, j):
+        axes.plot(
+            record.t[score.rows], with_gaps(score, score.errors[:, j]), color=colour, lw=1.0, label=label
+        )
     axes.axhspan(-channel.noise_floor, channel.noise_floor, color="k", alpha=0.12, label="noise floor")
     finish(axes, "Error", time_axis(axes, record), channel.unit)
 
 
-def _missing(diagnosis: Diagnosis) -> list[Panel]:
+def _effect_panels(diagnosis: Diagnosis) -> list[Panel]:
     """A panel for each effect that has a name, and for each curve of what has none."""
     if not diagnosis.missing:
         return [_draw_nothing]
-    curves = [each for each in (diagnosis.curve, *diagnosis.further_curves) if each is not None]
+    curves = [curve for curve in (diagnosis.curve, *diagnosis.further_curves) if curve is not None]
     panels: list[Panel] = [partial(_draw_curve, curve=curve) for curve in curves]
     named = diagnosis.named
     if not named:
         return panels
-    shares, regimes = _lived(diagnosis)
+    shares, regimes = _contributions(diagnosis)
     return [partial(_draw_effect, share=shares[term], regimes=regimes[term]) for term in named] + panels
 
 
-def _lived(
+def _contributions(
     diagnosis: Diagnosis,
 ) -> tuple[dict[str, locate.Contribution], dict[str, tuple[locate.Regime, ...]]]:
-    """What each found effect contributes to held-out data, and the regimes where it lives."""
-    seen = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
+    """What each effect contributes to held-out data, and the regimes where it matters."""
+    held_out = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
     joint = diagnosis.location.joint if diagnosis.location is not None else None
-    return locate.lived(diagnosis.final_fit, diagnosis.named, seen, joint)
+    return locate.locate_terms(diagnosis.final_fit, diagnosis.named, held_out, joint)
 
 
 def draw_named_effect(axes: Axes, diagnosis: Diagnosis, term: str) -> None:
-    """What the found effect with this key adds, over the coordinate where it shows best."""
-    shares, regimes = _lived(diagnosis)
+    """What the effect with this key adds, over the coordinate where it shows best."""
+    shares, regimes = _contributions(diagnosis)
     _draw_effect(axes, shares[term], regimes[term])
 
 
@@ -145,16 +147,16 @@ def _draw_nothing(axes: Axes) -> None:
 
 def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locate.Regime]) -> None:
     """What an effect adds, against the coordinate that reveals it."""
-    over = share.revealed_over(regimes)
-    axes.scatter(over.x, share.values, s=6, color=AFTER, alpha=0.5, lw=0)
+    coordinate = share.abscissa(regimes)
+    axes.scatter(coordinate.x, share.values, s=6, color=AFTER, alpha=0.5, lw=0)
     # a regime of another coordinate is not in the picture; one of its own force lies across it
-    shown = [regime for regime in regimes if regime.coordinate in (over.name, share.term)]
+    shown = [regime for regime in regimes if regime.coordinate in (coordinate.name, share.term)]
     for number, regime in enumerate(shown):
-        span = axes.axvspan if regime.coordinate == over.name else axes.axhspan
+        span = axes.axvspan if regime.coordinate == coordinate.name else axes.axhspan
         label = "where most of it lives" if number == 0 else None
         span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
     generalised_force = f"what it adds, {share.unit}" if share.unit else "what it adds"
-    finish(axes, f"Left out: {share.term}", over.label, generalised_force)
+    finish(axes, f"Left out: {share.term}", coordinate.label, generalised_force)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
@@ -164,7 +166,7 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
     axes.axhline(0.0, color=MEASURED, lw=0.8)
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + FOR_THE_LEGEND * (high - low))
+    axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
     where = "" if curve.joint is None else f" on joint {curve.joint}"
     finish(axes, f"What no named effect explains{where}", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
 
@@ -172,14 +174,14 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
     channel = diagnosis.after.channels[j]
     spread = 4.0 * max(channel.rmse, channel.noise_floor)
-    for score, colour, label in _both(diagnosis, j):
+    for score, colour, label in _before_and_after(diagnosis, j):
         clipped = np.clip(score.errors[:, j], -spread, spread)
         axes.hist(clipped, bins=61, range=(-spread, spread), color=colour, alpha=0.6, label=label)
     axes.locator_params(axis="x", nbins=5)
     finish(axes, "Errors (outliers at the edges)", f"error, {channel.unit}", "samples")
 
 
-def _both(diagnosis: Diagnosis, j: int) -> list[tuple[Score, str, str]]:
+def _before_and_after(diagnosis: Diagnosis, j: int) -> list[tuple[Score, str, str]]:
     before, after = diagnosis.before, diagnosis.after
     unit = before.channels[j].unit
     return [

@@ -21,10 +21,10 @@ from labhil.analysis.schema import (
 from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
 from labhil.diagnose.fault import Kind
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import joints_table, of_joints, silences
+from labhil.report.absent import group_undecided, joints_table, limits_by_joint
 from labhil.report.faults import fault_lines
 from labhil.report.html.quantity import NOTHING, quantity, squared
-from labhil.report.parameter_columns import COLUMNS, figure, small
+from labhil.report.parameter_columns import COLUMNS, number_text, p_text
 
 NOT_THERE = "Not there, or smaller than this (99 %)"
 
@@ -43,49 +43,49 @@ def _fit_parts(fit: FitPart) -> Iterator[RenderableType]:
     explained = fit.verdict in (None, "explained")
     if fit.statement is not None:
         yield Text(fit.statement, style="bold" if explained else "bold yellow")
-    for line in (*fault_lines(fit.faults), *fit.doubts, *numbered(fit.recordings), *fit.notes):
+    for line in (*fault_lines(fit.faults), *fit.doubts, *recording_numbers(fit.recordings), *fit.notes):
         yield Text(line)
-    title = f"Parameters: errors robust to correlation, {_kind(fit)}"
+    title = f"Parameters: errors robust to correlation, {_interval_method(fit)}"
     yield parameter_table(fit.parameters, title, stars=explained and not fit.sampling)
     for note in _fit_notes(fit):
         yield Text("· " + note, style="yellow")
     yield score_table([("train", fit.train)] + ([("test", fit.test)] if fit.test else []))
     if len(fit.by_window) > 1:
         yield window_table(fit)
-    yield Text(_fitted(fit))
+    yield Text(_fit_summary(fit))
 
 
-def _fitted(fit: FitPart) -> str:
+def _fit_summary(fit: FitPart) -> str:
     """How white the residuals are, and how the fit was made."""
     settled = "." if fit.converged else "; stopped before it had settled."
     return (
-        f"Residuals: white with p {small(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
-        f"with the input with p {small(fit.residuals.input_crosscorrelation_p)}.\n"
-        f"{_fitted_on(fit)}, {fit.evaluations} simulations; RMSE there {_left(fit)}{settled}"
+        f"Residuals: white with p {p_text(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
+        f"with the input with p {p_text(fit.residuals.input_crosscorrelation_p)}.\n"
+        f"{_criterion(fit)}, {fit.evaluations} simulations; RMSE there {_remaining_rmse(fit)}{settled}"
     )
 
 
-def numbered(sources: Sequence[Source]) -> list[str]:
-    """What the numbers of several recordings stand for, a line each; nothing of one."""
+def recording_numbers(sources: Sequence[Source]) -> list[str]:
+    """The number of each of several recordings with its file, a line each; nothing for one."""
     return [
-        f"@{source.recording}  {source.path}, {figure(source.duration, '.4g')} s"
+        f"@{source.recording}  {source.path}, {number_text(source.duration, '.4g')} s"
         + (" (test)" if source.role == "test" else "")
         for source in sources
         if source.recording is not None
     ]
 
 
-def _fitted_on(fit: FitPart) -> str:
+def _criterion(fit: FitPart) -> str:
     if fit.criterion == "inverse_dynamics":
         return "Fitted by inverse dynamics"
-    return f"Fitted on windows of {figure(fit.window, '.3g')} s"
+    return f"Fitted on windows of {number_text(fit.window, '.3g')} s"
 
 
-def _left(fit: FitPart) -> str:
-    return ", ".join(f"{figure(channel.rmse, '.4g')} {channel.unit}" for channel in fit.left)
+def _remaining_rmse(fit: FitPart) -> str:
+    return ", ".join(f"{number_text(channel.rmse, '.4g')} {channel.unit}" for channel in fit.left)
 
 
-def _kind(fit: FitPart) -> str:
+def _interval_method(fit: FitPart) -> str:
     together = ", all together" if fit.intervals.simultaneous else ""
     return f"99 % intervals by {fit.intervals.method}{together}"
 
@@ -140,10 +140,10 @@ def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
             table.add_row(
                 label,
                 _channel_name(channel, metric),
-                f"{figure(channel.rmse, '.4g')} {unit}",
-                f"{figure(channel.noise_floor, '.4g')} {unit}",
-                f"{figure(channel.max_abs_error, '.4g')} {unit}",
-                f"{figure(channel.mse, '.4g')} {squared(unit)}",
+                f"{number_text(channel.rmse, '.4g')} {unit}",
+                f"{number_text(channel.noise_floor, '.4g')} {unit}",
+                f"{number_text(channel.max_abs_error, '.4g')} {unit}",
+                f"{number_text(channel.mse, '.4g')} {squared(unit)}",
                 percent(channel.r2),
                 *((_share(channel),) if forces else ()),
             )
@@ -157,7 +157,7 @@ def _channel_name(channel: ChannelErrors, metric: str) -> str:
 
 
 def _share(channel: ChannelErrors) -> str:
-    """The error over what was measured, where zero means something."""
+    """The error over the measurement, where zero means something."""
     return "" if channel.relative_error is None else f"{100 * channel.relative_error:.2f} %"
 
 
@@ -166,8 +166,8 @@ def _each_recording(
 ) -> Iterator[tuple[str, Sequence[ChannelErrors], str]]:
     for label, score in scores:
         yield label, score.per_channel, score.metric
-        for own in score.per_recording:
-            yield f"{label} @{own.recording}", own.per_channel, score.metric
+        for errors in score.per_recording:
+            yield f"{label} @{errors.recording}", errors.per_channel, score.metric
 
 
 def window_table(fit: FitPart) -> Table:
@@ -184,11 +184,11 @@ def window_table(fit: FitPart) -> Table:
         table.add_column(f"{rung.window:.3g} s", justify="right")
     for name in fit.by_window[0].values:
         cells = [
-            f"{figure(each.values[name], '.4g')} ± {figure(each.std_errors[name], '.1g')}"
-            for each in fit.by_window
+            f"{number_text(rung.values[name], '.4g')} ± {number_text(rung.std_errors[name], '.1g')}"
+            for rung in fit.by_window
         ]
         table.add_row(name, *cells)
-    table.add_row("residual / noise", *[figure(each.residual, ".2f") for each in fit.by_window])
+    table.add_row("residual / noise", *[number_text(rung.residual, ".2f") for rung in fit.by_window])
     return table
 
 
@@ -206,8 +206,8 @@ def _fit_notes(fit: FitPart) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
-    stated = tuple(f.statement.split()[0] for f in fit.faults if f.kind == Kind.UNDERSAMPLED)
-    notes += [note for note in fit.sampling if not note.startswith(stated)]
+    channels = tuple(f.statement.split()[0] for f in fit.faults if f.kind == Kind.UNDERSAMPLED)
+    notes += [note for note in fit.sampling if not note.startswith(channels)]
     if fit.verdict not in (None, "explained"):
         notes.append(_assumption(fit))
     elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
@@ -222,12 +222,12 @@ def _assumption(fit: FitPart) -> str:
     """What the intervals of a model that does not explain its data stand for."""
     if fit.compared:
         lengths = ", ".join(f"{length:.3g}" for length in sorted((*fit.compared, fit.window or 0.0)))
-        wide = f"Intervals are widened by how far the estimates move over windows of {lengths} s"
+        assumption = f"Intervals are widened by how far the estimates move over windows of {lengths} s"
     else:
-        wide = "Intervals are made of one fit only, so what the misfit biases does not show in them"
+        assumption = "Intervals are made of one fit only, so what the misfit biases does not show in them"
     return (
-        f"{wide}; they assume that the rest of the misfit is independent of these parameters. Nothing is "
-        "starred: the model leaves more than noise. `labhil diagnose` looks for what is missing."
+        f"{assumption}; they assume that the rest of the misfit is independent of these parameters. Nothing "
+        "is starred: the model leaves more than noise. `labhil diagnose` looks for what is missing."
     )
 
 
@@ -238,15 +238,15 @@ def show_diagnosis(diagnosis: DiagnosisPart, console: Console) -> None:
 
 def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
     """A diagnosis as an engineer would report it."""
-    lines = (*diagnosis.doubts, *numbered(diagnosis.recordings), *diagnosis.notes)
+    lines = (*diagnosis.doubts, *recording_numbers(diagnosis.recordings), *diagnosis.notes)
     return Group(
         Text(VERDICTS[diagnosis.verdict], style="bold"),
         *(Text(line) for line in lines),
-        *_found(diagnosis),
+        *_findings(diagnosis),
         *([] if diagnosis.improvement is None else _improvement(diagnosis.improvement)),
         parameter_table(diagnosis.judged_rows, "Final model"),
         *[Text(line) for line in [disagreement(diagnosis.scale_factor)] if line],
-        *_not_found(diagnosis),
+        *_exclusions(diagnosis),
         *next_steps_lines(diagnosis.next_steps),
     )
 
@@ -258,10 +258,10 @@ def next_steps_lines(steps: Sequence[str]) -> Iterator[RenderableType]:
         yield from (Text(f"· {step}") for step in steps)
 
 
-def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
+def _findings(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     """Faults, place, missing terms with their rivals, changed values."""
     terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
-    suffices = f"p {small(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
+    suffices = f"p {p_text(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
     yield Text(f"Baseline: {terms}; {suffices}.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")
@@ -273,9 +273,9 @@ def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
         name = keyed(item.term, item.joint)
         yield Text(f"• {name} ({_chance(item.probability)}): {item.statement}", style="green")
         yield Text(
-            f"  {item.equation};  ΔBIC {figure(item.evidence.delta_bic, '.0f')}, "
-            f"held-out gain {figure(item.evidence.heldout_loglik_gain, '.1f')} nats "
-            f"(p {small(item.evidence.p_value)})"
+            f"  {item.equation};  ΔBIC {number_text(item.evidence.delta_bic, '.0f')}, "
+            f"held-out gain {number_text(item.evidence.heldout_loglik_gain, '.1f')} nats "
+            f"(p {p_text(item.evidence.p_value)})"
         )
     for rival in diagnosis.rivals:
         yield Text(
@@ -287,8 +287,8 @@ def _found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     for change in diagnosis.changed:
         yield Text(
             f"• {keyed(change.name, change.joint, change.recording)} changed from "
-            f"{figure(change.before, '.4g')} to {figure(change.after, '.4g')} {change.unit} "
-            f"(p {small(change.p_value)})"
+            f"{number_text(change.before, '.4g')} to {number_text(change.after, '.4g')} {change.unit} "
+            f"(p {p_text(change.p_value)})"
         )
 
 
@@ -296,43 +296,45 @@ def _chance(probability: Number) -> str:
     return NOTHING if probability is None else f"{100 * probability:.0f} %"
 
 
-def _improvement(better: Improvement) -> Iterator[RenderableType]:
+def _improvement(improvement: Improvement) -> Iterator[RenderableType]:
     """Scores before and after."""
-    name = "the test recording" if better.data == "test" else "held-out data"
-    yield score_table([("before", better.before), ("after", better.after)])
-    where = f"the parts of {name} that" if better.parts else f"{name}, which"
+    data = "the test recording" if improvement.data == "test" else "held-out data"
+    yield score_table([("before", improvement.before), ("after", improvement.after)])
+    where = f"the parts of {data} that" if improvement.parts else f"{data}, which"
     yield Text(
-        f"On {where} the search never saw: RMSE {_both(better.rmse_before, better.rmse_after)}, "
-        f"noise floor {figure(better.noise_floor, '.4g')}; "
-        f"R² {percent(better.r2_before, '')} → {percent(better.r2_after)}."
+        f"On {where} the search never saw: RMSE {_change(improvement.rmse_before, improvement.rmse_after)}, "
+        f"noise floor {number_text(improvement.noise_floor, '.4g')}; "
+        f"R² {percent(improvement.r2_before, '')} → {percent(improvement.r2_after)}."
     )
-    if better.shorter_windows is not None:
-        shorter = better.shorter_windows
+    if improvement.shorter_windows is not None:
+        shorter = improvement.shorter_windows
         yield Text(
-            f"On windows of {figure(shorter.horizon, '.3g')} s, as the search uses them: RMSE "
-            f"{_both(shorter.rmse_before, shorter.rmse_after)}. Longer ones say little here: something that "
-            "is not recorded drives the plant (or errors add up), and outgrows what the models differ in."
+            f"On windows of {number_text(shorter.horizon, '.3g')} s, as the search uses them: RMSE "
+            f"{_change(shorter.rmse_before, shorter.rmse_after)}. Longer ones say little here: something "
+            "that is not recorded drives the plant (or errors add up), and outgrows what the models differ "
+            "in."
         )
 
 
-def _both(before: Number, after: Number) -> str:
-    return f"{figure(before, '.4g')} → {figure(after, '.4g')}"
+def _change(before: Number, after: Number) -> str:
+    return f"{number_text(before, '.4g')} → {number_text(after, '.4g')}"
 
 
-def _not_found(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
-    """What is not there or too small to tell, and what cannot be decided, by reason."""
-    whole = [e for e in diagnosis.excluded if e.joint is None]
-    if whole:
+def _exclusions(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
+    """What is absent or too small to detect, and what cannot be decided, by reason."""
+    without_joint = [e for e in diagnosis.excluded if e.joint is None]
+    if without_joint:
         limits = [
-            f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in whole
+            f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}"
+            for e in without_joint
         ]
         yield Text(f"{NOT_THERE}: {', '.join(limits)}", style="dim")
-    rows = of_joints(diagnosis.excluded)
+    rows = limits_by_joint(diagnosis.excluded)
     if rows:
         yield Text(f"{NOT_THERE}, by joint", style="dim")
         yield joints_table(rows, "dim")
     by_reason: dict[str, list[str]] = {}
-    for silence in silences(diagnosis.undecided):
-        by_reason.setdefault(silence.reason, []).append(silence.name)
+    for term in group_undecided(diagnosis.undecided):
+        by_reason.setdefault(term.reason, []).append(term.name)
     for reason, names in by_reason.items():
         yield Text(f"Undecided: {', '.join(names)}: {reason}.", style="dim")

@@ -99,10 +99,10 @@ class SerialDriver:
                     raise ConnectError(f"{self.address}: not connected")
                 if self._failure is not None:
                     raise self._failure
-                left = deadline - time.monotonic()
-                data = self._port.receive(min(max(left, 0.0), PATIENCE))
+                remaining = deadline - time.monotonic()
+                data = self._port.receive(min(max(remaining, 0.0), PATIENCE))
                 pieces = self._take(self._decoder.feed(data), unix_ns())
-                if left <= 0.0 and self._failure is None:
+                if remaining <= 0.0 and self._failure is None:
                     break
             self._count()
         return Batch.joined(pieces, self._scaler.width)
@@ -161,9 +161,9 @@ class SerialDriver:
         if hello.boot_id != self._hello.boot_id:
             raise self._reset(f"expected boot {self._hello.boot_id:08x}, found boot {hello.boot_id:08x}")
 
-    def _reset(self, found: str) -> DeviceResetError:
+    def _reset(self, reason: str) -> DeviceResetError:
         self.counters.resets += 1
-        return DeviceResetError(f"{self.address}: the device booted again in the middle of the run: {found}")
+        return DeviceResetError(f"{self.address}: the device booted again in the middle of the run: {reason}")
 
     def _count(self) -> None:
         frames, crc_errors, resyncs = self._before

@@ -50,17 +50,19 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
 
     Raises ConnectError when nothing at all comes, ProtocolError when it is not our protocol.
     """
-    asked: set[int] = set()
+    requests: set[int] = set()
     heard = bytearray()
     began = time.monotonic()
     first_byte = began + ANSWER_WITHIN
     try:
-        for data in _asking(port, lambda: asked.add(sender.send(MessageType.HELLO_REQUEST)), ANSWER_WITHIN):
+        for data in _ask_repeatedly(
+            port, lambda: requests.add(sender.send(MessageType.HELLO_REQUEST)), ANSWER_WITHIN
+        ):
             if data and not heard:
                 first_byte = time.monotonic()
             heard += data[:64]
             for frame in decoder.feed(data):
-                if frame.type == MessageType.HELLO and Hello.unpack(frame.payload).answers in asked:
+                if frame.type == MessageType.HELLO and Hello.unpack(frame.payload).answers in requests:
                     return Hello.unpack(frame.payload)
             only_garbage = decoder.frames == 0 and time.monotonic() - first_byte > GARBAGE_FOR
             if only_garbage or decoder.other_versions:
@@ -68,7 +70,7 @@ def ask_hello(port: Port, decoder: Decoder, sender: Sender) -> Hello:
     except ConnectError as error:
         if decoder.frames or not heard:
             raise ConnectError(f"{error}; expected HELLO: is this the port of the bench?") from error
-    raise _nobody(port.address, decoder, bytes(heard))
+    raise _hello_error(port.address, decoder, bytes(heard))
 
 
 def configure(port: Port, decoder: Decoder, sender: Sender, config: Config) -> None:
@@ -78,17 +80,17 @@ def configure(port: Port, decoder: Decoder, sender: Sender, config: Config) -> N
     commanded. ProtocolError when no sample says so.
     """
     payload = config.pack()
-    wanted = StateFlag.CONFIGURED | StateFlag.SAFE
+    required = StateFlag.CONFIGURED | StateFlag.SAFE
 
     def ask() -> None:
         sender.send(MessageType.SAFE)
         sender.send(MessageType.CONFIG, payload)
 
-    for data in _asking(port, ask, CONFIGURED_WITHIN):
+    for data in _ask_repeatedly(port, ask, CONFIGURED_WITHIN):
         for frame in decoder.feed(data):
             sample = frame.type in (MessageType.STATE, MessageType.SAMPLES)
             # both begin with the flags
-            if sample and frame.payload and frame.payload[0] & (wanted | StateFlag.EXPIRED) == wanted:
+            if sample and frame.payload and frame.payload[0] & (required | StateFlag.EXPIRED) == required:
                 return
     raise ProtocolError(
         f"{port.address}: expected samples that acknowledge the configuration and the safe state within"
@@ -96,18 +98,18 @@ def configure(port: Port, decoder: Decoder, sender: Sender, config: Config) -> N
     )
 
 
-def _asking(port: Port, ask: Callable[[], object], within: float) -> Iterator[bytes]:
+def _ask_repeatedly(port: Port, ask: Callable[[], object], within: float) -> Iterator[bytes]:
     """Call ``ask`` again and again for ``within`` s, and give what comes in meanwhile."""
     began = time.monotonic()
-    asked = 0
+    count = 0
     while (elapsed := time.monotonic() - began) < within:
-        if elapsed >= asked * ASK_EVERY:
+        if elapsed >= count * ASK_EVERY:
             ask()
-            asked += 1
+            count += 1
         yield port.receive(0.05)
 
 
-def _nobody(address: str, decoder: Decoder, heard: bytes) -> ConnectError | ProtocolError:
+def _hello_error(address: str, decoder: Decoder, heard: bytes) -> ConnectError | ProtocolError:
     if not heard:
         return ConnectError(
             f"{address}: the port is open, but nothing came from it within {ANSWER_WITHIN:g} s:"

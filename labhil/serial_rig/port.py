@@ -76,12 +76,12 @@ def _last_words(connection: socket.socket) -> bytes:
 
 
 def _open(address: str, baud_rate: int) -> serial.SerialBase:
-    told = OWN_BAUD_RATE.match(address)
+    match = OWN_BAUD_RATE.match(address)
     try:
         port = serial.serial_for_url(
-            told[1] if told else address,
+            match[1] if match else address,
             do_not_open=True,
-            baudrate=int(told[2]) if told else baud_rate,
+            baudrate=int(match[2]) if match else baud_rate,
             timeout=0,
             write_timeout=WRITE_TIMEOUT,
             exclusive=True,
@@ -95,7 +95,7 @@ def _open(address: str, baud_rate: int) -> serial.SerialBase:
 
 
 def _reason(error: Exception, address: str) -> str:
-    """What the system said, without what pyserial puts around it."""
+    """The system's own reason, without what pyserial puts around it."""
     number = getattr(error, "errno", None)
     if number is None and isinstance(error.__context__, OSError):
         number = error.__context__.errno

@@ -1,4 +1,4 @@
-"""What the driver of one serial rig is told of its device; everything else is the same for all."""
+"""What the driver of one serial rig knows of its device; everything else is the same for all."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ class Scaler:
         """Values (n, width) of raw numbers (n, width)."""
         counts = raw.astype(np.float64)
         for column in self._counters:
-            counts[:, column] = self._unwrapped(column, raw[:, column])
+            counts[:, column] = self._unwrap(column, raw[:, column])
         return np.asarray((counts - self._zero) * self._scale)
 
-    def _unwrapped(self, column: int, raw: NDArray[np.uint16]) -> FloatArray:
+    def _unwrap(self, column: int, raw: NDArray[np.uint16]) -> FloatArray:
         before = self._stand.get(column, int(raw[0])) % TURN
         counted: IntArray = np.r_[before, raw.astype(np.int64)]
         steps: IntArray = counted[1:] - counted[:-1]
@@ -100,7 +100,7 @@ class Scaler:
 
 
 def info_of(hello: Hello, fitted: Sequence[tuple[Signal, ChannelScale]]) -> DeviceInfo:
-    """What a device said of itself."""
+    """The description of a device by its own HELLO."""
     calibration = {"sample_rate": hello.sample_rate, "speed": hello.speed}
     for signal, channel in fitted:
         calibration[f"{signal.name}_scale"] = channel.scale

@@ -104,10 +104,10 @@ class Firmware:
         self._waiting.append(rows)
         waiting = np.concatenate(self._waiting) if len(self._waiting) > 1 else rows
         size = self.board.per_frame
-        whole = len(waiting) // size * size
-        self._waiting = [waiting[whole:]]
+        complete = len(waiting) // size * size
+        self._waiting = [waiting[complete:]]
         first = self._taken - len(waiting)
-        return [self._some(first + k, waiting[k : k + size]) for k in range(0, whole, size)]
+        return [self._some(first + k, waiting[k : k + size]) for k in range(0, complete, size)]
 
     def _state(self, number: int, row: Raw) -> bytes:
         state = State(self._flags, tuple(row.tolist()))
@@ -145,8 +145,8 @@ class Firmware:
     def _set(self, command: SetCommand) -> None:
         if self._flags & StateFlag.EXPIRED:
             return
-        (wanted,) = command.raw[:1] or (self.board.safe,)
-        self.output = self.board.allowed(wanted)
+        (requested,) = command.raw[:1] or (self.board.safe,)
+        self.output = self.board.allowed(requested)
         self._flags &= ~StateFlag.SAFE
         self.was_set = True
 

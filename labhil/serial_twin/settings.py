@@ -70,9 +70,9 @@ def settable_world(
     check: Callable[[Mapping[str, float]], None],
 ) -> Settable:
     """What a rig of that world can be made of on the wire."""
-    told = (name for name in world.all_parameters() if name.partition(".")[0] not in world.hidden)
+    visible = (name for name in world.all_parameters() if name.partition(".")[0] not in world.hidden)
     defaults = world.all_parameters()
-    plant = {name: defaults[name] for name in told if name not in UNEVEN}
+    plant = {name: defaults[name] for name in visible if name not in UNEVEN}
     return Settable(default_terms, plant, world.resolve, device, check)
 
 
@@ -101,11 +101,11 @@ class TwinSettings:
         if not 0.0 < options.speed <= 100.0:
             raise UsageError(f"speed must be above 0 and at most 100, found {options.speed:g}")
         given = dict(options.parameters)
-        wire = _checked(
+        wire = _check_wire(
             WireSettings(**{name: float(given.pop(name)) for name in WIRE_PARAMETERS if name in given})
         )
-        own = {name: float(given.pop(name)) for name in settable.device if name in given}
-        device = dict(settable.device) | own
+        device_values = {name: float(given.pop(name)) for name in settable.device if name in given}
+        device = dict(settable.device) | device_values
         settable.check(device)
         terms = settable.default_terms if options.terms is None else options.terms
         known = settable.parameters()
@@ -120,11 +120,11 @@ class TwinSettings:
         """What the twin is made of, as JSON data: the answer to the riddle that its recordings pose."""
         wire = {name: getattr(self.wire, name) for name in WIRE_PARAMETERS}
         parameters = {**self.plant, **self.device, **wire}
-        told = {"terms": list(self.terms), "parameters": parameters, "seed": self.seed}
-        return told | ({"tables": list(self.tables)} if self.tables else {})
+        content = {"terms": list(self.terms), "parameters": parameters, "seed": self.seed}
+        return content | ({"tables": list(self.tables)} if self.tables else {})
 
 
-def _checked(wire: WireSettings) -> WireSettings:
+def _check_wire(wire: WireSettings) -> WireSettings:
     for name in WIRE_PARAMETERS:
         value = getattr(wire, name)
         if not (0.0 <= value < float("inf") or (name == "clock_drift" and abs(value) < 1e5)):

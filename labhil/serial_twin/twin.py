@@ -63,15 +63,15 @@ class SerialTwin:
 
     def _tables(self, options: TwinOptions) -> dict[str, FloatArray]:
         """What stands in the files; UsageError where a number is set, too, that a table replaces."""
-        found = {}
+        tables = {}
         for name, path in options.tables.items():
             if name not in self.tables:
                 raise UnknownNameError("table", name, self.tables)
-            for other in options.parameters:
-                if other.startswith(f"{name}_"):
-                    raise UsageError(f"expected {other} or a table for {name}, found both")
-            found[name] = self.tables[name](path)
-        return found
+            for parameter in options.parameters:
+                if parameter.startswith(f"{name}_"):
+                    raise UsageError(f"expected {parameter} or a table for {name}, found both")
+            tables[name] = self.tables[name](path)
+        return tables
 
 
 def write_answer(path: Path, settings: TwinSettings) -> None:

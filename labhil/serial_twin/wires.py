@@ -65,12 +65,12 @@ class PseudoTerminal:
 
     def client(self) -> int:
         """Return the number of the client that is there, 0 for none."""
-        there = not any(event & select.POLLHUP for _, event in self._poll.poll(0))
-        if there and not self._attended:
+        connected = not any(event & select.POLLHUP for _, event in self._poll.poll(0))
+        if connected and not self._attended:
             self._clients += 1
             self._unsent = b""
-        self._attended = there
-        return self._clients if there else 0
+        self._attended = connected
+        return self._clients if connected else 0
 
     def read(self) -> bytes:
         """Return what the client has sent."""

@@ -75,7 +75,7 @@ class Child:
         return self._process.poll()
 
     def send(self, line: str) -> None:
-        """Write one line to the child; a child that is gone already is found out by :meth:`line`."""
+        """Write one line to the child; :meth:`line` notices a child that is gone already."""
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write(line)
@@ -119,7 +119,7 @@ class Child:
                 self._process.stdin.close()
 
     def stop(self) -> None:
-        """Tell the child to end and wait until it has; SIGTERM and SIGKILL where it does not. Safe twice."""
+        """Have the child end and wait until it has; SIGTERM and SIGKILL where it does not. Safe twice."""
         self.close_input()
         for timeout, then in ((STOP_TIMEOUT, self._process.terminate), (KILL_TIMEOUT, self._process.kill)):
             try:

@@ -1,4 +1,4 @@
-"""What a host may be asked, how each question is read, and which of them need the session's key."""
+"""The requests to a host, how each is read, and which of them need the session's key."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OPEN_TO_ALL = ("status",)
 
 
 def reader_of(name: str) -> Callable[[bytes], Incoming]:
-    """Return what reads the question for a command; a stop is heard however badly it is written."""
+    """Return what reads the request of a command; a stop counts however badly it is written."""
 
     def read(payload: bytes) -> Incoming:
         try:
@@ -43,7 +43,7 @@ def reader_of(name: str) -> Callable[[bytes], Incoming]:
     return read
 
 
-def is_guarded(name: str, asked: Incoming) -> bool:
-    """Whether a question has to be signed with the session's key."""
-    presses = isinstance(asked, EstopRequest) and asked.action == "press"
+def is_guarded(name: str, request: Incoming) -> bool:
+    """Whether a request has to be signed with the session's key."""
+    presses = isinstance(request, EstopRequest) and request.action == "press"
     return not presses and name not in OPEN_TO_ALL

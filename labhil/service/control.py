@@ -8,12 +8,10 @@ thread hangs.
 from __future__ import annotations
 
 import math
-import queue
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Self
 
@@ -30,6 +28,7 @@ from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSile
 from labhil.host_clock import unix_ns
 from labhil.service.commands import COMMANDS, is_guarded, reader_of
 from labhil.service.declared import command_stream, stream_metadata
+from labhil.service.inbox import Inbox
 from labhil.service.interlocks import Interlocks
 from labhil.service.latch import HostLatch
 from labhil.service.lease import Lease
@@ -45,8 +44,6 @@ REACTION = 0.25
 """Share of the sample period that the setpoint after a sample is waited for."""
 SILENCE = 1.0
 """How long a connected device may say nothing, s of the host's clock."""
-ANSWER_TIMEOUT = 1.0
-"""How long a command waits for the control thread, s."""
 LONGEST_STALL = 0.05
 """What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
 
@@ -56,19 +53,10 @@ SETPOINTS = 256
 STEADY = (HostState.IDLE, HostState.ACTIVE)
 
 
-@dataclass(slots=True)
-class Request:
-    """Something from the bus for the control thread; without ``answer`` nobody waits for one."""
-
-    name: str
-    payload: Any
-    answer: Future[dict[str, Any]] | None = None
-
-
 class DeviceControl:
     """Runs one connected driver on the bus; a context manager around :meth:`run`.
 
-    ``ended`` is asked once per turn and returns why it is time to end, or an empty string.
+    ``ended`` is called once per turn and returns why it is time to end, or an empty string.
     """
 
     def __init__(
@@ -101,7 +89,7 @@ class DeviceControl:
         self._quiet = False
         self._mending = False
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
-        self._inbox: queue.Queue[Request] = queue.Queue()
+        self._inbox = Inbox(config.device)
         self._resources = ExitStack()
         # a controller answers each sample with a setpoint: wait for it here, and not for the next sample
         self._reaction_time = REACTION / (spec.stream.rate * info.speed)
@@ -122,7 +110,7 @@ class DeviceControl:
             setpoints = subscribe(
                 bus,
                 setpoint_key(config.device),
-                self._take_setpoints,
+                self._inbox.put_setpoints,
                 self._refusals,
                 depth=SETPOINTS,
                 commands=True,
@@ -153,7 +141,7 @@ class DeviceControl:
                 except DeviceError as error:
                     if not self._config.reconnect:
                         raise
-                    self._look_for_the_device(error)
+                    self._search_device(error)
                     self._heard_at = now = time.monotonic()
                 before = now
         finally:
@@ -163,7 +151,7 @@ class DeviceControl:
 
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
-        self._refuse_to_be_deaf()
+        self._check_bus()
         batch = self._driver.read(READ_TIMEOUT)
         now = time.monotonic()
         if len(batch):
@@ -174,19 +162,19 @@ class DeviceControl:
                 f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
                 f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
             )
-        self._look_at_latch(now)
+        self._check_latch(now)
         answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
-        if self._heard_any:  # what is asked at the very start waits for the sample that says how things stand
+        if self._heard_any:  # requests at the very start wait for the first sample, which shows the state
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
         self._check_watchdog(now, now - before)
         return now
 
-    def _refuse_to_be_deaf(self) -> None:
+    def _check_bus(self) -> None:
         """Raise BusError where something is heard no more: such a host must not go on commanding."""
         if deaf := self._bus.failure():
             raise BusError(f"the host of {self._config.device!r}: {deaf}")
 
-    def _look_for_the_device(self, error: DeviceError) -> None:
+    def _search_device(self, error: DeviceError) -> None:
         """Try to connect again, and answer meanwhile; raises what the last attempt did."""
         self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
         lost_at = time.monotonic()
@@ -195,9 +183,9 @@ class DeviceControl:
             while (info := search.result(READ_TIMEOUT)) is None:
                 if self._ended() or self._shut_down_reason:
                     return
-                self._refuse_to_be_deaf()
+                self._check_bus()
                 now = time.monotonic()
-                self._look_at_latch(now)
+                self._check_latch(now)
                 self._answer_requests(now, 0.0)
         finally:
             search.cancel()
@@ -213,7 +201,7 @@ class DeviceControl:
         state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED
         self._transition(state, message, "reconnected")
 
-    def _look_at_latch(self, now: float) -> None:
+    def _check_latch(self, now: float) -> None:
         self._latch.look(now)
         standing = self._latch.standing
         if standing is not None and self.state not in (HostState.LATCHED, HostState.RECONNECTING):
@@ -251,10 +239,6 @@ class DeviceControl:
 
     # what comes from the bus, still in the bus's threads
 
-    def _take_setpoints(self, _key: str, payloads: list[bytes]) -> None:
-        for payload in payloads:
-            self._inbox.put(Request("setpoint", payload))
-
     def _handler(self, name: str) -> Callable[[Any], dict[str, Any]]:
         def handle(payload: Any) -> dict[str, Any]:
             if isinstance(payload, EstopRequest) and payload.action == "press":
@@ -262,15 +246,7 @@ class DeviceControl:
                 self._driver.safe()
             if name == "safe":
                 self._driver.safe()
-            request = Request(name, payload, Future())
-            assert request.answer is not None
-            self._inbox.put(request)
-            try:
-                return request.answer.result(ANSWER_TIMEOUT)
-            except TimeoutError:
-                raise BusError(
-                    f"the host of {self._config.device!r} did not answer within {ANSWER_TIMEOUT:g} s"
-                ) from None
+            return self._inbox.ask(name, payload)
 
         return handle
 
@@ -278,26 +254,18 @@ class DeviceControl:
 
     def _answer_requests(self, now: float, patience: float) -> None:
         """Take what is in the inbox; where nothing is, wait up to ``patience`` s for the first."""
-        while True:
+        for request in self._inbox.take(patience):
             try:
-                request = self._inbox.get(timeout=patience) if patience > 0 else self._inbox.get_nowait()
-            except queue.Empty:
-                return
-            patience = 0.0
-            try:
-                answer = self._dispatch(request, now)
+                answer = self._answers[request.name](request.payload, now)
             except CommandRefusedError as error:
                 if request.answer is None:
-                    self._look_at_latch(now)  # a stop that came with it is told before what it refuses
+                    self._check_latch(now)  # a stop that came in with it is announced before the refusal
                     self._refuse_once(str(error))
                 else:
                     request.answer.set_exception(error)
             else:
                 if request.answer is not None:
                     request.answer.set_result(answer)
-
-    def _dispatch(self, request: Request, now: float) -> dict[str, Any]:
-        return self._answers[request.name](request.payload, now)
 
     def _refuse_once(self, message: str) -> None:
         if message not in self._refused:
@@ -313,7 +281,7 @@ class DeviceControl:
             "state": self.state.value,
             "reason": self._reason,
             "holder": self._lease.holder if self._lease.is_held(now) else None,
-            "lease_left": self._lease.left(now),
+            "lease_left": self._lease.remaining(now),
             "objection": self._objection(),
             "age": now - self._heard_at,
             "applied": self._output.applied,
@@ -322,17 +290,17 @@ class DeviceControl:
             "refused": dict(self._refusals.counts),
         }
 
-    def _take_lease(self, asked: LeaseRequest, now: float) -> dict[str, Any]:
-        if asked.action == "take":
+    def _take_lease(self, request: LeaseRequest, now: float) -> dict[str, Any]:
+        if request.action == "take":
             objection = self._objection()
             if objection is not None:
                 raise CommandRefusedError(objection)
-            token = self._lease.take(asked.holder, now)
+            token = self._lease.take(request.holder, now)
             self._refused.clear()
-            self._transition(HostState.IDLE, f"lease taken by {asked.holder!r}", "leased")
+            self._transition(HostState.IDLE, f"lease taken by {request.holder!r}", "leased")
             return {"token": token}
-        self._lease.renew(asked.token, now)
-        if asked.action == "return":
+        self._lease.renew(request.token, now)
+        if request.action == "return":
             self._to_safety(HostState.IDLE, "lease returned", "returned")
         else:
             self._output.unheard = 0.0
@@ -348,15 +316,15 @@ class DeviceControl:
             return f"the device cannot be commanded: {self._violation}"
         return self._interlocks.standing()
 
-    def _make_safe(self, asked: SafeRequest, _now: float) -> dict[str, Any]:
-        # what trips, latches or is lost stays so: being told to be safe as well lifts none of it
+    def _make_safe(self, request: SafeRequest, _now: float) -> dict[str, Any]:
+        # a trip, a latch and a lost device persist: a request to be safe lifts none of them
         state = HostState.IDLE if self.state is HostState.ACTIVE else self.state
-        self._to_safety(state, asked.reason, "safe")
+        self._to_safety(state, request.reason, "safe")
         return {"applied": self._output.applied}
 
-    def _estop(self, asked: EstopRequest, now: float) -> dict[str, Any]:
-        if asked.action == "press":
-            self._look_at_latch(now)
+    def _estop(self, request: EstopRequest, now: float) -> dict[str, Any]:
+        if request.action == "press":
+            self._check_latch(now)
             self._driver.safe()
         else:
             self._latch.release()

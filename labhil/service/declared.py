@@ -1,4 +1,4 @@
-"""What a host declares of its device: its stream of commands, what is said beside samples, safe values."""
+"""What a host declares of its device: its stream of commands, metadata beside its samples, safe values."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def safe_values(spec: DriverSpec) -> dict[str, float]:
 
 
 def stream_metadata(config: HostConfig, driver: Driver, info: DeviceInfo) -> dict[str, str]:
-    """Return what is said of a device beside its samples: strings, as a recording wants them."""
+    """Return the metadata of a device beside its samples: strings, as a recording wants them."""
     return {
         "plugin": config.plugin,
         "rig": driver.spec.rig,

@@ -43,8 +43,8 @@ def press_everywhere(by: str, reason: str, connect: str | None = None) -> Outcom
     The latch is set first: it works without the bus. Where it cannot be, devices are stopped all the same,
     and the outcome says so under ``LATCH``. BusError when no bus can be opened at all.
     """
-    fault = _latched(by, reason)
-    return _with(fault, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
+    fault = _set_latch(by, reason)
+    return _add_failures(fault, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
 
 
 def release_everywhere(connect: str | None = None) -> Outcome:
@@ -55,12 +55,12 @@ def release_everywhere(connect: str | None = None) -> Outcome:
 
 def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outcome:
     """Stop every device on a bus that is open already; ``expected`` are those that have to answer."""
-    fault = _latched(by, reason)
+    fault = _set_latch(by, reason)
     payload = {"action": "press", "by": by, "reason": reason}
-    return _with(fault, _ask_until_all_answer(bus, payload, set(expected)))
+    return _add_failures(fault, _ask_until_all_answer(bus, payload, set(expected)))
 
 
-def _latched(by: str, reason: str) -> Mapping[str, str]:
+def _set_latch(by: str, reason: str) -> Mapping[str, str]:
     """Set the latch; what kept us from that, if anything did."""
     try:
         latch.press(by, reason)
@@ -69,7 +69,7 @@ def _latched(by: str, reason: str) -> Mapping[str, str]:
     return {}
 
 
-def _with(fault: Mapping[str, str], outcome: Outcome) -> Outcome:
+def _add_failures(fault: Mapping[str, str], outcome: Outcome) -> Outcome:
     return replace(outcome, failed={**outcome.failed, **fault})
 
 

@@ -1,8 +1,8 @@
 """A process for one device: its driver on the bus, and what keeps the device honest.
 
 ``python -m labhil.service.host`` reads one line of configuration on its standard input, says on its
-standard output when the device is there and how it ended (one line of JSON each), and runs until it
-is told to end. However that comes about (a command, SIGINT, SIGTERM, the end of its standard input
+standard output when the device is there and how it ended (one line of JSON each), and runs until
+something ends it. Whatever that is (a command, SIGINT, SIGTERM, the end of its standard input
 because the parent is gone, a failing device, a failing bus) the device is brought to its safe state.
 """
 
@@ -70,13 +70,13 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
     driver = load_driver(config.plugin)(config.address)
     with open_bus(config.connect) as bus:
         try:
-            info = connected(driver, config, ended)
+            info = connect_patiently(driver, config, ended)
             if info is None:
                 return ended()
             refuse_unwatched(driver, config)
             reachable = registered("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
-                say({"ready": described(driver, info)})
+                say({"ready": describe(driver, info)})
                 return control.run()
         except LabhilError as error:
             driver.safe()
@@ -87,7 +87,7 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
             driver.close()
 
 
-def connected(driver: Driver, config: HostConfig, ended: Callable[[], str]) -> DeviceInfo | None:
+def connect_patiently(driver: Driver, config: HostConfig, ended: Callable[[], str]) -> DeviceInfo | None:
     """Connect to the device; a patient host looks for one that is not there until ``ended``, then None."""
     try:
         return driver.connect()
@@ -115,7 +115,7 @@ def refuse_unwatched(driver: Driver, config: HostConfig) -> None:
             )
 
 
-def described(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
+def describe(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
     """Return what a parent wants to know of a device that has just been connected."""
     return {
         "stream": {

@@ -21,7 +21,7 @@ CONNECT_TIMEOUT = 30.0
 
 @dataclass(frozen=True, slots=True)
 class ConnectedDevice:
-    """What a host said when its device was there."""
+    """What a host reports once its device is there."""
 
     stream: Stream
     safe: Mapping[str, float]
@@ -59,25 +59,25 @@ class HostProcess:
         line = self._child.line(CONNECT_TIMEOUT, interrupted)
         if line is None and interrupted():
             raise RunStoppedError("stopped while the devices were being connected")
-        said = _parsed(line)
-        if "waiting" in said:
-            self.absent = str(said["waiting"])
+        message = _parse(line)
+        if "waiting" in message:
+            self.absent = str(message["waiting"])
             return None
-        return self._device_in(said)
+        return self._device_in(message)
 
     def has_come(self) -> bool:
         """Whether a device that was absent is there now; does not wait. Raises what its host ended with."""
         line = self._child.next_line()
         if not line:
             return False
-        self._device_in(_parsed(line))
+        self._device_in(_parse(line))
         self.absent = ""
         return True
 
-    def _device_in(self, said: Mapping[str, Any]) -> ConnectedDevice:
-        if "ready" not in said:
-            raise self._how_it_ended(said)
-        ready = said["ready"]
+    def _device_in(self, message: Mapping[str, Any]) -> ConnectedDevice:
+        if "ready" not in message:
+            raise self._ending_error(message)
+        ready = message["ready"]
         stream = ready["stream"]
         signals = tuple(Signal.from_json(item) for item in stream["signals"])
         return ConnectedDevice(
@@ -89,14 +89,14 @@ class HostProcess:
         )
 
     def failure(self) -> LabhilError | None:
-        """Return why the host ended, when it has although nobody told it to; None while it runs."""
+        """Return why the host ended, when it ended without an order; None while it runs."""
         if self._child.exit_status() is None:
             deaf = self._child.deafness()
             return BusError(f"{self._child.name} is not heard any more: {deaf}") if deaf else None
-        return self._how_it_ended(_parsed(self._child.line(1.0)))
+        return self._ending_error(_parse(self._child.line(1.0)))
 
-    def _how_it_ended(self, said: Mapping[str, Any]) -> LabhilError:
-        ended = said.get("ended")
+    def _ending_error(self, message: Mapping[str, Any]) -> LabhilError:
+        ended = message.get("ended")
         if deaf := self._child.deafness():
             return BusError(f"{self._child.name} is not heard any more: {deaf}")
         if ended is not None and ended["error"] is not None:
@@ -127,7 +127,7 @@ def error_named(name: str, message: str) -> LabhilError:
     return BusError(message)
 
 
-def _parsed(line: str | None) -> dict[str, Any]:
+def _parse(line: str | None) -> dict[str, Any]:
     try:
         data = parse_json(line or "{}")
     except ValueError:

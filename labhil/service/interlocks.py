@@ -29,7 +29,7 @@ class Interlocks:
     def __init__(self, stream: Stream, interlocks: Mapping[str, Interlock]) -> None:
         self._stream = stream
         self._locks = {name: lock for name, lock in interlocks.items() if name in stream.names()}
-        self._standing = {name: _not_seen(name, lock) for name, lock in self._locks.items()}
+        self._standing = {name: _unseen_message(name, lock) for name, lock in self._locks.items()}
         self._seen = False
 
     def take_in(self, batch: Batch) -> Tripped | None:
@@ -44,7 +44,7 @@ class Interlocks:
             if bool(((values[-1] >= lock.resume_low) & (values[-1] <= lock.resume_high)).all()):
                 self._standing.pop(name, None)
             elif not self._seen and name in self._standing:
-                self._standing[name] = _stands(name, lock, values[-1])
+                self._standing[name] = _standing_message(name, lock, values[-1])
         self._seen = True
         return tripped
 
@@ -62,12 +62,12 @@ def _trip(name: str, lock: Interlock, values: FloatArray) -> str | None:
     return f"interlock: {name} = {values[outside][0]:.6g} tripped, {_thresholds(lock)}"
 
 
-def _stands(name: str, lock: Interlock, value: FloatArray) -> str:
-    found = ", ".join(f"{x:.6g}" for x in value)
-    return f"interlock: {name} = {found} stands where it may not, {_thresholds(lock)}"
+def _standing_message(name: str, lock: Interlock, value: FloatArray) -> str:
+    numbers = ", ".join(f"{x:.6g}" for x in value)
+    return f"interlock: {name} = {numbers} stands where it may not, {_thresholds(lock)}"
 
 
-def _not_seen(name: str, lock: Interlock) -> str:
+def _unseen_message(name: str, lock: Interlock) -> str:
     return f"interlock: {name} has not been seen yet, {_thresholds(lock)}"
 
 

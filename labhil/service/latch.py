@@ -42,9 +42,9 @@ class HostLatch:
             return
         self._looked_at = now
         with contextlib.suppress(OSError, BusError):
-            found = latch.read_latch()
+            pressed = latch.read_latch()
             with self._lock:
-                self._standing = self._standing or found
+                self._standing = self._standing or pressed
 
     @property
     def standing(self) -> Latch | None:

@@ -21,14 +21,14 @@ class Lease:
     def take(self, holder: str, now: float) -> str:
         """Give the lease to ``holder`` and return its token; CommandRefusedError while another holds it."""
         if self.is_held(now):
-            left = self._expires - now
+            remaining = self._expires - now
             raise CommandRefusedError(
-                f"the device is held by {self.holder!r} for another {left:.1f} s at most"
+                f"the device is held by {self.holder!r} for another {remaining:.1f} s at most"
             )
         self.holder, self._token, self._expires = holder, secrets.token_hex(8), now + DURATION
         return self._token
 
-    def left(self, now: float) -> float:
+    def remaining(self, now: float) -> float:
         """How long the lease still lasts if its holder is not heard of again, s; 0 without one."""
         return max(self._expires - now, 0.0) if self.holder is not None else 0.0
 

@@ -30,7 +30,7 @@ class CommandLimits:
             for column in signal.columns()
         }
 
-    def clipped(self, name: str, value: float, before: float | None, elapsed: float) -> float:
+    def clip(self, name: str, value: float, before: float | None, elapsed: float) -> float:
         """Return ``value`` within min, max, and within ``rate``·``elapsed`` of the value ``before``.
 
         ``elapsed`` is s of the device's clock since ``before`` was sent; None when nothing was. The value
@@ -95,5 +95,5 @@ class SampleLimits:
             return None
         row, column = (int(i) for i in np.argwhere(outside)[0])
         name = self._stream.columns()[column]
-        found, low, high = float(values[row, column]), self._low[column], self._high[column]
-        return f"{name} = {found:.6g} left its limits, {low:g} to {high:g} (sample {int(batch.seq[row])})"
+        reading, low, high = float(values[row, column]), self._low[column], self._high[column]
+        return f"{name} = {reading:.6g} left its limits, {low:g} to {high:g} (sample {int(batch.seq[row])})"

@@ -1,4 +1,4 @@
-"""What a host is told, and what it says: plain data, JSON on the way."""
+"""What a host receives and sends: plain data, JSON on the way."""
 
 from __future__ import annotations
 

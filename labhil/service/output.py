@@ -1,4 +1,4 @@
-"""What is asked of a device and what it is sent: clipped, sent again in time, and written down."""
+"""What is requested of a device and what it is sent: clipped, sent again in time, and written down."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Clock:
 class Output:
     """The commands of one device; host times on the monotonic clock, s.
 
-    ``unheard`` is how long nobody has asked for anything, as the watchdog counts it.
+    ``unheard`` is how long no request has come, as the watchdog counts it.
     """
 
     def __init__(self, driver: Driver, limits: Mapping[str, Limit], speed: float) -> None:
@@ -55,13 +55,13 @@ class Output:
         self.unheard = 0.0
 
     def send(self, now: float, t_hw_ns: int | None = None) -> Batch:
-        """Send what is asked for as far as the limits allow, and return the row that says both.
+        """Send the requested values as far as the limits allow, and return the row that holds both.
 
         ``t_hw_ns`` is the time of the device's clock that it belongs to, where it is part of a path.
         """
         elapsed = self._elapsed(now, t_hw_ns)
         self.applied = {
-            name: self.limits.clipped(name, value, self.applied.get(name), elapsed)
+            name: self.limits.clip(name, value, self.applied.get(name), elapsed)
             for name, value in self.requested.items()
         }
         self.sent_at = now
@@ -101,7 +101,7 @@ class Output:
         return Batch.of([(self._count - 1, t_ns, t_hw_ns, row)], len(row))
 
     def make_safe(self) -> None:
-        """Bring the device to its safe state; nothing is asked of it any more."""
+        """Bring the device to its safe state; nothing is requested of it any more."""
         self._driver.safe()
         self._sent_for_ns = None
         self.requested, self.applied = dict(self._safe), dict(self._safe)

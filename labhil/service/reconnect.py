@@ -28,7 +28,7 @@ class Search:
 
     def __init__(self, driver: Driver, give_up: float = GIVE_UP) -> None:
         self._driver, self._give_up = driver, give_up
-        self._found: DeviceInfo | None = None
+        self._info: DeviceInfo | None = None
         self._error: LabhilError | None = None
         self._over = threading.Event()
         self._cancelled = threading.Event()
@@ -44,7 +44,7 @@ class Search:
             raise self._error
         if died := self._thread.failure():
             raise BusError(f"the search failed: {died}")
-        return self._found
+        return self._info
 
     def cancel(self) -> None:
         """Stop looking after the present attempt."""
@@ -63,7 +63,7 @@ class Search:
         self._driver.close()
         while not self._cancelled.wait(wait):
             try:
-                self._found = self._driver.connect()
+                self._info = self._driver.connect()
                 break
             except DeviceError as error:
                 if time.monotonic() + wait > deadline:
@@ -75,10 +75,10 @@ class Search:
 def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:
     """Raise ProtocolError unless the device that came back is the one that was lost, but for its boot."""
     for what in ("serial", "firmware", "speed", "calibration"):
-        was, found = getattr(before, what), getattr(now, what)
-        if was != found:
+        expected, actual = getattr(before, what), getattr(now, what)
+        if expected != actual:
             raise ProtocolError(
-                f"{address}: another device came back: expected {what} {was!r}, found {found!r}"
+                f"{address}: another device came back: expected {what} {expected!r}, found {actual!r}"
             )
 
 

@@ -30,7 +30,7 @@ class RecordedStream:
     number: int | None = None
     waiting: list[bytes] = field(default_factory=list)
     size: int = 0
-    """Bytes that wait while nobody has said what they are."""
+    """Bytes that wait for their schema."""
     asked_at: float = float("-inf")
     fault: str = ""
     samples: int = 0

@@ -16,19 +16,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from labhil.bus.ask import ask
 from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import (
     LARGEST_SCHEMA,
     EventMessage,
-    SchemaMessage,
     StreamDeclaration,
     excerpt,
     load,
     parse,
-    validate,
 )
-from labhil.bus.keys import ALL_SCHEMAS, ALL_STREAMS, EVENT, SETPOINT, schema_key, split_key
+from labhil.bus.keys import ALL_STREAMS, EVENT, SETPOINT, split_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
@@ -38,6 +35,7 @@ from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_me
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
+from labhil.service.stream_schemas import MOST_STREAMS, StreamSchemas
 from labhil.signals import Direction
 from labhil.supervised import SupervisedThread
 
@@ -45,15 +43,11 @@ TICK = 0.1
 """s; how long the writer thread waits for samples before it looks at the clock."""
 
 STATUS_INTERVAL = 1.0
-SCHEMA_TIMEOUT = 1.0
-SCHEMA_INTERVAL = 0.25
-"""s between two questions for a schema that nobody answered."""
 
 QUIET = 0.1
 LONGEST_SETTLING = 1.0
 """At the end what is still on its way is waited for: until nothing came for ``QUIET`` s, or so long."""
 
-MOST_STREAMS = 1000
 MOST_WAITING = 64 * 1024 * 1024
 """Bytes of samples that wait until somebody says what they are: some minutes of a fast device, and no more
 than a small machine can spare."""
@@ -115,7 +109,6 @@ class Recorder:
         self._on_failure = on_failure
         self._bus = bus
         self._channels: dict[str, RecordedStream] = {}
-        self._told: dict[tuple[str, str], bytes] = {}
         # what is refused is refused in the threads that listen, and written in the one that writes
         self._remarks: queue.Queue[str] = queue.Queue()
         self._refusals = Refusals(self._remarks.put)
@@ -132,8 +125,12 @@ class Recorder:
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
-            self._schemas = subscribe(bus, ALL_SCHEMAS, self._receive_schema, self._refusals)
-            self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals)
+            self._schemas = StreamSchemas(bus, self._refusals)
+            try:
+                self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals)
+            except BaseException:
+                self._schemas.close()
+                raise
         except BaseException:
             self._writer.abandon()
             for begun in (self._writer.path, self._writer.part):
@@ -154,7 +151,7 @@ class Recorder:
         if not self._finished:
             self._finished = True
             self._stop()
-            self._guarded(self._write_rest, exit_status, reason)
+            self._guard(self._write_rest, exit_status, reason)
             for channel in self._channels.values():
                 channel.clock = None  # megabytes of stamps, which are written now
             self.failure = self.failure or self._deaf
@@ -190,11 +187,6 @@ class Recorder:
         self._arrived_at = time.monotonic()
         self._queue.put((key, payloads))
 
-    def _receive_schema(self, key: str, payloads: list[bytes]) -> None:
-        place = split_key(key)
-        if place in self._told or len(self._told) < MOST_STREAMS:
-            self._told[place] = payloads[-1]
-
     def check(self) -> None:
         """Raise RecordingFailedError when nothing is recorded any more, whatever the reason."""
         if self.failure is None and not self._finished:
@@ -220,14 +212,14 @@ class Recorder:
             try:
                 item = self._queue.get(timeout=TICK)
             except queue.Empty:
-                self._guarded(self._tick)
+                self._guard(self._tick)
                 continue
             if item is None:
                 return
-            self._guarded(self._take, *item)
-            self._guarded(self._tick)
+            self._guard(self._take, *item)
+            self._guard(self._tick)
 
-    def _guarded(self, action: Callable[..., None], *args: Any) -> None:
+    def _guard(self, action: Callable[..., None], *args: Any) -> None:
         """Once the recording has failed, nothing is done, so that publishers are not held up."""
         if self.failure is not None:
             return
@@ -322,35 +314,24 @@ class Recorder:
     def _learn(self, channel: RecordedStream) -> None:
         """Open the channel if it is known what it is; else ask, but not all the time."""
         try:
-            reply = self._schema_of(channel)
+            reply = self._schemas.schema_of(channel)
             if reply is None:
                 return
             parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
             stream = stream_from_json(reply.stream)
-            told = dict(reply.metadata)
-            speed = float(told.get("speed", "1"))
+            metadata = dict(reply.metadata)
+            speed = float(metadata.get("speed", "1"))
             if not 0 < speed < float("inf"):
-                raise ProtocolError(f"speed: expected a positive number, found {excerpt(told['speed'])}")
+                raise ProtocolError(f"speed: expected a positive number, found {excerpt(metadata['speed'])}")
             channel.speed = speed
-            channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in told
+            channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in metadata
             channel.second = max(1, round(stream.rate * channel.speed))
             if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
                 channel.clock = ClockWatch()
-            channel.number = self._writer.add_stream(channel.device, stream, told)
+            channel.number = self._writer.add_stream(channel.device, stream, metadata)
         except UNEXPLAINED as error:
             # its publisher may not be known here yet, or gone for good
             channel.fault = str(error)
-
-    def _schema_of(self, channel: RecordedStream) -> SchemaMessage | None:
-        # what somebody said once is looked at once: the publisher itself may still be asked
-        told = self._told.pop((channel.device, channel.stream), None)
-        if told is not None:
-            return parse(SchemaMessage, told, "a schema", LARGEST_SCHEMA)
-        if time.monotonic() < channel.asked_at + SCHEMA_INTERVAL:
-            return None
-        channel.asked_at = time.monotonic()
-        key = schema_key(channel.device, channel.stream)
-        return validate(SchemaMessage, ask(self._bus, key, timeout=SCHEMA_TIMEOUT), "a schema")
 
     def _write_status(self) -> None:
         self._status_at = time.monotonic() + STATUS_INTERVAL
@@ -395,13 +376,13 @@ class Recorder:
         """How each device's clock ran, by its first stream."""
         clocks: dict[str, DeviceClock] = {}
         for channel in self._channels.values():
-            found = channel.clock.clock(channel.speed) if channel.clock is not None else None
-            if found is not None:
-                clocks.setdefault(channel.device, found)
+            clock = channel.clock.clock(channel.speed) if channel.clock is not None else None
+            if clock is not None:
+                clocks.setdefault(channel.device, clock)
         return clocks
 
     def _keep_unexplained(self, channel: RecordedStream) -> None:
-        """Attach the bytes of a stream whose schema nobody told: no sample is thrown away."""
+        """Attach the bytes of a stream whose schema is unknown: no sample is thrown away."""
         name = f"{channel.device}.{channel.stream}.unexplained"
         self._writer.attach(name, "application/octet-stream", b"".join(channel.waiting))
         self._note(

@@ -141,7 +141,7 @@ class Replay:
                     REPLAY_CONTROL,
                     self._dispatch,
                     reader=lambda payload: parse(ReplayRequest, payload, "a request to a replay"),
-                    guarded=lambda asked: asked.action != "status",
+                    guarded=lambda request: request.action != "status",
                 )
             )
             # without devices: nobody has to answer an emergency stop here
@@ -210,25 +210,25 @@ class Replay:
 
     def _track(self, data: StreamData, offset_ns: int) -> _Track:
         speed = data.speed * self._state.speed
-        told = {
+        metadata = {
             **data.metadata,
             "speed": repr(speed),
             "replay": self._recording.path.name[:1000],
             "replay_sha256": self._recording.sha256,
             HOST_CLOCK: str(offset_ns),
         }
-        publisher = StreamPublisher(self._bus, data.device, data.stream, told, namespace=REPLAY)
-        return _Track(data, publisher, told, self._times[id(data)])
+        publisher = StreamPublisher(self._bus, data.device, data.stream, metadata, namespace=REPLAY)
+        return _Track(data, publisher, metadata, self._times[id(data)])
 
-    def _dispatch(self, asked: ReplayRequest) -> dict[str, Any]:
-        if asked.action == "pause":
+    def _dispatch(self, request: ReplayRequest) -> dict[str, Any]:
+        if request.action == "pause":
             self.pause()
-        elif asked.action == "play":
+        elif request.action == "play":
             self.play()
-        elif asked.action == "speed":
-            self.set_speed(asked.value)
-        elif asked.action == "seek":
-            self.seek(asked.value)
+        elif request.action == "speed":
+            self.set_speed(request.value)
+        elif request.action == "seek":
+            self.seek(request.value)
         return self.status.model_dump()
 
     def _go_to(self, position: float) -> None:

@@ -69,7 +69,7 @@ class ArmSimulator:
     def kind(self) -> RigKind:
         """The rig kind that it is: its signals, and what ``[known]`` may say."""
         n = len(self.joints)
-        said = ", ".join(self.joints)
+        names = ", ".join(self.joints)
         known = {"gear_ratio": Known("1", width=n)}
         planned: tuple[Signal, ...] = ()
         if self.measures == CURRENT:
@@ -81,11 +81,11 @@ class ArmSimulator:
         return RigKind(
             self.name,
             (
-                Signal("actual_q", "rad", INPUT, n, description=f"angles of {said}"),
-                Signal("actual_qd", "rad/s", INPUT, n, description=f"velocities of {said}"),
+                Signal("actual_q", "rad", INPUT, n, description=f"angles of {names}"),
+                Signal("actual_qd", "rad/s", INPUT, n, description=f"velocities of {names}"),
             ),
             (("actual_q", "actual_qd"),),
-            (Signal(self.output, self.unit, OUTPUT, n, description=f"{self.measures} of {said}"),),
+            (Signal(self.output, self.unit, OUTPUT, n, description=f"{self.measures} of {names}"),),
             known,
             auxiliary=(
                 Signal("joint_temperatures", "°C", STATUS, n, description="of the joints"),
@@ -104,8 +104,8 @@ class ArmSimulator:
 
         A file that leaves damping, frictionloss and armature out says that they are 0, which data contradict.
         """
-        own = {name.partition(".")[0] for name, value in self.arm.nominal.items() if value}
-        return tuple(dict.fromkeys((*HELD, OFFSET, *sorted(own))))
+        in_file = {name.partition(".")[0] for name, value in self.arm.nominal.items() if value}
+        return tuple(dict.fromkeys((*HELD, OFFSET, *sorted(in_file))))
 
 
 def arm_simulator(
@@ -154,8 +154,8 @@ def _measured(path: Path, outputs: Mapping[str, str] | None) -> tuple[str, str]:
 class ArmFileModel(ArmModel):
     """Inverse dynamics of a user's MuJoCo file.
 
-    The inertial parameters that a recording can tell from the file's are estimated, the others stay, as do
-    those that act just as an armature.
+    The inertial parameters that a recording can distinguish from the file's are estimated, the others stay,
+    as do those that act just as an armature.
     """
 
     first_laws = (*LAWS, "added_inertia.inertia")
@@ -199,9 +199,9 @@ class ArmFileModel(ArmModel):
         return dict(zip(names, self.first.begun.tolist(), strict=True))
 
     def constants_at(self, theta: FloatArray) -> list[float]:
-        """Torque constants (n,), N·m/A, without an error that was found in them."""
-        found = self._constant if self.fixed else self._of_joints(theta, "torque_constant")
-        return [float(each) for each in found]
+        """Torque constants (n,), N·m/A, without their estimated errors."""
+        constants = self._constant if self.fixed else self._of_joints(theta, "torque_constant")
+        return [float(constant) for constant in constants]
 
     def inertial_at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the links act like, (10 n,), and what of that is a payload on the last, (10,)."""
@@ -215,8 +215,8 @@ class ArmFileModel(ArmModel):
             "torque_constant is not known: it is estimated by the masses of the file, which stay as they "
             "are. State it under [known] to have the masses estimated."
         ]  # fmt: skip
-        for each in record.recordings():
-            for joint in self._against(self.prepare(each)):
+        for recording in record.recordings():
+            for joint in self._reversed_joints(self.prepare(recording)):
                 name = self.simulator.joints[joint]
                 notes.append(
                     f"{name} (joint {joint}): what is measured falls where the torque of the file grows. The "
@@ -225,10 +225,10 @@ class ArmFileModel(ArmModel):
                 )
         return tuple(dict.fromkeys(notes))
 
-    def _against(self, record: PreparedRecord) -> list[int]:
+    def _reversed_joints(self, record: PreparedRecord) -> list[int]:
         """Joints whose output has the other sign than the file's rigid body."""
         torque = self._view(record).rigid(upright(), 0.0) @ self.links.begin
-        found = []
+        reversed_joints = []
         for joint in range(self.joints):
             qd = record.inputs[:, self.joints + joint]
             columns = np.column_stack([torque[:, joint], qd, np.sign(qd), np.ones_like(qd)])
@@ -237,8 +237,8 @@ class ArmFileModel(ArmModel):
                 continue
             columns /= size
             shares, *_ = np.linalg.lstsq(columns, record.outputs[:, joint], rcond=None)
-            left = record.outputs[:, joint] - columns @ shares
-            error = np.sqrt(left.var() * np.linalg.pinv(columns.T @ columns)[0, 0])
+            residuals = record.outputs[:, joint] - columns @ shares
+            error = np.sqrt(residuals.var() * np.linalg.pinv(columns.T @ columns)[0, 0])
             if shares[0] < WRONG_WAY * error:
-                found.append(joint)
-        return found
+                reversed_joints.append(joint)
+        return reversed_joints

@@ -134,11 +134,11 @@ ROTORS = """The file has no place for rotors; when it is loaded,
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
+class CompanionValues:
     """Values by key that stand beside a file, constants (n,) in N·m/A or None for torques, joints by name.
 
     ``dry`` (n,) is the file's own dry friction, N·m; where it has to be ``firm`` and the format cannot say
-    so, the one who loads the file has to. ``armature`` (n,) are rotors for which it has no place.
+    so, whoever loads the file has to set it. ``armature`` (n,) are rotors for which it has no place.
     """
 
     values: Mapping[str, float]

@@ -58,9 +58,9 @@ def without_touching(model: Any) -> Any:
     from copy import deepcopy
 
     bits = load_optional("mujoco", PURPOSE).mjtDisableBit
-    other = deepcopy(model)
-    other.opt.disableflags |= int(bits.mjDSBL_CONTACT) | int(bits.mjDSBL_LIMIT)
-    return other
+    contactless = deepcopy(model)
+    contactless.opt.disableflags |= int(bits.mjDSBL_CONTACT) | int(bits.mjDSBL_LIMIT)
+    return contactless
 
 
 def read_arm(file: Path, model: Any, has: Names) -> ArmFile:
@@ -79,11 +79,11 @@ def read_arm(file: Path, model: Any, has: Names) -> ArmFile:
     """
     mujoco = load_optional("mujoco", PURPOSE)
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    others = [name for name, kind in zip(has.joints, model.jnt_type, strict=True) if int(kind) != hinge]
-    if others:
+    not_hinges = [name for name, kind in zip(has.joints, model.jnt_type, strict=True) if int(kind) != hinge]
+    if not_hinges:
         raise UsageError(
             f"{file}: expected one hinge or slide joint, or several hinges, found {len(has.joints)} joints "
-            f"of which {', '.join(others[:6])} are no hinges ({has.listed()}); weld what is not measured"
+            f"of which {', '.join(not_hinges[:6])} are no hinges ({has.listing()}); weld what is not measured"
         )
     carriers = [int(body) for body in model.jnt_bodyid]
     if len(set(carriers)) < len(carriers):
@@ -105,9 +105,9 @@ def read_arm(file: Path, model: Any, has: Names) -> ArmFile:
 
 def _fixed_to(model: Any, body: int) -> Iterator[int]:
     yield body
-    for other in range(body + 1, model.nbody):
-        if int(model.body_weldid[other]) == body:
-            yield other
+    for candidate in range(body + 1, model.nbody):
+        if int(model.body_weldid[candidate]) == body:
+            yield candidate
 
 
 def _nominal(model: Any) -> Iterator[tuple[str, float]]:
@@ -213,13 +213,13 @@ def _check(arm: ArmFile) -> None:
     model.opt.gravity *= GRAVITY / float(np.linalg.norm(model.opt.gravity))
     random = np.random.default_rng(0)
     turned, turning, faster = random.uniform(-1.0, 1.0, (3, TRIED, arm.tree.joints))
-    own = arm.tree.regressor(turned, turning, faster, upright()) @ arm.tree.begin
-    data, itself = mujoco.MjData(model), np.empty_like(own)
+    by_links = arm.tree.regressor(turned, turning, faster, upright()) @ arm.tree.begin
+    data, by_mujoco = mujoco.MjData(model), np.empty_like(by_links)
     for row, (q, qd, qdd) in enumerate(zip(turned, turning, faster, strict=True)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
         mujoco.mj_inverse(model, data)
-        itself[row] = data.qfrc_inverse
-    apart = np.max(np.abs(own - itself), axis=0) / max(float(np.max(np.abs(itself))), 1e-12)
+        by_mujoco[row] = data.qfrc_inverse
+    apart = np.max(np.abs(by_links - by_mujoco), axis=0) / max(float(np.max(np.abs(by_mujoco))), 1e-12)
     wrong = [name for name, share in zip(arm.joints, apart, strict=True) if share > APART]
     if wrong:
         raise UsageError(

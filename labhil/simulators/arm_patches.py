@@ -14,7 +14,7 @@ from labhil.physics.arm.rigid_body import PER_LINK
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 from labhil.simulators.arm_file import ArmFile, matrix_of
-from labhil.simulators.inertia import at_centre, moved, realised
+from labhil.simulators.inertia import at_centre, realise, shift_origin
 from labhil.simulators.patches import number, set_part, stiffen_element
 from labhil.simulators.urdf_text import inertial_of_link, set_dynamics, set_inertial, tidy
 from labhil.simulators.xml_text import Element, XmlText
@@ -67,7 +67,7 @@ class PatchedArm:
     urdf: bool
 
 
-def patched_arm(
+def patch_arm(
     arm: ArmFile,
     text: XmlText,
     values: Mapping[str, float],
@@ -94,38 +94,40 @@ def patched_arm(
     """
     urdf = text.elements[0].tag == "robot"
     writer: ArmWriter = UrdfWriter(arm, text) if urdf else MjcfWriter(arm, text)
-    own = np.concatenate(
-        [moved(writer.inertial(j), -np.array(arm.model.jnt_pos[j])) for j in range(arm.tree.joints)]
+    in_file = np.concatenate(
+        [shift_origin(writer.inertial(j), -np.array(arm.model.jnt_pos[j])) for j in range(arm.tree.joints)]
     )
     rotors = np.array([values.get(keyed(ROTOR, joint), 0.0) for joint in range(arm.tree.joints)])
-    bodies = realised(arm.tree, own, inertial, arm.tree.begin - own, rotors)
+    bodies = realise(arm.tree, in_file, inertial, arm.tree.begin - in_file, rotors)
     rotors_left = {keyed(ROTOR, joint): float(j) for joint, j in enumerate(bodies.armature) if j}
-    left = {key: value for key, value in values.items() if not key.startswith(ROTOR)} | rotors_left
+    remaining = {key: value for key, value in values.items() if not key.startswith(ROTOR)} | rotors_left
     for joint in range(arm.tree.joints):
         for name in JOINT_VALUES:
             key = keyed(name, joint)
-            now, new = arm.nominal[key], left.get(key, 0.0)
-            if key in left and (new == now or writer.set_joint(joint, name, new)):
-                del left[key]
-            elif key not in left and now:
+            now, new = arm.nominal[key], remaining.get(key, 0.0)
+            if key in remaining and (new == now or writer.set_joint(joint, name, new)):
+                del remaining[key]
+            elif key not in remaining and now:
                 writer.set_joint(joint, name, 0.0)
-    said = not firm or all(writer.stiffen(joint) for joint in range(arm.tree.joints))
-    _set_bodies(arm, writer, own, bodies.inertial, payload)
-    return PatchedArm(text, {key: value for key, value in left.items() if value}, not said, urdf)
+    holds_firmly = not firm or all(writer.stiffen(joint) for joint in range(arm.tree.joints))
+    _set_bodies(arm, writer, in_file, bodies.inertial, payload)
+    return PatchedArm(text, {key: value for key, value in remaining.items() if value}, not holds_firmly, urdf)
 
 
 def _set_bodies(
-    arm: ArmFile, writer: ArmWriter, own: FloatArray, found: FloatArray, payload: FloatArray
+    arm: ArmFile, writer: ArmWriter, in_file: FloatArray, wanted: FloatArray, payload: FloatArray
 ) -> None:
     """Change the bodies with the joints; what is fixed to them stays."""
-    both = zip(own.reshape(-1, PER_LINK), found.reshape(-1, PER_LINK), strict=True)
+    both = zip(in_file.reshape(-1, PER_LINK), wanted.reshape(-1, PER_LINK), strict=True)
     for joint, (before, after) in enumerate(both):
         whys = [] if np.array_equal(before, after) else ["what the joints carry"]
         if joint == arm.tree.joints - 1 and payload[0]:
             whys.append(f"a payload of {number(payload[0])} kg")
         if whys:
             carried = after + payload if joint == arm.tree.joints - 1 else after
-            writer.set_inertial(joint, moved(carried, np.array(arm.model.jnt_pos[joint])), " and ".join(whys))
+            writer.set_inertial(
+                joint, shift_origin(carried, np.array(arm.model.jnt_pos[joint])), " and ".join(whys)
+            )
 
 
 class MjcfWriter:
@@ -193,12 +195,12 @@ class MjcfWriter:
         return True
 
     def _element(self, tag: str, name: str, place: int) -> Element:
-        found = self.text.inside(tag, "worldbody")
-        named = [e for e in found if e.attributes.get("name") == name]
+        candidates = self.text.inside(tag, "worldbody")
+        named = [e for e in candidates if e.attributes.get("name") == name]
         if len(named) == 1:
             return named[0]
-        if not named and place < len(found) and "name" not in found[place].attributes:
-            return found[place]
+        if not named and place < len(candidates) and "name" not in candidates[place].attributes:
+            return candidates[place]
         raise UsageError(
             f"{self.text.path}: expected the {tag} {name!r} in this file, found none; where it is included "
             "from another file, give that whole with --into"

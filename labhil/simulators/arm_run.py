@@ -37,44 +37,44 @@ class ArmFileRun(ArmFileModel):
         simulator: ArmSimulator,
         rig: RigFile,
         record: Record,
-        beside: Companion,
+        companion: Companion,
         cut_off: float,
         *,
         firm: bool = False,
     ) -> None:
         super().__init__(simulator, rig, record)
-        self.cut_off, self._beside, self._firm = cut_off, beside, firm
-        self._found: dict[int, FloatArray] = {}
+        self.cut_off, self._companion, self._firm = cut_off, companion, firm
+        self._measured: dict[int, FloatArray] = {}
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Outputs of the joints, (N, n); the measured one where a joint rests, which is not judged."""
         assert isinstance(record, PreparedRecord)
-        parts = [self._of(each) for each in record.recordings()]
+        parts = [self._of(recording) for recording in record.recordings()]
         return np.concatenate(parts)[windows.rows]
 
     def _of(self, record: Record) -> FloatArray:
         _, motion, rows = self._motion(record)
-        found = self._found.get(id(motion))
-        if found is None:
-            found = self._found[id(motion)] = self._beside.measured(self._drives(motion))
-        return np.where(motion.judged[rows], found[rows], record.outputs)
+        measured = self._measured.get(id(motion))
+        if measured is None:
+            measured = self._measured[id(motion)] = self._companion.measured(self._drives(motion))
+        return np.where(motion.judged[rows], measured[rows], record.outputs)
 
     def _drives(self, motion: Any) -> FloatArray:
         """Torques of the drives along a whole motion, (m, n)."""
         arm = self.simulator.arm
         links = inverse(arm.quiet(), motion.q, motion.qd, motion.qdd)
         model = without_touching(arm.model)
-        if any(self._beside.ARMATURE):
+        if any(self._companion.ARMATURE):
             mujoco = load_optional("mujoco", PURPOSE)
-            model.dof_armature[:] += self._beside.ARMATURE
+            model.dof_armature[:] += self._companion.ARMATURE
             mujoco.mj_setConst(model, mujoco.MjData(model))
         if self._firm:
             firm_friction(model, float(model.opt.timestep))
-        whole = inverse(model, motion.q, motion.qd, motion.qdd)
-        friction = self._beside.Friction()
+        total = inverse(model, motion.q, motion.qd, motion.qdd)
+        friction = self._companion.Friction()
         along = zip(motion.q, motion.qd, motion.qdd, links, strict=True)
-        more = np.array([friction(*each) for each in along])
-        return np.asarray(links + motion.filtered(whole - links + more))
+        extra = np.array([friction(*sample) for sample in along])
+        return np.asarray(links + motion.filtered(total - links + extra))
 
 
 def inverse(model: Any, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:

@@ -92,7 +92,7 @@ The file's dry friction has to hold firmly, which its format cannot say; when it
 """
 
 
-class Left(NamedTuple):
+class SortedEffects(NamedTuple):
     """Effects that are written into a companion, by where they act, each with its numbers."""
 
     forces: Mapping[str, Mapping[str, float]]
@@ -101,7 +101,7 @@ class Left(NamedTuple):
     unknown: tuple[str, ...]
 
 
-def sorted_out(values: Mapping[str, float]) -> Left:
+def sort_effects(values: Mapping[str, float]) -> SortedEffects:
     """Sort values of effects by where they act, each kind in the order in which it is passed."""
     terms: dict[str, dict[str, float]] = {}
     for name, value in values.items():
@@ -110,16 +110,16 @@ def sorted_out(values: Mapping[str, float]) -> Left:
     forces, inputs, sensors = (
         {t: terms[t] for t in laws if t in terms} for laws in (FORCES, INPUTS, SENSORS)
     )
-    return Left(
+    return SortedEffects(
         forces, inputs, sensors, tuple(sorted(terms.keys() - forces.keys() - inputs.keys() - sensors.keys()))
     )
 
 
-def companion(left: Left, file: str, signal: str, at_rest: float, *, firm: bool = False) -> str:
+def companion(effects: SortedEffects, file: str, signal: str, at_rest: float, *, firm: bool = False) -> str:
     """Write the Python file.
 
     Args:
-        left: What it has to hold.
+        effects: What it has to hold.
         file: The repaired file that it belongs to.
         signal: What its input is called.
         at_rest: Velocity below which dry friction counts as holding, SI.
@@ -129,14 +129,18 @@ def companion(left: Left, file: str, signal: str, at_rest: float, *, firm: bool 
         The text.
     """
     uses = [
-        "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if left.forces else "",
-        f"data.ctrl[...] = command({signal}, dt), with command = Command()" if left.inputs else "",
-        "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if left.sensors else "",
+        "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if effects.forces else "",
+        f"data.ctrl[...] = command({signal}, dt), with command = Command()" if effects.inputs else "",
+        "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if effects.sensors else "",
     ]
     blocks = [
-        _force(left.forces, at_rest) if left.forces else [],
-        _stage("Command", f"The input {signal} as it acts.", "u", left.inputs, INPUTS) if left.inputs else [],
-        _stage("Sensor", "The output as it is measured.", "y", left.sensors, SENSORS) if left.sensors else [],
+        _force(effects.forces, at_rest) if effects.forces else [],
+        _stage("Command", f"The input {signal} as it acts.", "u", effects.inputs, INPUTS)
+        if effects.inputs
+        else [],
+        _stage("Sensor", "The output as it is measured.", "y", effects.sensors, SENSORS)
+        if effects.sensors
+        else [],
     ]
     parts = [
         f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
@@ -148,7 +152,7 @@ def companion(left: Left, file: str, signal: str, at_rest: float, *, firm: bool 
         '"""',
         "",
         "import math",
-        *(["from collections import deque"] if left.inputs or left.sensors else []),
+        *(["from collections import deque"] if effects.inputs or effects.sensors else []),
     ]
     for block in blocks:
         parts += ["", "", *block] if block else []
@@ -164,7 +168,7 @@ def _force(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[st
         '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
         "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
     ]
-    return [*lines, *_written(forces, FORCES, "    "), "    return F"]
+    return [*lines, *_law_lines(forces, FORCES, "    "), "    return F"]
 
 
 def _stage(
@@ -180,12 +184,12 @@ def _stage(
         "",
         f"    def __call__(self, {of}, dt):",
         '        """The next value, dt s after the one before."""',
-        *_written(effects, laws, "        "),
+        *_law_lines(effects, laws, "        "),
         f"        return {of}",
     ]
 
 
-def _written(effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law], indent: str) -> list[str]:
+def _law_lines(effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law], indent: str) -> list[str]:
     lines = []
     for term, numbers in effects.items():
         parts = {part: f"{value:.6g}" if value >= 0 else f"({value:.6g})" for part, value in numbers.items()}

@@ -22,8 +22,12 @@ DISTINCT = 1e-2
 """The same of a simulator's own parameter, beside those before it: a fit has to tell them apart."""
 
 
-def confounded(
-    model: SimulatorModel, own: Sequence[Parameter], record: Record, windows: Windows, states: FloatArray
+def find_confounded(
+    model: SimulatorModel,
+    parameters: Sequence[Parameter],
+    record: Record,
+    windows: Windows,
+    states: FloatArray,
 ) -> dict[str, str]:
     """Effects of one parameter that change the outputs just as the simulator's own do, with the reason.
 
@@ -35,8 +39,10 @@ def confounded(
     def change(key: str) -> FloatArray:
         return _change(model, theta, index[key], record, windows, states, base)
 
-    known = _normed([change(p.key) for p in own] + _by_states(model, theta, record, windows, states, base))
-    found = {}
+    known = _normed(
+        [change(p.key) for p in parameters] + _by_states(model, theta, record, windows, states, base)
+    )
+    reasons = {}
     for key, term in model.terms.items():
         if len(term.parameters) != 1:
             continue
@@ -44,30 +50,34 @@ def confounded(
         size = float(np.linalg.norm(column))
         if not np.isfinite(size) or size == 0.0:
             continue
-        left = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
-        if float(np.linalg.norm(left)) < APART * size:
-            names = ", ".join(p.name for p in own)
-            found[key] = f"it changes the outputs just as {names} of the simulator, or the first state, do"
-    return found
+        residual = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
+        if float(np.linalg.norm(residual)) < APART * size:
+            names = ", ".join(p.name for p in parameters)
+            reasons[key] = f"it changes the outputs just as {names} of the simulator, or the first state, do"
+    return reasons
 
 
-def dependent(
-    model: SimulatorModel, own: Sequence[Parameter], record: Record, windows: Windows, states: FloatArray
+def find_dependent(
+    model: SimulatorModel,
+    parameters: Sequence[Parameter],
+    record: Record,
+    windows: Windows,
+    states: FloatArray,
 ) -> tuple[str, ...]:
-    """Names of own parameters that change the outputs just as those before them in ``own`` do together."""
+    """Names of parameters that change the outputs just as those before them do together."""
     theta, index = start_values(model.parameters), index_of(model.parameters)
     base = model.simulate(theta, record, windows, states)
     columns = _by_states(model, theta, record, windows, states, base)
-    found = []
-    for parameter in own:
+    names = []
+    for parameter in parameters:
         column = _change(model, theta, index[parameter.key], record, windows, states, base)
         known, size = _normed(columns), float(np.linalg.norm(column))
-        left = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
-        if float(np.linalg.norm(left)) < DISTINCT * size:
-            found.append(parameter.name)
+        residual = column - known @ np.linalg.lstsq(known, column, rcond=1e-10)[0]
+        if float(np.linalg.norm(residual)) < DISTINCT * size:
+            names.append(parameter.name)
         else:
             columns.append(column)
-    return tuple(found)
+    return tuple(names)
 
 
 def _change(

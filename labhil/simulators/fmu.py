@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +11,7 @@ from labhil.errors import UsageError, suggestion
 from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping, answers
 from labhil.simulators.fmu_mechanism import ExchangedMechanism, SteppingMechanism
 from labhil.simulators.names import identifier
-from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, tried
+from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, probe
 from labhil.simulators.simulator import UNDAMPED, Coordinate, Quantity, Simulator, declare
 
 STEPS = (1e-3, 1e-2, 1e-4)
@@ -26,6 +27,9 @@ ALIKE = 0.05
 MOVED = 1.25
 """By what a parameter is multiplied to see what changes with it."""
 
+_EXPONENT = re.compile(r"(?<=[^\W\d_])-?\d+|(?<=\))-?\d+")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 Mechanism = ExchangedMechanism | SteppingMechanism
 
 
@@ -36,8 +40,8 @@ class Pair(NamedTuple):
     velocity: Any
 
 
-class Found(NamedTuple):
-    """What was found out of an FMU.
+class FmuAccess(NamedTuple):
+    """The coordinate of an FMU, and how it is called.
 
     ``read`` gives the values of variables in a state (position, velocity), ``make`` its mechanism with the
     parameters of these value references.
@@ -88,16 +92,16 @@ def fmu_simulator(
     file = FmuFile(Path(path))
     signal, drive = _input(file, inputs)
     starts = {v: _start(v) for v in file.variables("parameter")}
-    found = _found(file, drive, {v.valueReference: x for v, x in starts.items() if x is not None})
-    position, velocity, measured = _outputs(file, found, outputs)
-    used = _that_matter([v for v, x in starts.items() if x], starts, found.make)
-    mechanism = found.make([v.valueReference for v in used])
+    access = _access(file, drive, {v.valueReference: x for v, x in starts.items() if x is not None})
+    position, velocity, measured = _outputs(file, access, outputs)
+    used = _without_starts([v for v, x in starts.items() if x], starts, access.make)
+    mechanism = access.make([v.valueReference for v in used])
     quantities = {identifier(v.name): _quantity(v, float(starts[v] or 0.0)) for v in used}
 
     def rates(t: float, x: Any, u: Any, p: Any) -> list[float]:
         return mechanism.rates(list(p)[: len(used)], t, list(x), float(u[0]))
 
-    states = {position: _unit(found.pair.position), velocity: _unit(found.pair.velocity)}
+    states = {position: _unit(access.pair.position), velocity: _unit(access.pair.velocity)}
     made = Simulator(
         rates,
         identifier(name or str(file.description.modelName)),
@@ -112,41 +116,41 @@ def fmu_simulator(
         {n: quantity.start for n, quantity in quantities.items()},
     )
     exact = isinstance(mechanism, ExchangedMechanism)
-    tried(made, SAME_OF_STEPS if exact else SAME_OF_SOLVERS)
+    probe(made, SAME_OF_STEPS if exact else SAME_OF_SOLVERS)
     declare(made, () if is_damped(made, ROUNDED if exact else SOLVED) else UNDAMPED)
     return made
 
 
 def _input(file: FmuFile, stated: Mapping[str, str] | None) -> tuple[str, Any]:
     """Name of the recorded input, and the variable."""
-    found = {v.name: v for v in file.variables("input")}
-    which = 'say which: inputs = { force = "NAME" }; ' if found else ""
-    listed = f"inputs of the FMU: {', '.join(found) or 'none'}"
+    variables = {v.name: v for v in file.variables("input")}
+    which = 'say which: inputs = { force = "NAME" }; ' if variables else ""
+    listed = f"inputs of the FMU: {', '.join(variables) or 'none'}"
     if stated is None:
-        if len(found) != 1:
-            raise file.refused("one real input", f"{len(found)}; {which}{listed}")
-        stated = {name: name for name in found}
+        if len(variables) != 1:
+            raise file.refusal("one real input", f"{len(variables)}; {which}{listed}")
+        stated = {name: name for name in variables}
     if len(stated) != 1:
-        raise file.refused("one input", f"{', '.join(stated) or 'none'}; {listed}")
+        raise file.refusal("one input", f"{', '.join(stated) or 'none'}; {listed}")
     ((signal, name),) = stated.items()
-    if name not in found:
+    if name not in variables:
         raise UsageError(
-            f"{file.path}: inputs: {signal}: no input {name!r}{suggestion(name, found)}; {listed}"
+            f"{file.path}: inputs: {signal}: no input {name!r}{suggestion(name, variables)}; {listed}"
         )
-    return identifier(signal), found[name]
+    return identifier(signal), variables[name]
 
 
-def _found(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> Found:
-    """See which state is the position and which its velocity."""
-    found = _state_variables(file)
-    if len(found) != 2:
-        raise file.refused(
+def _access(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> FmuAccess:
+    """Find which state is the position and which its velocity."""
+    states = _state_variables(file)
+    if len(states) != 2:
+        raise file.refusal(
             "two continuous states, a position and its velocity",
-            f"{len(found)}: {', '.join(v.name for v in found) or 'none'}; what else has a state (filters, "
+            f"{len(states)}: {', '.join(v.name for v in states) or 'none'}; what else has a state (filters, "
             "motors) is left to the effects that are offered (`labhil terms`)",
         )
     with answers(file, f"an FMU whose states and input {drive.name} can be set"):
-        return (_exchanged if file.kind == EXCHANGE else _stepping)(file, drive, starts, found)
+        return (_access_exchange if file.kind == EXCHANGE else _access_stepping)(file, drive, starts, states)
 
 
 def _state_variables(file: FmuFile) -> list[Any]:
@@ -166,7 +170,7 @@ def _state_variables(file: FmuFile) -> list[Any]:
     ]
 
 
-def _exchanged(file: FmuFile, drive: Any, starts: Mapping[int, float], found: list[Any]) -> Found:
+def _access_exchange(file: FmuFile, drive: Any, starts: Mapping[int, float], states: list[Any]) -> FmuAccess:
     events = int(file.description.numberOfEventIndicators or 0) > 0 or drive.variability == "discrete"
     fmu = Exchanged(file, drive.valueReference, with_events=events)
     fmu.begin(starts)
@@ -183,19 +187,19 @@ def _exchanged(file: FmuFile, drive: Any, starts: Mapping[int, float], found: li
             def make(used: list[int], turned: bool = turned) -> Mechanism:
                 return ExchangedMechanism(fmu, file, used, turned=turned)
 
-            return Found(Pair(*found[::turn]), read, make)
-    raise _no_velocity(file, found)
+            return FmuAccess(Pair(*states[::turn]), read, make)
+    raise _no_velocity(file, states)
 
 
-def _stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], found: list[Any]) -> Found:
-    for v in found:
+def _access_stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], states: list[Any]) -> FmuAccess:
+    for v in states:
         if v.initial not in ("exact", None) or v.start is None:
-            raise file.refused(
+            raise file.refusal(
                 'a co-simulation whose position and velocity can be set as it starts (initial = "exact"), or '
                 "model exchange",
                 f"{v.name}, which cannot",
             )
-    for pair in (Pair(*found), Pair(*found[::-1])):
+    for pair in (Pair(*states), Pair(*states[::-1])):
         fmu = Stepping(file, drive.valueReference, [v.valueReference for v in pair])
         step = next((step for step in _steps(file) if _moves_by(fmu, starts, step)), None)
         if step is None:
@@ -208,16 +212,16 @@ def _stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], found: lis
         def make(used: list[int], fmu: Stepping = fmu, step: float = step) -> Mechanism:
             return SteppingMechanism(fmu, file, used, step)
 
-        return Found(pair, read, make)
-    raise _no_velocity(file, found)
+        return FmuAccess(pair, read, make)
+    raise _no_velocity(file, states)
 
 
 def _steps(file: FmuFile) -> list[float]:
     """Lengths to try, s: the FMU's own step first."""
-    own = file.description.coSimulation.fixedInternalStepSize
+    fixed = file.description.coSimulation.fixedInternalStepSize
     default = file.description.defaultExperiment
     usual = None if default is None else default.stepSize
-    return [float(x) for x in (own, *STEPS, usual) if x]
+    return [float(x) for x in (fixed, *STEPS, usual) if x]
 
 
 def _moves_by(fmu: Stepping, starts: Mapping[int, float], step: float) -> bool:
@@ -236,42 +240,42 @@ def _moves_by(fmu: Stepping, starts: Mapping[int, float], step: float) -> bool:
     return True
 
 
-def _no_velocity(file: FmuFile, found: list[Any]) -> UsageError:
-    return file.refused(
+def _no_velocity(file: FmuFile, states: list[Any]) -> UsageError:
+    return file.refusal(
         "that one of the two states is the rate of the other",
-        f"{' and '.join(v.name for v in found)}, of which none is",
+        f"{' and '.join(v.name for v in states)}, of which none is",
     )
 
 
 def _outputs(
-    file: FmuFile, known: Found, stated: Mapping[str, str] | None
+    file: FmuFile, access: FmuAccess, stated: Mapping[str, str] | None
 ) -> tuple[str, str, tuple[str, ...]]:
     """Names of position and velocity, and which of the two are measured."""
-    pair, names = known.pair, _names(file, known)
+    pair, names = access.pair, _names(file, access)
     given = stated
     if given is None:
         given = {v.name: v.name for v in file.variables("output") if v.name in names}
         given = given or {pair.position.name: pair.position.name}
-    found: dict[int, str] = {}
+    signals: dict[int, str] = {}
     for signal, of in given.items():
         if of not in names:
             raise UsageError(
                 f"{file.path}: outputs: {signal}: expected the position or the velocity, found "
                 f"{of!r}{suggestion(of, names)}; these are {', '.join(names)}"
             )
-        found.setdefault(names[of], identifier(signal))
-    if not found:
-        raise file.refused("one output at least", f"none; position and velocity are {', '.join(names)}")
-    position = found.get(0, identifier(pair.position.name))
-    velocity = found.get(1, identifier(pair.velocity.name))
-    return position, velocity, tuple(found.values())
+        signals.setdefault(names[of], identifier(signal))
+    if not signals:
+        raise file.refusal("one output at least", f"none; position and velocity are {', '.join(names)}")
+    position = signals.get(0, identifier(pair.position.name))
+    velocity = signals.get(1, identifier(pair.velocity.name))
+    return position, velocity, tuple(signals.values())
 
 
-def _names(file: FmuFile, known: Found) -> dict[str, int]:
+def _names(file: FmuFile, access: FmuAccess) -> dict[str, int]:
     """Names of all variables that are the position (0) or the velocity (1)."""
-    candidates = [*known.pair, *file.variables("output")]
+    candidates = [*access.pair, *file.variables("output")]
     with answers(file, "an FMU whose outputs can be read"):
-        read = [known.read(state, [v.valueReference for v in candidates]) for state in PROBES]
+        read = [access.read(state, [v.valueReference for v in candidates]) for state in PROBES]
     return {
         v.name: place
         for place in (0, 1)
@@ -280,23 +284,23 @@ def _names(file: FmuFile, known: Found) -> dict[str, int]:
     }
 
 
-def _that_matter(
+def _without_starts(
     used: list[Any], starts: Mapping[Any, float | None], make: Callable[[list[int]], Mechanism]
 ) -> list[Any]:
-    """The parameters without those that say where the FMU starts: a window starts where it was recorded."""
+    """The parameters without those that only set the FMU's start: a window starts where it was recorded."""
     mechanism = make([v.valueReference for v in used])
     if not isinstance(mechanism, ExchangedMechanism):
         return used
     values = [float(starts[v] or 0.0) for v in used]
-    begun, left = mechanism.begun(values), []
+    begun, kept = mechanism.start_states(values), []
     for k, v in enumerate(used):
         moved = [x * (MOVED if k == i else 1.0) for i, x in enumerate(values)]
         same = all(
             mechanism.rates(values, 0.0, s, DRIVE) == mechanism.rates(moved, 0.0, s, DRIVE) for s in PROBES
         )
-        if not (same and mechanism.begun(moved) != begun):
-            left.append(v)
-    return left
+        if not (same and mechanism.start_states(moved) != begun):
+            kept.append(v)
+    return kept
 
 
 def _start(variable: Any) -> float | None:
@@ -313,5 +317,5 @@ def _quantity(variable: Any, start: float) -> Quantity:
 
 def _unit(variable: Any) -> str:
     """Unit of a variable, of its type where it has none of its own."""
-    own = variable.unit or getattr(variable.declaredType, "unit", None) or "1"
-    return str(own).replace(".", "·").replace("2", "²") if own != "1" else "1"
+    unit = variable.unit or getattr(variable.declaredType, "unit", None) or "1"
+    return _EXPONENT.sub(lambda power: power[0].translate(_RAISED), str(unit).replace(".", "·"))

@@ -51,19 +51,19 @@ class FmuFile:
             finalize(self, rmtree, self._folder, ignore_errors=True)
             fmpy.extract(str(path), self._folder)
         except Exception as error:  # whatever a reader of ZIP and XML may say
-            raise self.refused("an FMU that fmpy reads", str(error)) from error
+            raise self.refusal("an FMU that fmpy reads", str(error)) from error
         version = str(self.description.fmiVersion)
         if version[:2] not in ("2.", "3."):
-            raise self.refused("FMI 2 or 3", f"FMI {version}")
+            raise self.refusal("FMI 2 or 3", f"FMI {version}")
         self.is_third = version.startswith("3.")
         kinds = {EXCHANGE: self.description.modelExchange, CO_SIMULATION: self.description.coSimulation}
-        found = [kind for kind, stated in kinds.items() if stated is not None]
-        if not found:
-            raise self.refused("model exchange or co-simulation", "scheduled execution alone")
-        self.kind = found[0]
+        offered = [kind for kind, stated in kinds.items() if stated is not None]
+        if not offered:
+            raise self.refusal("model exchange or co-simulation", "scheduled execution alone")
+        self.kind = offered[0]
 
-    def refused(self, expected: str, found: str) -> UsageError:
-        """The error that says what was expected of this file and what was found."""
+    def refusal(self, expected: str, found: str) -> UsageError:
+        """The error with what was expected of this file and what was found."""
         return UsageError(f"{self.path}: expected {expected}, found {' '.join(found.split())[:300]}")
 
     def variables(self, causality: str) -> list[Any]:
@@ -85,23 +85,23 @@ class FmuFile:
                 logger=_silent,
             )
         except Exception as error:  # fmpy raises Exception itself
-            here = load_optional("fmpy", PURPOSE).platform
-            raise self.refused(f"a binary that runs here ({here})", str(error)) from error
+            platform = load_optional("fmpy", PURPOSE).platform
+            raise self.refusal(f"a binary that runs here ({platform})", str(error)) from error
 
 
 @contextmanager
 def answers(file: FmuFile, what: str) -> Iterator[None]:
-    """Says which question an FMU could not answer."""
+    """Raises UsageError with the call that an FMU could not answer."""
     try:
         yield
     except Exception as error:
         if type(error).__name__ != "FMICallException":  # a class of fmpy, which need not be installed
             raise
-        raise file.refused(what, str(error)) from error
+        raise file.refusal(what, str(error)) from error
 
 
 def _silent(*_: object) -> None:
-    """What an FMU says of itself goes nowhere; what fails is said by its status."""
+    """Drops the log of an FMU: a failed call reports its status."""
 
 
 class Calls:
@@ -124,7 +124,7 @@ class Calls:
                 self._fmu.enterInitializationMode()
             self._fmu.exitInitializationMode()
         except Exception as error:  # FMICallException is an Exception of fmpy
-            raise self._file.refused(
+            raise self._file.refusal(
                 "an FMU that is reset and initialised anew with its parameters", str(error)
             ) from error
 
@@ -141,7 +141,7 @@ class Calls:
 
 
 class Exchanged(Calls):
-    """An FMU for model exchange: its states are set, and its derivatives are asked for."""
+    """An FMU for model exchange: its states are set, and its derivatives are read."""
 
     def __init__(self, file: FmuFile, drive: int, *, with_events: bool) -> None:
         super().__init__(file)
@@ -185,7 +185,7 @@ class Exchanged(Calls):
         for _ in range(MOST_ROUNDS):
             if not update()[0]:
                 return
-        raise self._file.refused(
+        raise self._file.refusal(
             f"discrete states that settle within {MOST_ROUNDS} updates", "some that go on changing"
         )
 

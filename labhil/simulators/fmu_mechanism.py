@@ -12,7 +12,7 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import Exchanged, FmuFile, Stepping, answers
-from labhil.simulators.pointwise import accelerations_at, extrapolated, rolled_out
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_windows
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
 
@@ -43,7 +43,7 @@ class ExchangedMechanism:
             self._at(numbers)
             return self._rates(t, state, drive)
 
-    def begun(self, numbers: Sequence[float]) -> tuple[float, ...]:
+    def start_states(self, numbers: Sequence[float]) -> tuple[float, ...]:
         """The states at which it starts by itself."""
         with self._lock:
             self._begun = None
@@ -70,7 +70,7 @@ class ExchangedMechanism:
         """Position and velocity (N, 2) by steps of Runge and Kutta under the mean of the input."""
         with self._lock:
             self._at(numbers)
-            return rolled_out(record, nodes, windows, states, self._go)
+            return step_windows(record, nodes, windows, states, self._go)
 
     def _go(self, state: FloatArray, drive: float, length: float) -> FloatArray:
         parts = max(1, ceil(length / STEP))
@@ -84,9 +84,9 @@ class ExchangedMechanism:
         return state
 
     def _rates(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> list[float]:
-        own = [float(x) for x in state][:: self._turn]
-        with answers(self._file, f"derivatives at states {own}, input {drive:g}"):
-            return list(self._fmu.rates(t, own, drive))[:: self._turn]
+        ordered = [float(x) for x in state][:: self._turn]
+        with answers(self._file, f"derivatives at states {ordered}, input {drive:g}"):
+            return list(self._fmu.rates(t, ordered, drive))[:: self._turn]
 
     def _at(self, numbers: Sequence[float]) -> None:
         """Initialise it anew where its parameters have changed."""
@@ -140,15 +140,15 @@ class SteppingMechanism:
                 return np.array(self._fmu.step(drive, length))
 
         with self._lock:
-            return rolled_out(record, nodes, windows, states, go, begin)
+            return step_windows(record, nodes, windows, states, go, begin)
 
     def _rates(self, starts: Mapping[int, float], state: Sequence[float], drive: float) -> list[float]:
         h = self._step
         with answers(self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"):
             self._fmu.start(starts, state, drive)
-            here = np.asarray(state, dtype=np.float64)
+            begin = np.asarray(state, dtype=np.float64)
             once, twice = (np.array(self._fmu.step(drive, h)) for _ in range(2))
-        return [float(x) for x in extrapolated(here, once, twice, h)]
+        return [float(x) for x in extrapolate_rates(begin, once, twice, h)]
 
     def _starts(self, numbers: Sequence[float]) -> dict[int, float]:
         return {k: float(x) for k, x in zip(self._parameters, numbers, strict=False)}

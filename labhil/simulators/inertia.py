@@ -72,13 +72,13 @@ class Realised:
     armature: FloatArray
 
 
-def realised(
+def realise(
     chain: Chain, begin: FloatArray, wanted: FloatArray, rest: FloatArray, armature: FloatArray
 ) -> Realised:
     """Bodies and rotors that load the joints as wanted ones do.
 
-    Some inertia acts just as a rotor's (of a joint that the base carries, about its axis). How much of both
-    there is nobody can tell, so that either may take from the other what brings the bodies near ``begin``.
+    Some inertia acts just as a rotor's (of a joint that the base carries, about its axis). Their shares
+    cannot be identified, so that either may take from the other what brings the bodies near ``begin``.
 
     Args:
         chain: The arm.
@@ -90,27 +90,27 @@ def realised(
     Returns:
         The nearest bodies to ``begin``; those of a link that need no change are unchanged.
     """
-    own, like_rotor = grouped(chain), _like_rotors(chain)
-    size, load = _sizes(begin), own.shares @ (wanted - rest - begin)
-    if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(own.shares) @ size, 1e-12)):
+    groups, like_rotor = grouped(chain), _like_rotors(chain)
+    size, load = _sizes(begin), groups.shares @ (wanted - rest - begin)
+    if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(groups.shares) @ size, 1e-12)):
         return Realised(begin, armature)
     free = np.maximum(np.abs(armature), REACH**2)
-    weighed = np.column_stack([own.shares * size, like_rotor * free])
-    found = np.linalg.lstsq(weighed, load, rcond=1e-10)[0]
-    found[np.abs(found) < 1e-9] = 0.0
-    change, rotor = size * found[: len(size)], armature + free * found[len(size) :]
+    weighed = np.column_stack([groups.shares * size, like_rotor * free])
+    solution = np.linalg.lstsq(weighed, load, rcond=1e-10)[0]
+    solution[np.abs(solution) < 1e-9] = 0.0
+    change, rotor = size * solution[: len(size)], armature + free * solution[len(size) :]
     before, after = begin.reshape(-1, PER_LINK), (begin + change).reshape(-1, PER_LINK)
     bodies = all(np.array_equal(old, new) or is_body(new) for old, new in zip(before, after, strict=True))
     if bodies and np.all((rotor >= 0.0) | (rotor == armature)):
         return Realised(begin + change, rotor)
-    return _nearest_bodies(chain, begin, armature, own.shares, like_rotor, load)
+    return _nearest_bodies(chain, begin, armature, groups.shares, like_rotor, load)
 
 
 def _sizes(begin: FloatArray) -> FloatArray:
     """What a usual change of each parameter is, (10 n,)."""
     mass = np.maximum(begin[::PER_LINK], LIGHTEST)
-    one = np.array([1.0, *[REACH] * 3, *[REACH**2] * 6])
-    return np.asarray((mass[:, None] * one).ravel())
+    per_mass = np.array([1.0, *[REACH] * 3, *[REACH**2] * 6])
+    return np.asarray((mass[:, None] * per_mass).ravel())
 
 
 def _motion(chain: Chain) -> tuple[FloatArray, FloatArray]:
@@ -127,8 +127,8 @@ def _like_rotors(chain: Chain) -> FloatArray:
     columns, rotors = _motion(chain)
     kept = columns[:, list(grouped(chain).kept)]
     alike = np.linalg.lstsq(kept, rotors, rcond=1e-10)[0]
-    left = np.linalg.norm(rotors - kept @ alike, axis=0) / np.linalg.norm(rotors, axis=0)
-    return np.where(left < ALIKE, alike, 0.0)
+    missed = np.linalg.norm(rotors - kept @ alike, axis=0) / np.linalg.norm(rotors, axis=0)
+    return np.where(missed < ALIKE, alike, 0.0)
 
 
 def _nearest_bodies(
@@ -150,9 +150,9 @@ def _nearest_bodies(
 
     def bodies(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         out = np.empty((n, PER_LINK))
-        for link, own in enumerate(z[n:].reshape(n, -1)):
+        for link, entries in enumerate(z[n:].reshape(n, -1)):
             factor = np.zeros((4, 4))
-            factor[lower] = own
+            factor[lower] = entries
             thick = 2e-6 * THIN * factor[3] @ factor[3]
             out[link] = parameters_of(factor @ factor.T + np.diag([thick, thick, thick, 0.0]))
         return out.ravel(), z[:n] ** 2
@@ -183,7 +183,7 @@ def at_centre(pi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     return float(m), centre, np.asarray(i - m * (centre @ centre * np.eye(3) - np.outer(centre, centre)))
 
 
-def moved(pi: FloatArray, by: FloatArray) -> FloatArray:
+def shift_origin(pi: FloatArray, by: FloatArray) -> FloatArray:
     """The same body's parameters about an origin from which it lies ``by`` (3,) m farther."""
     if not np.any(by):
         return pi

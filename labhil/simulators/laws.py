@@ -44,7 +44,7 @@ def acceleration_of(simulator: Simulator) -> Callable[[float, float, float, Any]
 
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
     try:
-        _called(acceleration)(0.0, 0.0, 0.0, parameters(*values))
+        _callable_from_python(acceleration)(0.0, 0.0, 0.0, parameters(*values))
     except numba.core.errors.NumbaError as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         raise UsageError(
@@ -54,7 +54,7 @@ def acceleration_of(simulator: Simulator) -> Callable[[float, float, float, Any]
     return acceleration
 
 
-def _called(function: Callable[..., float]) -> Callable[..., float]:
+def _callable_from_python(function: Callable[..., float]) -> Callable[..., float]:
     """A specialised function as Python can call it."""
     njit: Any = numba.njit
 
@@ -62,8 +62,8 @@ def _called(function: Callable[..., float]) -> Callable[..., float]:
     def call(x: float, v: float, u: float, p: Any) -> float:
         return function(x, v, u, p)
 
-    found: Callable[..., float] = call
-    return found
+    compiled: Callable[..., float] = call
+    return compiled
 
 
 def kernels_of(simulator: Simulator) -> Kernels:
@@ -89,10 +89,10 @@ def kernels_of(simulator: Simulator) -> Kernels:
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
     def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
-        found = np.zeros(x.size)
+        forces = np.zeros(x.size)
         for k in range(x.size):
             if v[k] != 0.0:
-                found[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
-        return found
+                forces[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
+        return forces
 
-    return Kernels(_called(acceleration), pulls, outer, outer_pushed)
+    return Kernels(_callable_from_python(acceleration), pulls, outer, outer_pushed)

@@ -111,7 +111,7 @@ class Mechanism:
     def __init__(
         self, model: Any, driven: Driven, values: Sequence[Value], held: Held, late: float = 0.0
     ) -> None:
-        self._model, self._driven, self.values, self._own, self._late = model, driven, values, held, late
+        self._model, self._driven, self.values, self._held, self._late = model, driven, values, held, late
         self._smooth = _smooth(model, driven)
         self.push: Push | None = None
         self._data = load_optional("mujoco", PURPOSE).MjData(self._smooth)
@@ -122,12 +122,12 @@ class Mechanism:
 
         What all sensors are late by, the input may be as well: the recorded state is then the delayed one.
         """
-        return replace(self._own, delay=self._own.delay + self._late)
+        return replace(self._held, delay=self._held.delay + self._late)
 
     @property
     def input_delay(self) -> float:
         """How late the file's actuator alone is, s."""
-        return self._own.delay
+        return self._held.delay
 
     @property
     def timestep(self) -> float:
@@ -159,14 +159,14 @@ class Mechanism:
     def inertia(self, numbers: Sequence[float]) -> float:
         """What a force at the joint is divided by, kg·m² or kg."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model, data, found = self._at(self._smooth, numbers, smooth=True), self._data, []
+        model, data, accelerations = self._at(self._smooth, numbers, smooth=True), self._data, []
         data.qpos[0], data.qvel[0] = 0.0, 0.0
         for force in (0.0, 1.0):
             data.qfrc_applied[0] = force
             mujoco.mj_forward(model, data)
-            found.append(float(data.qacc[0]))
+            accelerations.append(float(data.qacc[0]))
         data.qfrc_applied[0] = 0.0
-        return 1.0 / (found[1] - found[0])
+        return 1.0 / (accelerations[1] - accelerations[0])
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
@@ -178,26 +178,26 @@ class Mechanism:
 
     def _at(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:
         mujoco = load_optional("mujoco", PURPOSE)
-        found = model if smooth else deepcopy(model)
+        changed = model if smooth else deepcopy(model)
         for value, number in zip(self.values, numbers, strict=False):
-            write_value(found, value.field, value.of, number)
-        mujoco.mj_setConst(found, self._data if smooth else mujoco.MjData(found))
-        return found
+            write_value(changed, value.field, value.of, number)
+        mujoco.mj_setConst(changed, self._data if smooth else mujoco.MjData(changed))
+        return changed
 
 
 def _smooth(model: Any, driven: Driven) -> Any:
     """The model without what makes its acceleration jump or bend, all of which is solved apart."""
     mujoco = load_optional("mujoco", PURPOSE)
-    found = deepcopy(model)
+    smooth = deepcopy(model)
     off = mujoco.mjtDisableBit
-    found.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT) | int(off.mjDSBL_FRICTIONLOSS)
+    smooth.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT) | int(off.mjDSBL_FRICTIONLOSS)
     for field in RUBS:
-        write_value(found, field, 0, 0.0)
+        write_value(smooth, field, 0, 0.0)
     if driven.actuator >= 0:
-        found.actuator_ctrllimited[:] = 0
-        found.actuator_forcelimited[:] = 0
-        if hasattr(found, "actuator_delay"):
-            found.actuator_delay[:] = 0.0
-    if hasattr(found, "jnt_actfrclimited"):
-        found.jnt_actfrclimited[:] = 0
-    return found
+        smooth.actuator_ctrllimited[:] = 0
+        smooth.actuator_forcelimited[:] = 0
+        if hasattr(smooth, "actuator_delay"):
+            smooth.actuator_delay[:] = 0.0
+    if hasattr(smooth, "jnt_actfrclimited"):
+        smooth.jnt_actfrclimited[:] = 0
+    return smooth

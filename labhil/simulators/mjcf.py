@@ -122,8 +122,8 @@ def _only_joint(model: Any, file: Path, has: Names) -> int:
     if model.nv != 1 or model.njnt != 1 or model.jnt_type[0] not in kinds:
         raise UsageError(
             f"{file}: expected one hinge or slide joint and no other degree of freedom, found "
-            f"{model.nv} degrees of freedom ({has.listed()}); weld what is not measured, or take the joint's "
-            "part into a file of its own"
+            f"{model.nv} degrees of freedom ({has.listing()}); weld what is not measured, or take the "
+            "joint's part into a file of its own"
         )
     if model.na:
         raise UsageError(
@@ -140,7 +140,7 @@ def _input(
     if stated is None:
         if len(has.actuators) != 1:
             raise UsageError(
-                f"{file}: expected one actuator, found {len(has.actuators)} ({has.listed()}); say which "
+                f"{file}: expected one actuator, found {len(has.actuators)} ({has.listing()}); say which "
                 'one the recorded input drives: inputs = { torque = "NAME" }, a joint\'s name for a torque '
                 "or force at the joint"
             )
@@ -154,7 +154,7 @@ def _input(
         return identifier(signal), Driven(-1, 0)
     known = (*has.actuators, *has.joints)
     raise UsageError(
-        f"{file}: inputs: {signal}: no actuator or joint {of!r}{suggestion(of, known)}; {has.listed()}"
+        f"{file}: inputs: {signal}: no actuator or joint {of!r}{suggestion(of, known)}; {has.listing()}"
     )
 
 
@@ -176,22 +176,22 @@ def _outputs(
     given = (
         stated if stated is not None else {s: s for s in sensors} or {has.joints[joint]: has.joints[joint]}
     )
-    found: dict[bool, str] = {}
+    signals: dict[bool, str] = {}
     for signal, of in given.items():
         if of not in sensors and of != has.joints[joint]:
             known = (*sensors, has.joints[joint])
             raise UsageError(
                 f"{file}: outputs: {signal}: no joint or sensor of position or velocity "
-                f"{of!r}{suggestion(of, known)}; {has.listed()}"
+                f"{of!r}{suggestion(of, known)}; {has.listing()}"
             )
         is_rate = of in sensors and int(model.sensor_type[has.sensors.index(of)]) == velocities
-        found.setdefault(is_rate, identifier(signal))
-    if not found:
-        raise UsageError(f"{file}: outputs: expected one signal at least, found none; {has.listed()}")
-    position = found.get(False, identifier(has.joints[joint]))
-    velocity = found.get(True, f"{position}_velocity")
+        signals.setdefault(is_rate, identifier(signal))
+    if not signals:
+        raise UsageError(f"{file}: outputs: expected one signal at least, found none; {has.listing()}")
+    position = signals.get(False, identifier(has.joints[joint]))
+    velocity = signals.get(True, f"{position}_velocity")
     used = tuple(has.sensors.index(of) for of in given.values() if of in sensors)
-    return position, velocity, tuple(found.values()), used
+    return position, velocity, tuple(signals.values()), used
 
 
 def _values(model: Any, joint: int, driven: Driven, hinge: bool) -> Iterable[Value]:
@@ -287,8 +287,8 @@ def _check_moves(file: Path, mechanism: Mechanism, starts: list[float], signal: 
     inertia = mechanism.inertia(starts)
     if not inertia > 0.0:
         raise UsageError(f"{file}: expected a joint with an inertia above 0, found {inertia:g}")
-    here, ask = np.zeros(2), mechanism.ask(starts)
-    rest, pushed = ask(here, here, np.array([0.0, 1.0])).tolist()
+    origin, ask = np.zeros(2), mechanism.ask(starts)
+    rest, pushed = ask(origin, origin, np.array([0.0, 1.0])).tolist()
     if rest == pushed:
         raise UsageError(
             f"{file}: inputs: expected {signal} to push the joint, found that it changes nothing: a gain or "

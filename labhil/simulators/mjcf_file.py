@@ -25,7 +25,7 @@ class Names:
     actuators: tuple[str, ...]
     sensors: tuple[str, ...]
 
-    def listed(self) -> str:
+    def listing(self) -> str:
         """For messages."""
         return "; ".join(
             f"{what}: {', '.join(names) or 'none'}"

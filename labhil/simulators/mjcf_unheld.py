@@ -1,4 +1,4 @@
-"""What a MuJoCo file has that one compiled joint cannot hold: refused, or said in a note.
+"""What a MuJoCo file has that one compiled joint cannot hold: refused, or stated in a note.
 
 A table of the joint's acceleration holds what is smooth in position, velocity and input. What holds the
 joint, what remembers, and what drives it without an end is refused before anything is fitted. What matters
@@ -26,9 +26,9 @@ NEGATIVE = {**dict.fromkeys(RUBS, "pushes the joint on"), Field.ARMATURE: "takes
 
 
 def refuse_unheld(model: Any, file: Path) -> None:
-    """UsageError for what cannot be one smooth acceleration; says what it is and what to do."""
-    for found, what in _unheld(model):
-        if found:
+    """UsageError for what cannot be one smooth acceleration, with what it is and what to do."""
+    for present, what in _unheld(model):
+        if present:
             raise UsageError(f"{file}: {what}")
     for field, does in NEGATIVE.items():
         value = read_value(model, field, 0)
@@ -40,7 +40,7 @@ def refuse_unheld(model: Any, file: Path) -> None:
 
 
 def _unheld(model: Any) -> Iterator[tuple[bool, str]]:
-    """Whether a file has each thing that is refused, and what is said of it."""
+    """Whether a file has each thing that is refused, and the message for it."""
     active = int(np.sum(model.eq_active0)) if model.neq else 0
     yield (
         bool(active),
@@ -89,16 +89,16 @@ def notes_on(model: Any, names: Names, driven: int, sensors: Iterable[int]) -> t
 
 
 def _on_sensor(model: Any, sensor: int, name: str) -> str:
-    found = []
+    limits = []
     every, cut = _of_sensor(model, "sensor_interval", sensor), float(model.sensor_cutoff[sensor])
     if np.ndim(every):
         every = every[0]
     if float(every) > 0.0:
-        found.append(f"it is read every {float(every):g} s")
+        limits.append(f"it is read every {float(every):g} s")
     if cut > 0.0:
-        found.append(f"it reads no more than ±{cut:g}")
-    return f"sensor {name}: {' and '.join(found)} in the file; what is fitted reads it as it is." * bool(
-        found
+        limits.append(f"it reads no more than ±{cut:g}")
+    return f"sensor {name}: {' and '.join(limits)} in the file; what is fitted reads it as it is." * bool(
+        limits
     )
 
 

@@ -23,7 +23,7 @@ from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 from labhil.simulators.catalogue import Sizes, catalogue, rates
-from labhil.simulators.confounded import confounded, dependent
+from labhil.simulators.confounded import find_confounded, find_dependent
 from labhil.simulators.laws import Kernels, kernels_of
 from labhil.simulators.probing import dead_parameters
 from labhil.simulators.stepped import Held, Stepped
@@ -36,7 +36,7 @@ STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""
 
 PLACES = 12
-"""Places along a recording at which the stiffness of the right-hand side is looked at."""
+"""Places along a recording at which the stiffness of the right-hand side is evaluated."""
 
 FEWEST_ROWS = 40
 """Samples that a scored horizon has at least."""
@@ -52,15 +52,15 @@ _KERNELS: dict[int, tuple[Simulator, Kernels]] = {}
 def compiled_of(simulator: Simulator) -> Kernels:
     """The kernels of a simulator, compiled once in a process; of stepped ones, once for all."""
     if simulator.stepped is not None:
-        return Kernels(tabulated.looked_up, tabulated.pulls, tabulated.run, tabulated.run_pushed)
-    found = _KERNELS.get(id(simulator.f))
-    if found is None or found[0].f is not simulator.f or found[0].states != simulator.states:
-        found = _KERNELS[id(simulator.f)] = (simulator, kernels_of(simulator))
-    return found[1]
+        return Kernels(tabulated.look_up, tabulated.pulls, tabulated.run, tabulated.run_pushed)
+    entry = _KERNELS.get(id(simulator.f))
+    if entry is None or entry[0].f is not simulator.f or entry[0].states != simulator.states:
+        entry = _KERNELS[id(simulator.f)] = (simulator, kernels_of(simulator))
+    return entry[1]
 
 
-class Own(NamedTuple):
-    """What the right-hand side says of itself at some values of its parameters."""
+class LocalDynamics(NamedTuple):
+    """The right-hand side at some values of its parameters: gain, inertia, and largest slopes."""
 
     values: Any
     gain: float
@@ -94,57 +94,61 @@ class SimulatorModel:
         self.columns = [list(simulator.states).index(name) for name in simulator.outputs]
         self._velocity_column = self.columns.index(1) if 1 in self.columns else None
         self._path = DrivenPath()
-        self._remembered: dict[tuple[float, ...], Own] = {}
+        self._remembered: dict[tuple[float, ...], LocalDynamics] = {}
         self._places = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
         self._held = Held() if simulator.stepped is None else simulator.stepped.held
         self._reach = Reach()
         self._shape: Shape | None = None
-        own = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
-        self._set(own, {}, Sizes())
-        self._measure(own, record)
+        parameters = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
+        self._set(parameters, {}, Sizes())
+        self._measure(parameters, record)
         self.horizon = rig.metric.horizon or simulator.horizon or self.sizes.horizon
         self.unobservable_terms: Mapping[str, str] = {}
         self.notes: list[str] = []
         if record is not None:
-            self._try_out(own, record)
+            self._try_out(parameters, record)
 
-    def _set(self, own: tuple[Parameter, ...], terms: Mapping[str, Term], sizes: Sizes) -> None:
+    def _set(self, parameters: tuple[Parameter, ...], terms: Mapping[str, Term], sizes: Sizes) -> None:
         self.sizes, self.terms = sizes, terms
-        self.parameters = own + tuple(p for term in terms.values() for p in term.parameters)
+        self.parameters = parameters + tuple(p for term in terms.values() for p in term.parameters)
         self._values = Values(self.fixed, self.parameters)
         self.state_scale = np.array([0.02 * sizes.span, 0.1 * sizes.speed])
 
-    def _measure(self, own: tuple[Parameter, ...], record: Record | None) -> None:
+    def _measure(self, parameters: tuple[Parameter, ...], record: Record | None) -> None:
         """Take scales and terms from a recording."""
         sizes = Sizes()
         if record is not None:
             self._look_along(record)
-            at = self._own(start_values(own))
+            at = self._dynamics(start_values(parameters))
             sizes = Sizes.of(record, self._velocity_column, at.inertia, at.gain)
             rows = np.linspace(0, len(record) - 2, PLACES).astype(int)
             begun = self.initial_states(record, Windows.of([(r, min(r + 8, len(record))) for r in rows]))
             self._places = np.column_stack([begun, record.inputs[rows, 0]])
             self._remembered.clear()
-            swing = 2.0 * np.pi / float(np.sqrt(max(self._own(start_values(own)).stiff, 1e-12)))
+            swing = 2.0 * np.pi / float(np.sqrt(max(self._dynamics(start_values(parameters)).stiff, 1e-12)))
             shortest = FEWEST_ROWS * record.period
             # one swing: what goes over its upper rest forgets within a few where it came from
             sizes = replace(sizes, horizon=max(min(sizes.horizon, swing), shortest))
         length = self.simulator.states[self.position]
         channel, unit = next(iter(self.simulator.outputs.items()))
         drive = next(iter(self.simulator.inputs.values()))
-        self._set(own, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes)
+        self._set(
+            parameters, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes
+        )
 
     def _look_along(self, record: Record) -> None:
-        """Take from a recording where the simulator will be asked."""
+        """Take the range in which the simulator will be evaluated from a recording."""
         place = record.outputs[:, 0] if self.columns[0] == 0 else None
-        speeds = np.concatenate([rates(each, self._velocity_column) for each in record.recordings()])
+        speeds = np.concatenate(
+            [rates(recording, self._velocity_column) for recording in record.recordings()]
+        )
         self._reach = Reach.along(place, speeds, record.inputs[:, 0], record.countable, self._held.clip)
         self._shape = None
         self._remembered.clear()
 
-    def _try_out(self, own: tuple[Parameter, ...], record: Record) -> None:
-        """Find what of the parameters never reaches the outputs, and which effects look like others."""
-        windows = _short(record, self.horizon)
+    def _try_out(self, parameters: tuple[Parameter, ...], record: Record) -> None:
+        """Find parameters that never reach the outputs, and effects that look like others."""
+        windows = _short_windows(record, self.horizon)
         states, theta = self.initial_states(record, windows), start_values(self.parameters)
 
         def simulate(values: FloatArray) -> FloatArray:
@@ -155,23 +159,23 @@ class SimulatorModel:
                 f"simulator {self.kind!r}: expected finite outputs along the recording at the starts of its "
                 "parameters, found some that are none; give starts that are nearer, or bounds"
             )
-        dead = dead_parameters(simulate, theta, [p.name for p in own])
+        dead = dead_parameters(simulate, theta, [p.name for p in parameters])
         self.notes = [*self.simulator.notes]
         self.notes += [_dead_note(name, self.simulator, self.kind) for name in dead]
-        alive = self._without(own, dead)
+        alive = self._without(parameters, dead)
         if self.simulator.stepped is not None:
-            self.notes += self._beside_itself(self.simulator.stepped, record, windows, states)
-            same = dependent(self, alive, record, windows, states)
+            self.notes += self._compare_with_own_steps(self.simulator.stepped, record, windows, states)
+            same = find_dependent(self, alive, record, windows, states)
             self.notes += [_same_note(name, self.simulator) for name in same]
             alive = self._without(alive, same)
-        self.unobservable_terms = confounded(self, alive, record, windows, states)
-        left = {key: term for key, term in self.terms.items() if key not in self.unobservable_terms}
-        self._set(alive, left, self.sizes)
+        self.unobservable_terms = find_confounded(self, alive, record, windows, states)
+        observable = {key: term for key, term in self.terms.items() if key not in self.unobservable_terms}
+        self._set(alive, observable, self.sizes)
 
-    def _beside_itself(
+    def _compare_with_own_steps(
         self, stepped: Stepped, record: Record, windows: Windows, states: FloatArray
     ) -> list[str]:
-        """A note where the simulator, stepping by itself, goes elsewhere than what is fitted."""
+        """A note where the simulator's own steps differ from the fitted simulation."""
         theta, index = start_values(self.parameters), index_of(self.parameters)
         for name, value in self.nominal.items():
             if name in index:
@@ -188,21 +192,21 @@ class SimulatorModel:
         share = float(np.sqrt(np.mean((itself - fitted) ** 2))) / (float(np.std(fitted)) or 1.0)
         return [_strays_note(self.kind, share)] if share > STRAYS else []
 
-    def _without(self, own: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
-        """The other parameters; these stay at their starts."""
-        self.fixed |= {p.name: p.starts[0] for p in own if p.name in names}
-        left = tuple(p for p in own if p.name not in names)
-        self._set(left, self.terms, self.sizes)
-        return left
+    def _without(self, parameters: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
+        """The parameters without these, which stay at their starts."""
+        self.fixed |= {p.name: p.starts[0] for p in parameters if p.name in names}
+        kept = tuple(p for p in parameters if p.name not in names)
+        self._set(kept, self.terms, self.sizes)
+        return kept
 
     def with_force(self, force: ExtraForce) -> SimulatorModel:
         """The same simulator under one more force."""
-        other = copy.copy(self)
-        other._extra = force
-        return other
+        forced = copy.copy(self)
+        forced._extra = force
+        return forced
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon, s: as stated, or two periods of the measured motion."""
+        """Scored horizon, s: as stated, or a swing, at most a period of the measured motion."""
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
@@ -226,9 +230,9 @@ class SimulatorModel:
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured states, (N, channels)."""
-        found = self._trajectory(theta, record, windows, states)[:, self.columns]
-        found[:, 0] = self._values.sensed(theta, record, windows, found[:, 0])
-        return found
+        outputs = self._trajectory(theta, record, windows, states)[:, self.columns]
+        outputs[:, 0] = self._values.sensed(theta, record, windows, outputs[:, 0])
+        return outputs
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
@@ -262,28 +266,28 @@ class SimulatorModel:
     def _kernels(self) -> Kernels:
         return compiled_of(self.simulator)
 
-    def _own(self, theta: FloatArray) -> Own:
-        """The right-hand side at these values, remembered: most simulations change other parameters."""
+    def _dynamics(self, theta: FloatArray) -> LocalDynamics:
+        """The right-hand side at these values, cached: most simulations change other parameters."""
         names = self.simulator.parameters
         numbers = tuple(self._values.of(theta, name) for name in names) or (0.0,)
-        found = self._remembered.get(numbers)
-        if found is None:
+        dynamics = self._remembered.get(numbers)
+        if dynamics is None:
             if len(self._remembered) >= REMEMBERED:
                 self._remembered.clear()
-            found = self._remembered[numbers] = self._looked_at(numbers)
-        return found
+            dynamics = self._remembered[numbers] = self._linearise(numbers)
+        return dynamics
 
-    def _looked_at(self, numbers: tuple[float, ...]) -> Own:
-        p, f = self._asked(numbers), self._kernels.acceleration
+    def _linearise(self, numbers: tuple[float, ...]) -> LocalDynamics:
+        p, f = self._kernel_parameters(numbers), self._kernels.acceleration
         gain = f(0.0, 0.0, 1.0, p) - f(0.0, 0.0, 0.0, p)
         inertia = self._stated_inertia(numbers)
         stiff = quick = 0.0
         for x, v, u in self._places.tolist():
-            here = f(x, v, u, p)
-            stiff = max(stiff, abs(f(x + NUDGE, v, u, p) - here) / NUDGE)
-            quick = max(quick, abs(f(x, v + NUDGE, u, p) - here) / NUDGE)
+            base = f(x, v, u, p)
+            stiff = max(stiff, abs(f(x + NUDGE, v, u, p) - base) / NUDGE)
+            quick = max(quick, abs(f(x, v + NUDGE, u, p) - base) / NUDGE)
         mass = abs(inertia) if inertia is not None else 1.0 / max(abs(gain), 1e-12)
-        return Own(p, gain, mass, stiff, quick)
+        return LocalDynamics(p, gain, mass, stiff, quick)
 
     def _stated_inertia(self, numbers: tuple[float, ...]) -> float | None:
         if self.simulator.stepped is not None:
@@ -291,8 +295,8 @@ class SimulatorModel:
         name = self.simulator.coordinate.inertia
         return dict(zip(self.simulator.parameters, numbers, strict=False)).get(name)
 
-    def _asked(self, numbers: tuple[float, ...]) -> Any:
-        """What the kernels take of the simulator at these values."""
+    def _kernel_parameters(self, numbers: tuple[float, ...]) -> Any:
+        """The simulator at these values, in the form that the kernels take."""
         if self.simulator.stepped is None:
             return self.simulator.records[2](*numbers)
         ask = self.simulator.stepped.ask(numbers)
@@ -302,8 +306,8 @@ class SimulatorModel:
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:
         """What the kernel takes, and the inertia with what was added to it."""
-        own = self._own(theta)
-        inertia = own.inertia + self._values.of(theta, "added_inertia.inertia")
+        dynamics = self._dynamics(theta)
+        inertia = dynamics.inertia + self._values.of(theta, "added_inertia.inertia")
 
         def over(name: str) -> float:
             return self._values.of(theta, name) / inertia
@@ -314,14 +318,14 @@ class SimulatorModel:
             self._values.of(theta, "cogging_torque.order"), -np.inf, np.inf, 0.0,
         )  # fmt: skip
         law = tuple(self._values.friction_law(theta, inertia).tolist())
-        share = own.inertia / inertia
-        load = abs(own.gain) * share
-        return (own.values, Pushes(extra, law, share, load, own.stiff, own.quick)), inertia
+        share = dynamics.inertia / inertia
+        load = abs(dynamics.gain) * share
+        return (dynamics.values, Pushes(extra, law, share, load, dynamics.stiff, dynamics.quick)), inertia
 
     def _on_the_way(self, theta: FloatArray, name: str) -> float:
         """A value of the way in, with the delay that the simulator has of its own."""
-        own = self._held.delay if name == "time_delay.delay" else 0.0
-        return self._values.of(theta, name) + own
+        delay = self._held.delay if name == "time_delay.delay" else 0.0
+        return self._values.of(theta, name) + delay
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
@@ -345,7 +349,7 @@ def _velocity_name(position: str, velocity: str) -> str:
     return velocity if velocity.endswith("_velocity") else f"{position}_velocity"
 
 
-def _short(record: Record, horizon: float) -> Windows:
+def _short_windows(record: Record, horizon: float) -> Windows:
     """A few windows along a record, each of a horizon at most."""
     rows = max(8, int(horizon / record.period))
     spans = [

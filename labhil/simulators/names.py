@@ -7,5 +7,5 @@ import re
 
 def identifier(text: str) -> str:
     """A name of letters, digits and _ that is near to any text."""
-    found = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
-    return found if not found[0].isdigit() else f"_{found}"
+    name = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
+    return name if not name[0].isdigit() else f"_{name}"

@@ -1,4 +1,4 @@
-"""Values and effects that were found, as changes of a MuJoCo file; what it cannot hold is left over."""
+"""Identified values and effects as changes of a MuJoCo file; what it cannot hold is left over."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def number(value: float) -> str:
     return f"{value:.6g}"
 
 
-def patched(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
+def patch_mjcf(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
     """Put values into the text of a file.
 
     Args:
@@ -56,30 +56,30 @@ def patched(described: Described, text: XmlText, values: Mapping[str, float]) ->
         raise UsageError(
             f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
-    own = {value.name: value for value in described.mechanism.values}
-    left = with_holding(described, values)
-    for name, value in own.items():
-        if name in left:
-            _set_own(described, text, value, left.pop(name))
+    in_file = {value.name: value for value in described.mechanism.values}
+    remaining = with_holding(described, values)
+    for name, value in in_file.items():
+        if name in remaining:
+            _set_value_of_file(described, text, value, remaining.pop(name))
     for name, put in EFFECTS.items():
-        if name in left and put(described, text, left[name]):
-            del left[name]
-    return Patched(text, without_shapes(left))
+        if name in remaining and put(described, text, remaining[name]):
+            del remaining[name]
+    return Patched(text, without_shapes(remaining))
 
 
 def with_holding(described: Described, values: Mapping[str, float]) -> dict[str, float]:
     """Values with dry friction that holds with all of it; what the file has beside them is taken out."""
     rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
-    left = rubs | dict(values)
-    held = sum(left.get(name, 0.0) for name in HOLDING)
+    merged = rubs | dict(values)
+    held = sum(merged.get(name, 0.0) for name in HOLDING)
     if held:
-        left[RUBS[Field.FRICTIONLOSS]] = left.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
-    return left
+        merged[RUBS[Field.FRICTIONLOSS]] = merged.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
+    return merged
 
 
-def without_shapes(left: Mapping[str, float]) -> dict[str, float]:
+def without_shapes(values: Mapping[str, float]) -> dict[str, float]:
     """Values that do something."""
-    return {name: value for name, value in left.items() if value and _acts(name, left)}
+    return {name: value for name, value in values.items() if value and _acts(name, values)}
 
 
 def _acts(name: str, values: Mapping[str, float]) -> bool:
@@ -89,7 +89,7 @@ def _acts(name: str, values: Mapping[str, float]) -> bool:
         "stribeck_friction": ("stribeck_friction.level",),
         "cogging_torque": ("cogging_torque.sine", "cogging_torque.cosine"),
     }
-    return any(values.get(each) for each in shapes.get(term, (name,)))
+    return any(values.get(level) for level in shapes.get(term, (name,)))
 
 
 def stiffen_friction(described: Described, text: XmlText, parts: int = 1) -> None:
@@ -119,7 +119,7 @@ def shorten_step(described: Described, text: XmlText, parts: int) -> None:
             text.set(actuator, "nsample", str(int(count) * parts), why)
 
 
-def _set_own(described: Described, text: XmlText, value: Value, new: float) -> None:
+def _set_value_of_file(described: Described, text: XmlText, value: Value, new: float) -> None:
     """A value that the file has already."""
     old = read_value(described.model, value.field, value.of)
     if abs(new - old) <= 1e-9 * abs(old):
@@ -173,7 +173,7 @@ def set_part(
 def _set_gain(text: XmlText, actuator: Element, attribute: str, new: float, why: str) -> None:
     if actuator.tag not in ("position", "velocity", "intvelocity"):
         raise UsageError(
-            f"{text.path}: {actuator.called()}: expected position or velocity, whose {attribute} can be "
+            f"{text.path}: {actuator.label()}: expected position or velocity, whose {attribute} can be "
             f"changed, found {actuator.tag}; state {attribute} under [known]"
         )
     text.set(actuator, attribute, number(new), why)
@@ -227,13 +227,13 @@ def _add_spring(described: Described, text: XmlText, value: float) -> bool:
     model = described.model
     if value == 0.0:
         return True
-    own, rest = read_value(model, Field.STIFFNESS, 0), read_value(model, Field.SPRINGREF, 0)
-    if own + value <= 0.0:
+    stiffness, rest = read_value(model, Field.STIFFNESS, 0), read_value(model, Field.SPRINGREF, 0)
+    if stiffness + value <= 0.0:
         return False
     why = f"spring_force.stiffness = {number(value)}"
-    text.set(_joint(described, text), "stiffness", number(own + value), why)
-    if rest * own:
-        _set_of_joint(described, text, Field.SPRINGREF, rest * own / (own + value), why)
+    text.set(_joint(described, text), "stiffness", number(stiffness + value), why)
+    if rest * stiffness:
+        _set_of_joint(described, text, Field.SPRINGREF, rest * stiffness / (stiffness + value), why)
     return True
 
 
@@ -278,27 +278,27 @@ EFFECTS: Mapping[str, Callable[[Described, XmlText, float], bool]] = {
 
 
 def _joint(described: Described, text: XmlText) -> Element:
-    found = text.inside("joint", "worldbody")
-    return _one_of(text, found, described.joint_name, "joint")
+    joints = text.inside("joint", "worldbody")
+    return _one_of(text, joints, described.joint_name, "joint")
 
 
 def _actuator(described: Described, text: XmlText) -> Element:
-    found = [e for e in text.inside("", "actuator") if text.elements[e.above[-1]].tag == "actuator"]
-    return _one_of(text, found, described.actuator_name, "actuator", described.driven)
+    actuators = [e for e in text.inside("", "actuator") if text.elements[e.above[-1]].tag == "actuator"]
+    return _one_of(text, actuators, described.actuator_name, "actuator", described.driven)
 
 
 def _body(described: Described, text: XmlText, body: int) -> Element:
-    found = text.inside("body", "worldbody")
-    return _one_of(text, found, described.body_name(body), "body", body - 1)
+    bodies = text.inside("body", "worldbody")
+    return _one_of(text, bodies, described.body_name(body), "body", body - 1)
 
 
-def _one_of(text: XmlText, found: list[Element], name: str | None, what: str, place: int = 0) -> Element:
+def _one_of(text: XmlText, candidates: list[Element], name: str | None, what: str, place: int = 0) -> Element:
     """The element of this name, or of this place where it has none."""
-    named = [e for e in found if name is not None and e.attributes.get("name") == name]
+    named = [e for e in candidates if name is not None and e.attributes.get("name") == name]
     if len(named) == 1:
         return named[0]
-    if name is None and place < len(found):
-        return found[place]
+    if name is None and place < len(candidates):
+        return candidates[place]
     raise UsageError(
         f"{text.path}: expected the {what} {name or place!r} in this file, found none; where it is included "
         "from another file, give that whole with --into"

@@ -20,12 +20,12 @@ def accelerations_at(
     return np.array([rates(at, drive)[1] for *at, drive in points])
 
 
-def extrapolated(here: FloatArray, once: FloatArray, twice: FloatArray, length: float) -> FloatArray:
+def extrapolate_rates(begin: FloatArray, once: FloatArray, twice: FloatArray, length: float) -> FloatArray:
     """Rates of states from where they are after a step and after one twice as long (Richardson)."""
-    return np.asarray(2.0 * (once - here) / length - (twice - here) / (2.0 * length))
+    return np.asarray(2.0 * (once - begin) / length - (twice - begin) / (2.0 * length))
 
 
-def rolled_out(
+def step_windows(
     record: Record,
     nodes: Nodes,
     windows: Windows,
@@ -41,7 +41,7 @@ def rolled_out(
         windows: Stretches of the recording.
         states: Position and velocity (w, 2) that each begins with.
         go: State, mean of the input, length (s) to the state after it.
-        begin: Is told the first state and input of each window.
+        begin: Called with the first state and input of each window.
 
     Returns:
         The states at the samples of all windows.

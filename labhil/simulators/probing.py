@@ -1,4 +1,4 @@
-"""A simulator is tried out before anything is made of it: what breaks is named with what was expected."""
+"""A simulator is probed before it is used: what breaks is named with what was expected."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ NOTHING = 1e-12
 """Change of the outputs, as a share of their size, that counts as none."""
 
 
-def tried(simulator: Simulator, same: float = SAME) -> None:
-    """Call f at a few states; UsageError tells what was expected of it and what was found."""
+def probe(simulator: Simulator, same: float = SAME) -> None:
+    """Call f at a few states; UsageError with what was expected of it and what was found."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
     for x in POINTS:
         for v in POINTS:
@@ -49,7 +49,7 @@ def tried(simulator: Simulator, same: float = SAME) -> None:
                 _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {first[0]:g}")
 
 
-def called(simulator: Simulator) -> None:
+def probe_once(simulator: Simulator) -> None:
     """Call f once; UsageError where it cannot be called, or gives something else than rates."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
     _rates(simulator, 0.0, (POINTS[1], POINTS[2]), 0.5, values)
@@ -58,8 +58,10 @@ def called(simulator: Simulator) -> None:
 def is_damped(simulator: Simulator, same: float = 0.0) -> bool:
     """Whether its acceleration changes with the velocity anywhere, by more than a share ``same`` of it."""
     values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
-    found = np.array([[_rates(simulator, 0.0, (x, v), 0.5, values)[1] for v in POINTS] for x in POINTS])
-    return bool(np.any(np.ptp(found, axis=1) > same * np.max(np.abs(found), initial=0.0)))
+    accelerations = np.array(
+        [[_rates(simulator, 0.0, (x, v), 0.5, values)[1] for v in POINTS] for x in POINTS]
+    )
+    return bool(np.any(np.ptp(accelerations, axis=1) > same * np.max(np.abs(accelerations), initial=0.0)))
 
 
 def _rates(
@@ -68,18 +70,18 @@ def _rates(
     states, inputs, parameters = simulator.records
     where = f"at x = {state}, u = {u:g}"
     try:
-        found = np.asarray(simulator.f(t, states(*state), inputs(u), parameters(*values)), dtype=np.float64)
+        rates = np.asarray(simulator.f(t, states(*state), inputs(u), parameters(*values)), dtype=np.float64)
     except UsageError:
         raise
     except Exception as error:
         raise UsageError(
             f"simulator {simulator.name!r}: expected rates {where}, found {type(error).__name__}: {error}"
         ) from error
-    if found.shape != (2,):
-        _refuse(simulator, f"2 rates, one for each state, found an array of shape {found.shape}")
-    if not np.isfinite(found).all():
-        _refuse(simulator, f"finite rates {where}, found {found.tolist()}")
-    return float(found[0]), float(found[1])
+    if rates.shape != (2,):
+        _refuse(simulator, f"2 rates, one for each state, found an array of shape {rates.shape}")
+    if not np.isfinite(rates).all():
+        _refuse(simulator, f"finite rates {where}, found {rates.tolist()}")
+    return float(rates[0]), float(rates[1])
 
 
 def _refuse(simulator: Simulator, what: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from labhil.errors import UsageError
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.pointwise import accelerations_at, extrapolated
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates
 from labhil.simulators.rollouts import means
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
@@ -48,9 +48,9 @@ class PythonRollout:
 
     def rates(self, numbers: Sequence[float], state: Sequence[float], drive: float) -> list[float]:
         """Rates of both states, from a short step and one of twice its length (Richardson)."""
-        h, here = self._length, np.asarray(state, dtype=np.float64)
-        found = self._run(numbers, h * np.arange(3.0), np.full(3, drive), here)
-        return [float(x) for x in extrapolated(here, found[1], found[2], h)]
+        h, begin = self._length, np.asarray(state, dtype=np.float64)
+        motion = self._run(numbers, h * np.arange(3.0), np.full(3, drive), begin)
+        return [float(x) for x in extrapolate_rates(begin, motion[1], motion[2], h)]
 
     def ask(self, numbers: Sequence[float]) -> Ask:
         """Its acceleration, from short rollouts."""
@@ -64,21 +64,23 @@ class PythonRollout:
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Position and velocity (N, 2): one call for each window, under the mean of the input."""
-        found = []
+        motions = []
         for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
             t = record.t[first:last]
             drives = means(nodes, t) if len(t) > 1 else np.zeros(1)
             held = np.append(drives, drives[-1])[: len(t)]
-            found.append(self._run(numbers, t - t[0], held, np.asarray(states[w], dtype=np.float64)))
-        return np.concatenate(found)
+            motions.append(self._run(numbers, t - t[0], held, np.asarray(states[w], dtype=np.float64)))
+        return np.concatenate(motions)
 
     def _run(
         self, numbers: Sequence[float], t: FloatArray, drive: FloatArray, begin: FloatArray
     ) -> FloatArray:
         states, inputs, parameters = self._records
         count = len(parameters._fields)
-        found = self._simulate(parameters(*list(numbers)[:count]), t, inputs(drive), states(*begin.tolist()))
-        motion = np.asarray(found, dtype=np.float64)
+        simulated = self._simulate(
+            parameters(*list(numbers)[:count]), t, inputs(drive), states(*begin.tolist())
+        )
+        motion = np.asarray(simulated, dtype=np.float64)
         expected = (len(t), len(begin))
         if motion.shape != expected:
             raise UsageError(

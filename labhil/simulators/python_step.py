@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.pointwise import accelerations_at, extrapolated, rolled_out
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_windows
 from labhil.simulators.stepped import Held, Nodes
 from labhil.simulators.tables import Ask
 
@@ -23,12 +23,12 @@ SHORT = 1e-4
 
 def rates_of(step: StepFunction, state: Any, u: Any, p: Any) -> tuple[float, float]:
     """Rates of position and velocity, from a short step and one of twice its length (Richardson)."""
-    here = np.asarray(state, dtype=np.float64)
+    begin = np.asarray(state, dtype=np.float64)
     once, twice = (np.asarray(step(state, u, p, h), dtype=np.float64) for h in (SHORT, 2.0 * SHORT))
-    if once.shape != here.shape or twice.shape != here.shape:
-        return tuple(once.tolist())  # of a wrong number of states, which is said where it is tried out
-    found = extrapolated(here, once, twice, SHORT)
-    return float(found[0]), float(found[1])
+    if once.shape != begin.shape or twice.shape != begin.shape:
+        return tuple(once.tolist())  # of a wrong number of states, which the probe of the simulator reports
+    rates = extrapolate_rates(begin, once, twice, SHORT)
+    return float(rates[0]), float(rates[1])
 
 
 class PythonStep:
@@ -63,4 +63,4 @@ class PythonStep:
         def go(state: FloatArray, drive: float, length: float) -> FloatArray:
             return np.asarray(self._step(names(*state.tolist()), inputs(drive), p, length), dtype=np.float64)
 
-        return rolled_out(record, nodes, windows, states, go)
+        return step_windows(record, nodes, windows, states, go)

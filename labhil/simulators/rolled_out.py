@@ -22,7 +22,7 @@ class RolledOutModel(SimulatorModel):
         self._itself = simulator.stepped
         super().__init__(simulator, rig, record)
 
-    def _try_out(self, own: object, record: Record) -> None:
+    def _try_out(self, parameters: object, record: Record) -> None:
         """Nothing is fitted here."""
 
     def _trajectory(

@@ -67,7 +67,7 @@ def roll_out(
     edges = begins[:, None] + step * np.arange(steps + 1)
     control = means(nodes, edges)[:, :, None]
     if push is not None:
-        motion = _stepped(model, driven, nodes, begins, states, control[:, :, 0], push)
+        motion = _step_with_push(model, driven, nodes, begins, states, control[:, :, 0], push)
         return _at_samples(record, windows, begins, motion, step)
     if driven.actuator >= 0 and model.nu > 1:
         control = control * np.eye(model.nu)[driven.control]
@@ -77,9 +77,9 @@ def roll_out(
         [_state(model, data[0], driven, nodes, t, s) for t, s in zip(begins, states, strict=True)]
     )
     spec = kinds.mjSTATE_CTRL if driven.actuator >= 0 else kinds.mjSTATE_QFRC_APPLIED
-    found, _ = rollout.rollout(model, data, begun, control, control_spec=int(spec), nstep=steps)
+    full_states, _ = rollout.rollout(model, data, begun, control, control_spec=int(spec), nstep=steps)
     # of a full state the time is first, then position and velocity of the only degree of freedom
-    motion = np.concatenate([begun[:, None, 1:3], found[:, :, 1:3]], axis=1)
+    motion = np.concatenate([begun[:, None, 1:3], full_states[:, :, 1:3]], axis=1)
     return _at_samples(record, windows, begins, motion, step)
 
 
@@ -94,7 +94,7 @@ def _at_samples(
     )
 
 
-def _stepped(
+def _step_with_push(
     model: Any,
     driven: Driven,
     nodes: Nodes,
@@ -103,7 +103,7 @@ def _stepped(
     control: FloatArray,
     push: Push,
 ) -> FloatArray:
-    """Position and velocity (w, steps + 1, 2), with a force that is asked for in every step."""
+    """Position and velocity (w, steps + 1, 2), with a force that is evaluated in every step."""
     mujoco = load_optional("mujoco", "an MJCF file")
     data = mujoco.MjData(model)
     out = np.empty((len(begins), control.shape[1] + 1, 2))
@@ -112,11 +112,11 @@ def _stepped(
         mujoco.mj_setState(model, data, _state(model, data, driven, nodes, now, states[w]), spec)
         out[w, 0] = states[w]
         for k, u in enumerate(control[w].tolist()):
-            own = 0.0 if driven.actuator >= 0 else u
+            direct = 0.0 if driven.actuator >= 0 else u
             if driven.actuator >= 0:
                 data.ctrl[driven.control] = u
             drive = u if driven.actuator < 0 else float(data.qfrc_actuator[0])
-            data.qfrc_applied[0] = own + push(float(data.qpos[0]), float(data.qvel[0]), drive)
+            data.qfrc_applied[0] = direct + push(float(data.qpos[0]), float(data.qvel[0]), drive)
             mujoco.mj_step(model, data)
             out[w, k + 1] = data.qpos[0], data.qvel[0]
     return out
@@ -137,7 +137,7 @@ def means(nodes: Nodes, edges: FloatArray) -> FloatArray:
 
 
 def _state(model: Any, data: Any, driven: Driven, nodes: Nodes, now: float, state: FloatArray) -> FloatArray:
-    """The whole state of MuJoCo at the begin of a window, what a delayed input was before it included."""
+    """The full state of MuJoCo at the begin of a window, with the past of a delayed input."""
     mujoco = load_optional("mujoco", "an MJCF file")
     mujoco.mj_resetData(model, data)
     data.time, data.qpos[0], data.qvel[0] = now, *state
@@ -148,18 +148,18 @@ def _state(model: Any, data: Any, driven: Driven, nodes: Nodes, now: float, stat
             past = np.ascontiguousarray(means(nodes, edges)[:, None])
             mujoco.mj_initCtrlHistory(model, data, driven.actuator, edges[:-1].copy(), past)
     spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    whole = np.empty(mujoco.mj_stateSize(model, spec))
-    mujoco.mj_getState(model, data, whole, spec)
-    return whole
+    full_state = np.empty(mujoco.mj_stateSize(model, spec))
+    mujoco.mj_getState(model, data, full_state, spec)
+    return full_state
 
 
 def _between(t: FloatArray, motion: FloatArray, step: float) -> FloatArray:
     """Position and velocity (n, 2) at times since the begin, from those at even steps."""
     k = np.minimum((t / step + 1e-9).astype(int), len(motion) - 2)
     s = (t / step - k)[:, None]
-    here, there = motion[k], motion[k + 1]
+    before, after = motion[k], motion[k + 1]
     x = (
-        (1 + 2 * s) * (1 - s) ** 2 * here[:, :1] + s * (1 - s) ** 2 * step * here[:, 1:]
-        + s**2 * (3 - 2 * s) * there[:, :1] + s**2 * (s - 1) * step * there[:, 1:]
+        (1 + 2 * s) * (1 - s) ** 2 * before[:, :1] + s * (1 - s) ** 2 * step * before[:, 1:]
+        + s**2 * (3 - 2 * s) * after[:, :1] + s**2 * (s - 1) * step * after[:, 1:]
     )  # fmt: skip
-    return np.hstack([x, (1 - s) * here[:, 1:] + s * there[:, 1:]])
+    return np.hstack([x, (1 - s) * before[:, 1:] + s * after[:, 1:]])

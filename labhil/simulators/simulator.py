@@ -22,9 +22,9 @@ from labhil.simulators.probing import (
     SAME_OF_SOLVERS,
     SAME_OF_STEPS,
     SOLVED,
-    called,
     is_damped,
-    tried,
+    probe,
+    probe_once,
 )
 from labhil.simulators.python_rollout import PythonRollout, RolloutFunction
 from labhil.simulators.python_step import PythonStep, StepFunction, rates_of
@@ -222,43 +222,43 @@ def simulator(
         >>> rig.kind.name
         'pendulum'
     """
-    called = name or getattr(f, "__name__", "")
-    if not called.isidentifier():
-        raise UsageError(f"simulator: expected a name of letters, digits and _, found {called!r}")
+    title = name or getattr(f, "__name__", "")
+    if not title.isidentifier():
+        raise UsageError(f"simulator: expected a name of letters, digits and _, found {title!r}")
     if len(states) != 2 or len(inputs) != 1:
         raise UsageError(
-            f"simulator {called!r}: expected 2 states (a position and its velocity) and 1 input, found "
+            f"simulator {title!r}: expected 2 states (a position and its velocity) and 1 input, found "
             f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see "
             "docs/how-to/add-a-twin-and-a-rig.md"
         )
     position, velocity = states
-    measured = _measured(called, outputs, states)
+    measured = _measured_units(title, outputs, states)
     quantities = {n: q if isinstance(q, Quantity) else Quantity(float(q)) for n, q in parameters.items()}
-    _check_quantities(called, quantities, {*states, *inputs})
+    _check_quantities(title, quantities, {*states, *inputs})
     given = dict(coordinates or {position: Coordinate(velocity, like=next(iter(inputs)))})
     if list(given) != [position] or given[position].velocity != velocity:
         raise UsageError(
-            f"simulator {called!r}: expected one coordinate, {position!r} with velocity {velocity!r}, found "
+            f"simulator {title!r}: expected one coordinate, {position!r} with velocity {velocity!r}, found "
             f"{', '.join(f'{n!r} with {c.velocity!r}' for n, c in given.items())}"
         )
-    _check_coordinate(called, given[position], inputs, quantities)
+    _check_coordinate(title, given[position], inputs, quantities)
     if kind not in KINDS:
-        raise UsageError(f"simulator {called!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
+        raise UsageError(f"simulator {title!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
     made = Simulator(
         f,
-        called, dict(states), dict(inputs), measured, quantities, position, given[position], horizon,
+        title, dict(states), dict(inputs), measured, quantities, position, given[position], horizon,
     )  # fmt: skip
     if kind == STEP:
         made = replace(made, f=_rates_of_step(f), stepped=PythonStep(f, made.records))
     elif kind == ROLLOUT:
-        made = _rolled_out(made, f)
-    tried(made, {RATES: SAME, STEP: SAME_OF_STEPS, ROLLOUT: SAME_OF_SOLVERS}[kind])
+        made = _with_rollout(made, f)
+    probe(made, {RATES: SAME, STEP: SAME_OF_STEPS, ROLLOUT: SAME_OF_SOLVERS}[kind])
     declare(made, () if is_damped(made, {RATES: 0.0, STEP: ROUNDED, ROLLOUT: SOLVED}[kind]) else UNDAMPED)
     return made
 
 
 def _rates_of_step(step: StepFunction) -> RightHandSide:
-    """The rates of a function that makes steps, as it is tried out."""
+    """The rates of a function that makes steps, as it is probed."""
 
     def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
         return rates_of(step, x, u, p)
@@ -266,15 +266,15 @@ def _rates_of_step(step: StepFunction) -> RightHandSide:
     return rates
 
 
-def _rolled_out(made: Simulator, f: Any) -> Simulator:
-    """With a function that simulates a whole input: its rates are those of short rollouts."""
+def _with_rollout(made: Simulator, f: Any) -> Simulator:
+    """The simulator with a function that simulates a whole input: its rates are those of short rollouts."""
     stepped = PythonRollout(f, made.name, made.records)
 
     def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
         return stepped.rates(list(p), list(x), float(u[0]))
 
     with_rates = replace(made, f=rates, stepped=stepped)
-    called(with_rates)
+    probe_once(with_rates)
     stepped.settle([quantity.start for quantity in made.parameters.values()] or [0.0])
     return with_rates
 
@@ -290,51 +290,51 @@ def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
     declare_model(made.name, RigModel(model, baseline, tuple(dict.fromkeys((*baseline, "coulomb_friction")))))
 
 
-def _measured(
-    called: str, outputs: Mapping[str, str] | Sequence[str] | None, states: Mapping[str, str]
+def _measured_units(
+    title: str, outputs: Mapping[str, str] | Sequence[str] | None, states: Mapping[str, str]
 ) -> dict[str, str]:
     """Units of what is measured, by name of the state."""
     names = tuple(states)[:1] if outputs is None else tuple(outputs)
-    for each in names:
-        if each not in states:
+    for name in names:
+        if name not in states:
             raise UsageError(
-                f"simulator {called!r}: outputs: expected names of states, found {each!r}"
-                f"{suggestion(each, states)}; states: {', '.join(states)}"
+                f"simulator {title!r}: outputs: expected names of states, found {name!r}"
+                f"{suggestion(name, states)}; states: {', '.join(states)}"
             )
     if not names:
-        raise UsageError(f"simulator {called!r}: outputs: expected one at least, found none")
+        raise UsageError(f"simulator {title!r}: outputs: expected one at least, found none")
     return {n: states[n] for n in states if n in names}
 
 
-def _check_quantities(called: str, quantities: Mapping[str, Quantity], taken: set[str]) -> None:
+def _check_quantities(title: str, quantities: Mapping[str, Quantity], taken: set[str]) -> None:
     for name, quantity in quantities.items():
         low, high = quantity.bounds
         if name in taken:
-            raise UsageError(f"simulator {called!r}: {name!r} names a parameter and a signal; rename one")
+            raise UsageError(f"simulator {title!r}: {name!r} names a parameter and a signal; rename one")
         if not isfinite(quantity.start) or not low <= quantity.start <= high or not low < high:
             raise UsageError(
-                f"simulator {called!r}: {name}: expected a start from {low:g} to {high:g}, found "
+                f"simulator {title!r}: {name}: expected a start from {low:g} to {high:g}, found "
                 f"{quantity.start:g}"
             )
 
 
 def _check_coordinate(
-    called: str, coordinate: Coordinate, inputs: Mapping[str, str], quantities: Mapping[str, Quantity]
+    title: str, coordinate: Coordinate, inputs: Mapping[str, str], quantities: Mapping[str, Quantity]
 ) -> None:
     for what, name, known in (("like", coordinate.like, inputs), ("inertia", coordinate.inertia, quantities)):
         if name and name not in known:
             raise UsageError(
-                f"simulator {called!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
+                f"simulator {title!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
                 f"known: {', '.join(known)}"
             )
     if coordinate.inertia and not quantities[coordinate.inertia].bounds[0] > 0.0:
         quantity = quantities[coordinate.inertia]
         raise UsageError(
-            f"simulator {called!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
+            f"simulator {title!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
             f"bound; found a start of {quantity.start:g} and a lower bound of {quantity.bounds[0]:g}"
         )
     if bool(coordinate.like) == bool(coordinate.inertia):
         raise UsageError(
-            f"simulator {called!r}: coordinate: expected either `like` (an input that a force acts like) or "
+            f"simulator {title!r}: coordinate: expected either `like` (an input that a force acts like) or "
             "`inertia` (a parameter that divides it)"
         )

@@ -1,4 +1,4 @@
-"""What the engine asks of a simulator that is stepped or called and cannot be compiled."""
+"""The interface of a simulator that is stepped or called and cannot be compiled."""
 
 from __future__ import annotations
 

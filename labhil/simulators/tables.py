@@ -1,8 +1,8 @@
 """The acceleration of a simulator that nobody can compile, as a table that is exact where it is smooth.
 
-MuJoCo, and a Python function that makes a step, are asked for their acceleration at points in position,
-velocity and input: at even nodes along the way, at Chebyshev's points of the other two. What takes long is
-asked for once for each set of the simulator's own parameters; all windows and all effects are then simulated
+MuJoCo, and a Python function that makes a step, are evaluated for their acceleration at points in position,
+velocity and input: at even nodes along the way, at Chebyshev's points of the other two. The slow evaluation
+happens once for each set of the simulator's own parameters; all windows and all effects are then simulated
 by one compiled kernel, with rests as events.
 """
 
@@ -26,7 +26,7 @@ Ask = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 MOST_VELOCITIES = 9
 MOST_INPUTS = 7
 PROBED = 7
-"""Points of velocity and input, and places along the way, at which the shape is looked at."""
+"""Points of velocity and input, and places along the way, at which the shape is determined."""
 
 NEGLIGIBLE = 1e-8
 SMOOTH = 1e-4
@@ -81,12 +81,12 @@ class Shape:
 
     @classmethod
     def of(cls, ask: Ask, reach: Reach, name: str, rough: float = NEGLIGIBLE) -> Shape:
-        """Look at a few places, and leave out powers below ``rough``; UsageError where it is not smooth."""
+        """Sample a few places, and leave out powers below ``rough``; UsageError where it is not smooth."""
         x = np.linspace(reach.x_low, reach.x_high, PROBED)
-        found = _asked(ask, x, reach, MOST_INPUTS, MOST_VELOCITIES)
-        size = float(np.max(np.abs(found))) or 1.0
-        by_input = _strengths(found, 1, size)
-        by_velocity = _strengths(found, 2, size)
+        accelerations = _sample(ask, x, reach, MOST_INPUTS, MOST_VELOCITIES)
+        size = float(np.max(np.abs(accelerations))) or 1.0
+        by_input = _strengths(accelerations, 1, size)
+        by_velocity = _strengths(accelerations, 2, size)
         for what, strengths in (("input", by_input), ("velocity", by_velocity)):
             if np.max(strengths[-2:]) > SMOOTH:
                 raise UsageError(
@@ -94,7 +94,7 @@ class Shape:
                     "with a corner or a jump; leave dry friction, dead zones and limits to the effects that "
                     "are offered (`labhil terms`)"
                 )
-        return cls(_needed(by_input, rough), _needed(by_velocity, rough))
+        return cls(_count_needed(by_input, rough), _count_needed(by_velocity, rough))
 
 
 def table_of(ask: Ask, reach: Reach, shape: Shape, clip: tuple[float, float]) -> Table:
@@ -111,9 +111,9 @@ def table_of(ask: Ask, reach: Reach, shape: Shape, clip: tuple[float, float]) ->
     """
     cells = CELLS
     x = np.linspace(reach.x_low, reach.x_high, cells + 1)
-    found = _asked(ask, x, reach, shape.inputs, shape.velocities)
+    accelerations = _sample(ask, x, reach, shape.inputs, shape.velocities)
     powers = np.einsum(
-        "ia,jb,xab->xij", _to_powers(shape.inputs), _to_powers(shape.velocities), found, optimize=True
+        "ia,jb,xab->xij", _to_powers(shape.inputs), _to_powers(shape.velocities), accelerations, optimize=True
     )
     spline = np.asarray(CubicSpline(np.arange(cells + 1.0), powers, axis=0).c)
     return Table(
@@ -127,19 +127,19 @@ def table_of(ask: Ask, reach: Reach, shape: Shape, clip: tuple[float, float]) ->
     )
 
 
-def _asked(ask: Ask, x: FloatArray, reach: Reach, inputs: int, velocities: int) -> FloatArray:
+def _sample(ask: Ask, x: FloatArray, reach: Reach, inputs: int, velocities: int) -> FloatArray:
     """Accelerations (places, inputs, velocities) at Chebyshev's points of the last two."""
     u = 0.5 * (reach.u_low + reach.u_high) + 0.5 * (reach.u_high - reach.u_low) * _points(inputs)
     v = reach.speed * _points(velocities)
     places, drives, speeds = np.meshgrid(x, u, v, indexing="ij")
-    found = ask(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
-    if not np.isfinite(found).all():
+    accelerations = ask(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
+    if not np.isfinite(accelerations).all():
         raise UsageError(
             f"expected a simulator with finite accelerations, found others where the position is "
             f"{reach.x_low:.4g} to {reach.x_high:.4g}, the velocity up to {reach.speed:.4g} and the input "
             f"{reach.u_low:.4g} to {reach.u_high:.4g}"
         )
-    return found
+    return accelerations
 
 
 def _points(count: int) -> FloatArray:
@@ -152,14 +152,14 @@ def _to_powers(count: int) -> FloatArray:
     return np.asarray(np.linalg.inv(np.vander(_points(count), increasing=True)))
 
 
-def _strengths(found: FloatArray, axis: int, size: float) -> FloatArray:
+def _strengths(accelerations: FloatArray, axis: int, size: float) -> FloatArray:
     """Largest Chebyshev coefficient of each order along an axis, over the size."""
-    along = np.moveaxis(found, axis, 0)
+    along = np.moveaxis(accelerations, axis, 0)
     count = len(along)
     matrix = np.linalg.inv(chebyshev.chebvander(_points(count), count - 1))
     return np.asarray(np.max(np.abs(matrix @ along.reshape(count, -1)), axis=1) / size)
 
 
-def _needed(strengths: FloatArray, rough: float) -> int:
+def _count_needed(strengths: FloatArray, rough: float) -> int:
     counted = np.flatnonzero(strengths > rough)
     return int(counted[-1]) + 1 if len(counted) else 1

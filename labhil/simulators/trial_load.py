@@ -1,4 +1,4 @@
-"""A MuJoCo file, loaded in a process of its own: one that crashes it, or never ends, does not take us along.
+"""A MuJoCo file, loaded in a process of its own: a file that crashes it, or never ends, harms only that.
 
 MuJoCo reads XML, meshes and pictures in C, and ``<replicate count="…">`` makes a million bodies of a line.
 The process has bounds on memory and time; what it loaded comes back as MuJoCo's own binary form.
@@ -46,15 +46,15 @@ def load_apart(file: Path, purpose: str) -> Any:
     mujoco = load_optional("mujoco", purpose)
     with tempfile.TemporaryDirectory(prefix="labhil-mujoco-") as folder:
         binary = Path(folder) / "model.mjb"
-        found = _said(file.resolve(), binary)
-        if found:
-            raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {found}")
-        # else MuJoCo writes what it thinks of a simulation to a file, wherever we are
+        complaint = _load_error(file.resolve(), binary)
+        if complaint:
+            raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {complaint}")
+        # else MuJoCo writes warnings of a simulation to a file in the working directory
         mujoco.set_mju_user_warning(lambda _text: None)
         return mujoco.MjModel.from_binary_path(str(binary))
 
 
-def _said(file: Path, binary: Path) -> str:
+def _load_error(file: Path, binary: Path) -> str:
     """What is wrong with a file; nothing where its binary form was written."""
     command = [sys.executable, "-P", "-m", "labhil.simulators.trial_load", str(file), str(binary)]
     path = os.pathsep.join(entry for entry in sys.path if entry)
@@ -74,13 +74,13 @@ def _said(file: Path, binary: Path) -> str:
     if done.returncode == -signal.SIGXCPU:
         return f"one that takes more than {CPU_SECONDS} s of processor time"
     if done.returncode or not binary.is_file():
-        said = " ".join(done.stdout.decode("utf-8", "replace").split())
-        return said or f"one that ends its reader ({done.returncode})"
+        message = " ".join(done.stdout.decode("utf-8", "replace").split())
+        return message or f"one that ends its reader ({done.returncode})"
     return ""
 
 
 def main() -> None:
-    """Load the file that is named first, and write it to the one that is named second; else say why not."""
+    """Load the file that is named first, and write it to the one that is named second; else print why not."""
     import mujoco
 
     _bound()
@@ -89,8 +89,8 @@ def main() -> None:
     except (ValueError, MemoryError) as error:
         sys.exit(_tell(str(error) or f"one that needs more than {MEMORY >> 20} MB of memory"))
     if max(model.nbody, model.ngeom) > MOST_PARTS:
-        found = f"{model.nbody} bodies with {model.ngeom} shapes"
-        sys.exit(_tell(f"{found}; at most {MOST_PARTS} of either are taken"))
+        size = f"{model.nbody} bodies with {model.ngeom} shapes"
+        sys.exit(_tell(f"{size}; at most {MOST_PARTS} of either are taken"))
     mujoco.mj_saveModel(model, sys.argv[2], None)
 
 

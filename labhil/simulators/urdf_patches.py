@@ -16,7 +16,7 @@ ROTOR = "added_inertia.inertia"
 HELD = {RUBS[Field.DAMPING]: "damping", RUBS[Field.FRICTIONLOSS]: "friction"}
 
 
-def patched_urdf(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
+def patch_urdf(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
     """Put values into the text of a URDF file with one joint that moves.
 
     Inertia about the joint is written as that of its link, equal about all axes, which the joint cannot tell
@@ -33,25 +33,25 @@ def patched_urdf(described: Described, text: XmlText, values: Mapping[str, float
     Raises:
         UsageError: The file does not itself have what is to be changed.
     """
-    left, model = with_holding(described, values), described.model
+    remaining, model = with_holding(described, values), described.model
     joint, link = described.joint_name or "", described.body_name(int(model.jnt_bodyid[0])) or ""
     for value in described.mechanism.values:
-        if value.name in left and value.field is Field.MASS:
-            old, new = read_value(model, value.field, value.of), left.pop(value.name)
+        if value.name in remaining and value.field is Field.MASS:
+            old, new = read_value(model, value.field, value.of), remaining.pop(value.name)
             if abs(new - old) > 1e-9 * old:
                 why = f"{value.name}: {number(old)} → {number(new)} {value.unit}"
                 scale_mass(text, described.body_name(value.of) or "", new / old, why)
     for name, attribute in HELD.items():
-        if left.get(name, -1.0) >= 0.0:
-            new = left.pop(name)
+        if remaining.get(name, -1.0) >= 0.0:
+            new = remaining.pop(name)
             if new != read_value(model, next(f for f, n in RUBS.items() if n == name), 0):
                 set_dynamics(text, joint, attribute, new, f"{name} = {number(new)}")
-    inertia = left.pop(ROTOR, 0.0)
+    inertia = remaining.pop(ROTOR, 0.0)
     if inertia:
         pi = inertial_of_link(text, link)
         pi[4:7] += inertia
         set_inertial(text, link, pi, f"{ROTOR} = {number(inertia)}")
-    return Patched(text, without_shapes(left))
+    return Patched(text, without_shapes(remaining))
 
 
 def shorten_urdf_step(described: Described, text: XmlText, parts: int) -> None:
@@ -59,11 +59,11 @@ def shorten_urdf_step(described: Described, text: XmlText, parts: int) -> None:
     step = number(described.mechanism.timestep / parts)
     why = "its own error of a step was larger than what is left"
     root, options = text.elements[0], text.inside("option", "mujoco")
-    own = text.children(root, "mujoco")
+    extensions = text.children(root, "mujoco")
     if options:
         text.set(options[-1], "timestep", step, why)
-    elif own:
-        text.add(own[0], f'<option timestep="{step}"/>', why)
+    elif extensions:
+        text.add(extensions[0], f'<option timestep="{step}"/>', why)
     else:
         text.add(root, f'<mujoco><option timestep="{step}"/></mujoco>', why)
 

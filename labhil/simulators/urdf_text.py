@@ -21,18 +21,18 @@ def tidy(values: FloatArray, form: str = "{:.6g}") -> list[str]:
     return [form.format(float(x) if abs(x) > least else 0.0) for x in values]
 
 
-def named(text: XmlText, tag: str, name: str) -> Element:
+def find_named(text: XmlText, tag: str, name: str) -> Element:
     """The only <link> or <joint> of a name; UsageError where there is not one."""
-    found = [e for e in text.elements if e.tag == tag and len(e.above) == 1]
-    found = [e for e in found if e.attributes.get("name") == name]
-    if len(found) != 1:
-        raise UsageError(f"{text.path}: expected one <{tag} name={name!r}>, found {len(found)}")
-    return found[0]
+    matches = [e for e in text.elements if e.tag == tag and len(e.above) == 1]
+    matches = [e for e in matches if e.attributes.get("name") == name]
+    if len(matches) != 1:
+        raise UsageError(f"{text.path}: expected one <{tag} name={name!r}>, found {len(matches)}")
+    return matches[0]
 
 
 def set_dynamics(text: XmlText, joint: str, attribute: str, value: float, why: str) -> None:
     """Set ``damping`` or ``friction`` of a joint."""
-    element = named(text, "joint", joint)
+    element = find_named(text, "joint", joint)
     dynamics = text.children(element, "dynamics")
     if dynamics:
         text.set(dynamics[0], attribute, f"{value:.6g}", why)
@@ -42,12 +42,12 @@ def set_dynamics(text: XmlText, joint: str, attribute: str, value: float, why: s
 
 def inertial_of_link(text: XmlText, link: str) -> FloatArray:
     """Ten inertial parameters of a link, about its origin; zeros where it has none."""
-    element = named(text, "link", link)
-    parts = {e.tag: e for each in text.children(element, "inertial") for e in text.children(each)}
+    element = find_named(text, "link", link)
+    parts = {e.tag: e for inertial in text.children(element, "inertial") for e in text.children(inertial)}
 
     def stated(tag: str, attribute: str, absent: str) -> list[float]:
-        found = text.current(parts[tag], attribute) if tag in parts else None
-        return [float(x) for x in (found or absent).split()]
+        value = text.current(parts[tag], attribute) if tag in parts else None
+        return [float(x) for x in (value or absent).split()]
 
     if "mass" not in parts:
         return np.zeros(PER_LINK)
@@ -65,7 +65,7 @@ def inertial_of_link(text: XmlText, link: str) -> FloatArray:
 
 def set_inertial(text: XmlText, link: str, pi: FloatArray, why: str) -> None:
     """Set mass, <origin> and <inertia> of a link, whose axes are then those of the link."""
-    element = named(text, "link", link)
+    element = find_named(text, "link", link)
     m, centre, i = at_centre(pi)
     place = " ".join(tidy(centre))
     moments = dict(zip(MOMENTS, tidy(i[np.triu_indices(3)], "{:.9g}"), strict=True))
@@ -88,8 +88,8 @@ def set_inertial(text: XmlText, link: str, pi: FloatArray, why: str) -> None:
 
 def scale_mass(text: XmlText, link: str, ratio: float, why: str) -> None:
     """Scale the mass of a link and of those that are fixed to it, their inertia with it."""
-    for name in (link, *_fixed_to(text, link)):
-        for inertial in text.children(named(text, "link", name), "inertial"):
+    for name in (link, *_links_fixed_to(text, link)):
+        for inertial in text.children(find_named(text, "link", name), "inertial"):
             for part in text.children(inertial):
                 for attribute in {"mass": ("value",), "inertia": MOMENTS}.get(part.tag, ()):
                     now = text.current(part, attribute)
@@ -97,10 +97,10 @@ def scale_mass(text: XmlText, link: str, ratio: float, why: str) -> None:
                         text.set(part, attribute, f"{float(now) * ratio:.6g}", why)
 
 
-def _fixed_to(text: XmlText, link: str) -> list[str]:
-    found = []
+def _links_fixed_to(text: XmlText, link: str) -> list[str]:
+    links = []
     for joint in (e for e in text.elements if e.tag == "joint" and len(e.above) == 1):
         ends = {e.tag: e.attributes.get("link", "") for e in text.children(joint)}
         if joint.attributes.get("type") == "fixed" and ends.get("parent") == link:
-            found += [ends["child"], *_fixed_to(text, ends["child"])]
-    return found
+            links += [ends["child"], *_links_fixed_to(text, ends["child"])]
+    return links

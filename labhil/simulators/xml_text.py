@@ -21,7 +21,7 @@ class Element:
     first: int
     last: int
 
-    def called(self) -> str:
+    def label(self) -> str:
         """For messages."""
         name = self.attributes.get("name")
         return f"<{self.tag}>" if name is None else f'<{self.tag} name="{name}">'
@@ -40,7 +40,7 @@ class Change:
 
 @dataclass
 class XmlText:
-    """A file's bytes with its elements, and the changes that were asked for."""
+    """A file's bytes with its elements, and the changes to make."""
 
     path: Path
     content: bytes
@@ -80,19 +80,19 @@ class XmlText:
         if before == value:
             return
         self._wanted.setdefault(element.number, {})[attribute] = value
-        self.changes.append(Change(element.called(), attribute, before, value, why))
+        self.changes.append(Change(element.label(), attribute, before, value, why))
 
     def drop(self, element: Element, attribute: str, why: str) -> None:
         """Ask for an attribute to be taken away; one that is absent is no change."""
         before = self.current(element, attribute)
         if before is not None:
             self._wanted.setdefault(element.number, {})[attribute] = None
-            self.changes.append(Change(element.called(), attribute, before, None, why))
+            self.changes.append(Change(element.label(), attribute, before, None, why))
 
     def add(self, parent: Element, line: str, why: str) -> None:
         """Ask for one more element, as text, before all others in a parent."""
         self._added.setdefault(parent.number, []).append(line)
-        self.changes.append(Change(parent.called(), "", None, line, why))
+        self.changes.append(Change(parent.label(), "", None, line, why))
 
     def add_attribute_of_new(self, parent: Element, tag: str, attribute: str, value: str, why: str) -> None:
         """Ask for an attribute of an element that is not there yet; of several, one element takes all."""
@@ -103,7 +103,7 @@ class XmlText:
             lines.append(f'{begun}{attribute}="{value}"/>')
         else:
             lines[place] = lines[place].replace("/>", f' {attribute}="{value}"/>')
-        self.changes.append(Change(f"{parent.called()}/<{tag}>", attribute, None, value, why))
+        self.changes.append(Change(f"{parent.label()}/<{tag}>", attribute, None, value, why))
 
     def current(self, element: Element, attribute: str) -> str | None:
         """What an attribute has, changes included; None where it is absent."""
@@ -131,16 +131,18 @@ class XmlText:
 
 
 def _elements(path: Path, content: bytes) -> list[Element]:
-    found: list[Element] = []
+    elements: list[Element] = []
     open_ones: list[int] = []
     parser = expat.ParserCreate()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         first = parser.CurrentByteIndex
-        found.append(
-            Element(len(found), tag, dict(attributes), tuple(open_ones), first, _end_of_tag(content, first))
+        elements.append(
+            Element(
+                len(elements), tag, dict(attributes), tuple(open_ones), first, _end_of_tag(content, first)
+            )
         )
-        open_ones.append(len(found) - 1)
+        open_ones.append(len(elements) - 1)
 
     def end(tag: str) -> None:
         open_ones.pop()
@@ -150,7 +152,7 @@ def _elements(path: Path, content: bytes) -> list[Element]:
         parser.Parse(content, True)
     except expat.ExpatError as error:
         raise UsageError(f"{path}: expected XML, found: {error}") from error
-    return found
+    return elements
 
 
 def _end_of_tag(content: bytes, first: int) -> int:
@@ -167,8 +169,8 @@ def _without(tag: bytes, name: str) -> bytes:
 def _with_attribute(tag: bytes, name: str, value: str) -> bytes:
     """A start tag with an attribute changed where it stands, or put behind the last one."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;").encode()
-    there = re.compile(rb"(\s" + re.escape(name.encode()) + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
-    match = there.search(tag)
+    pattern = re.compile(rb"(\s" + re.escape(name.encode()) + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
+    match = pattern.search(tag)
     if match is not None:
         quote = match.group(2)[:1]
         return tag[: match.start()] + match.group(1) + quote + quoted + quote + tag[match.end() :]

@@ -1,4 +1,4 @@
-"""What a fit or a diagnosis is asked for: terms in the catalogue's words, test recording, estimator, time."""
+"""The choices for a fit or a diagnosis: terms in the catalogue's words, test recording, estimator, time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ KINDS = {"fit": "Fit", "diagnose": "Diagnose"}
 
 
 @dataclass
-class CatalogueRead(Message):
+class CatalogueLine(Message):
     """A line of the process that reads the catalogue."""
 
     line: dict[str, Any]
@@ -38,8 +38,8 @@ class AnalysisDialog(ModalScreen[Task | None]):
     """Terms or baseline, test recording, estimator and time, before a fit or a diagnosis begins.
 
     Args:
-        task: What is asked for otherwise; its recordings and tests.
-        rig: The rig kind of the recording, None where it says none.
+        task: Its recordings and tests, and what the dialog does not choose.
+        rig: The rig kind of the recording, None where it has none.
         others: Recordings that could judge the result.
     """
 
@@ -55,7 +55,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
 
     def __init__(self, task: Task, rig: str | None, others: Sequence[Path]) -> None:
         super().__init__(id="analysis")
-        self._given, self._rig = task, rig
+        self._template, self._rig = task, rig
         self._kind = "fit"
         self._tests: list[tuple[Path, ...]] = [(), *((path,) for path in others if (path,) != task.tests)]
         if task.tests:
@@ -66,7 +66,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self._helper: Helper | None = None
 
     def compose(self) -> ComposeResult:
-        """What is chosen, the terms, and what the chosen one is."""
+        """The choices, the terms, and what the highlighted one is."""
         with Vertical(classes="dialog dialog-wide", id="analysis-box"):
             yield Static(id="analysis-how")
             yield SelectionList[str](id="analysis-terms")
@@ -74,22 +74,22 @@ class AnalysisDialog(ModalScreen[Task | None]):
             yield Static("g starts   Space takes a term or leaves it   Escape leaves", classes="dialog-note")
 
     def on_mount(self) -> None:
-        """Have the catalogue read."""
+        """Start to read the catalogue."""
         if self._rig:
-            told = {"rig": self._rig}
-            self._helper = Helper("the catalogue", MODULE, told, self._hear)
-        self._tell()
+            request = {"rig": self._rig}
+            self._helper = Helper("the catalogue", MODULE, request, self._hear)
+        self._show_choices()
 
     def _hear(self, line: dict[str, Any]) -> None:
-        self.post_message(CatalogueRead(line))
+        self.post_message(CatalogueLine(line))
 
     def on_unmount(self) -> None:
-        """Nobody needs it any more."""
+        """End the process that reads the catalogue."""
         if self._helper is not None:
             self._helper.close(0.2)
 
-    def on_catalogue_read(self, message: CatalogueRead) -> None:
-        """The terms, or why there are none."""
+    def on_catalogue_line(self, message: CatalogueLine) -> None:
+        """Show the terms, or why there are none."""
         message.stop()
         line = message.line
         if "done" in line:
@@ -97,62 +97,60 @@ class AnalysisDialog(ModalScreen[Task | None]):
             self._fill()
         elif "failed" in line or ("ended" in line and self.catalogue is None and not self._trouble):
             self._trouble = str(line.get("failed") or line.get("complaint") or "the catalogue cannot be read")
-        self._tell()
+        self._show_choices()
 
     def _fill(self) -> None:
-        """List the terms, those chosen that are taken where nobody says otherwise."""
+        """List the terms, with the default ones selected."""
         if self.catalogue is None:
             return
-        chosen = self.catalogue.general if self._kind == "fit" else self.catalogue.baseline
-        listed = self.query_one(SelectionList)
-        listed.clear_options()
+        defaults = self.catalogue.general if self._kind == "fit" else self.catalogue.baseline
+        selection_list = self.query_one(SelectionList)
+        selection_list.clear_options()
         for effect in self.catalogue.effects:
-            listed.add_option(Selection(Content(effect.name), effect.name, effect.name in chosen))
-        listed.highlighted = 0
-        listed.focus()
+            selection_list.add_option(Selection(Content(effect.name), effect.name, effect.name in defaults))
+        selection_list.highlighted = 0
+        selection_list.focus()
 
     def on_selection_list_selection_highlighted(self, _event: Any) -> None:
-        """Say what this term is."""
-        self._about()
+        """Show what this term is."""
+        self._show_effect()
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
-        """Say how many are taken."""
-        self._tell()
+        """Show how many terms are selected."""
+        self._show_choices()
 
     @property
-    def chosen(self) -> tuple[str, ...]:
-        """The terms that are taken, in the catalogue's order."""
+    def selected_terms(self) -> tuple[str, ...]:
+        """The selected terms, in the catalogue's order."""
         selected = set(self.query_one(SelectionList).selected)
-        return (
-            tuple(effect.name for effect in self.catalogue.effects if effect.name in selected)
-            if (self.catalogue)
-            else ()
-        )
+        if not self.catalogue:
+            return ()
+        return tuple(effect.name for effect in self.catalogue.effects if effect.name in selected)
 
     @property
-    def wanted(self) -> Task:
-        """What would be started now."""
-        known = self.catalogue
-        estimator = known.estimators[self._estimator] if known and self._kind == "fit" else None
+    def selected_task(self) -> Task:
+        """The task as it is chosen now."""
+        catalogue = self.catalogue
+        estimator = catalogue.estimators[self._estimator] if catalogue and self._kind == "fit" else None
         return replace(
-            self._given,
+            self._template,
             kind=self._kind,
             tests=self._tests[self._test],
-            terms=self.chosen if known else None,
+            terms=self.selected_terms if catalogue else None,
             estimator=estimator,
             seconds=LIMITS[self._limit],
         )
 
-    def _tell(self) -> None:
-        colours, task = self.app.theme_variables, self.wanted
+    def _show_choices(self) -> None:
+        colours, task = self.app.theme_variables, self.selected_task
         text = Text()
         names = ", ".join(path.name.removesuffix(".mcap") for path in task.recordings)
         text.append(f"{KINDS[self._kind]} {names}\n", style="bold")
-        judged = ", ".join(path.name.removesuffix(".mcap") for path in task.tests)
+        tests = ", ".join(path.name.removesuffix(".mcap") for path in task.tests)
         rows = [("w", "what", f"{self._kind} (or {'diagnose' if self._kind == 'fit' else 'fit'})")]
         if self._kind == "fit":
             rows.append(("e", "estimator", task.estimator or "hybrid"))
-        rows.append(("t", "judged on", judged or "the last 30 % of each recording"))
+        rows.append(("t", "judged on", tests or "the last 30 % of each recording"))
         limit = "as long as it takes"
         if task.seconds is not None:
             limit = f"at most {duration(task.seconds)}, then the best so far"
@@ -163,19 +161,19 @@ class AnalysisDialog(ModalScreen[Task | None]):
             text.append(f"{value}\n")
         what = "terms of the model" if self._kind == "fit" else "terms that your simulation has (baseline)"
         if self.catalogue is not None:
-            text.append(f"{what}: {len(self.chosen)} of {len(self.catalogue.effects)}", style="bold")
+            text.append(f"{what}: {len(self.selected_terms)} of {len(self.catalogue.effects)}", style="bold")
             text.append("   d takes the default", style=colours["muted"])
         else:
             text.append(self._trouble or "reading the catalogue …", style=colours["muted"])
         self.query_one("#analysis-how", Static).update(text)
-        self._about()
+        self._show_effect()
 
-    def _about(self) -> None:
-        """The highlighted term in the catalogue's words."""
-        colours, listed = self.app.theme_variables, self.query_one(SelectionList)
+    def _show_effect(self) -> None:
+        """Show the highlighted term in the catalogue's words."""
+        colours, selection_list = self.app.theme_variables, self.query_one(SelectionList)
         text = Text()
-        if self.catalogue is not None and listed.highlighted is not None:
-            effect = self.catalogue.effects[listed.highlighted]
+        if self.catalogue is not None and selection_list.highlighted is not None:
+            effect = self.catalogue.effects[selection_list.highlighted]
             text.append(f"{effect.statement}\n")
             text.append(f"{effect.equation}\n", style="italic")
             text.append(f"shown by {effect.revealed_by}", style=colours["muted"])
@@ -187,35 +185,35 @@ class AnalysisDialog(ModalScreen[Task | None]):
         """A fit, or a diagnosis."""
         self._kind = "diagnose" if self._kind == "fit" else "fit"
         self._fill()
-        self._tell()
+        self._show_choices()
 
     def action_defaults(self) -> None:
-        """Take the terms that are taken where nobody says otherwise."""
+        """Select the default terms."""
         self._fill()
-        self._tell()
+        self._show_choices()
 
     def action_estimator(self) -> None:
         """The next estimator."""
         if self.catalogue is not None and self._kind == "fit":
             self._estimator = (self._estimator + 1) % len(self.catalogue.estimators)
-            self._tell()
+            self._show_choices()
 
     def action_test(self) -> None:
         """The next recording to judge on."""
         self._test = (self._test + 1) % len(self._tests)
-        self._tell()
+        self._show_choices()
 
     def action_limit(self) -> None:
         """The next limit of time."""
         self._limit = (self._limit + 1) % len(LIMITS)
-        self._tell()
+        self._show_choices()
 
     def action_start(self) -> None:
         """Begin, unless a fit would have no term at all."""
-        if self.catalogue is not None and self._kind == "fit" and not self.chosen:
+        if self.catalogue is not None and self._kind == "fit" and not self.selected_terms:
             self.app.notify("Take at least one term: Space.", severity="warning")
             return
-        self.dismiss(self.wanted)
+        self.dismiss(self.selected_task)
 
     def action_leave(self) -> None:
         """Begin nothing."""

@@ -33,7 +33,7 @@ from labhil.tui.endings import end_in_order
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
-from labhil.tui.messages import RunSaid, ShelfRead, StartWanted, StudySaid, StudyWanted
+from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
 from labhil.tui.pace import FrameLimiter
 from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.recordings import RecordingsPane
@@ -45,7 +45,7 @@ from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
 
 FRAME_INTERVAL = 0.1
-"""Plots are drawn at most ten times a second, see ``Pace``."""
+"""Plots are drawn at most ten times a second, see ``FrameLimiter``."""
 FACTS_INTERVAL = 0.25
 """Tables and states are brought up to date four times a second, so that silence shows within one."""
 FILES_INTERVAL = 2.0
@@ -85,7 +85,7 @@ class LabApp(App[None]):
     def __init__(self, folder: Path, lab: Session, *, theme: str = DARK.name, tab: str = "devices") -> None:
         super().__init__()
         self.folder, self.lab, self._first_tab = folder, lab, tab
-        self.runner = Runner(folder, lambda line: self.post_message(RunSaid(line)))
+        self.runner = Runner(folder, lambda line: self.post_message(RunLine(line)))
         self.studies = Studies(self)
         self._shelf = ShelfReader(self, folder)
         self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
@@ -118,12 +118,12 @@ class LabApp(App[None]):
         yield Footer(show_command_palette=False)
 
     def on_mount(self) -> None:
-        """Begin to look at everything."""
+        """Start the timers, and read the folder."""
         self._panes = tuple(self.base.query(TabPane))
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
         self.set_interval(FACTS_INTERVAL, self._show_facts)
         self.set_interval(FILES_INTERVAL, self.look_at_files)
-        self._shelf.look()  # before anybody asks: reading takes a while
+        self._shelf.look()  # before the tab is opened: reading takes a while
         self._show_facts()
         end_in_order(self, self.runner)
         self._focus_tab()
@@ -133,7 +133,7 @@ class LabApp(App[None]):
         self.close_everything()
 
     def close_everything(self) -> None:
-        """End the run, and all work. Safe twice; a run that nobody asked to stop has failed."""
+        """End the run and all studies; idempotent. A run without a stop request has failed."""
         self.runner.close()
         self.studies.jobs.close()
 
@@ -153,7 +153,7 @@ class LabApp(App[None]):
         timeout: float | None = None,
         markup: bool = False,
     ) -> None:
-        """Show a message; what a device, a file or the bus says in it is no markup."""
+        """Show a message; text of a device, a file or the bus in it is no markup."""
         super().notify(message, title=title, severity=severity, timeout=timeout, markup=markup)
 
     # what is shown
@@ -164,7 +164,7 @@ class LabApp(App[None]):
         return self.screen_stack[0]
 
     @property
-    def standing(self) -> bool:
+    def is_drawable(self) -> bool:
         """Whether there is anything to draw on: not before the first layout, nor while the screen goes."""
         return self.is_running and bool(self._panes) and all(pane.is_attached for pane in self._panes)
 
@@ -174,13 +174,13 @@ class LabApp(App[None]):
         return self.base.query_one("#tabs", TabbedContent).active
 
     def _draw_plots(self) -> None:
-        if self.standing and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
+        if self.is_drawable and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
             self.base.query_one(LivePane).draw()
 
     def _show_facts(self) -> None:
         if self.runner.active:
             self.runner.end_unseen(self.lab.failure())
-        if not self.standing:
+        if not self.is_drawable:
             return
         self.emergency.refresh()
         self._show_bar()
@@ -202,7 +202,7 @@ class LabApp(App[None]):
 
     def look_at_files(self) -> None:
         """Read anew what the tab in front shows of the folder; recordings in a thread, one look at a time."""
-        if not self.standing:
+        if not self.is_drawable:
             return
         if self.tab == "recordings":
             self._shelf.look()
@@ -213,7 +213,7 @@ class LabApp(App[None]):
 
     def on_shelf_read(self, message: ShelfRead) -> None:
         """The folder as far as it is read."""
-        if self.standing:
+        if self.is_drawable:
             self.base.query_one(RecordingsPane).take(message.recordings)
 
     # tabs
@@ -229,7 +229,7 @@ class LabApp(App[None]):
             self.base.query_one("#tabs", TabbedContent).active = name
 
     def on_tabbed_content_tab_activated(self, event: TabbedContent.TabActivated) -> None:
-        """Show the newest there, and let keys go to what is worked with."""
+        """Refresh the tab in front, and focus its main widget."""
         event.stop()
         self._show_facts()
         self.look_at_files()
@@ -247,8 +247,8 @@ class LabApp(App[None]):
 
     # the run
 
-    def on_start_wanted(self, message: StartWanted) -> None:
-        """Start a run; what moves real devices is asked for once more."""
+    def on_start_requested(self, message: StartRequested) -> None:
+        """Start a run; one that moves real devices only after a question."""
         if self.emergency.latch is not None:
             self.notify("The emergency stop is on: F9 releases it.", severity="error")
             return
@@ -274,11 +274,11 @@ class LabApp(App[None]):
         pane.log_line("starting", name)
         self._show_facts()
 
-    def on_run_said(self, message: RunSaid) -> None:
+    def on_run_line(self, message: RunLine) -> None:
         """Follow the run."""
         before = self.runner.state
         self.runner.take(message.line)
-        if not self.standing:
+        if not self.is_drawable:
             return
         pane = self.base.query_one(ExperimentPane)
         if "result" in message.line:
@@ -293,16 +293,16 @@ class LabApp(App[None]):
 
     # studies
 
-    def on_study_wanted(self, message: StudyWanted) -> None:
+    def on_study_requested(self, message: StudyRequested) -> None:
         """Start a fit, a diagnosis, …; show it where results are."""
         if self.studies.start(message):
             self.action_tab("results")
         self.base.query_one(ResultsPane).refresh_list()
 
-    def on_study_said(self, message: StudySaid) -> None:
+    def on_study_line(self, message: StudyLine) -> None:
         """Follow a study."""
         job, is_new_state = self.studies.follow(message)
-        if not self.standing:
+        if not self.is_drawable:
             return
         results = self.base.query_one(ResultsPane)
         if is_new_state:
@@ -325,11 +325,11 @@ class LabApp(App[None]):
         self.emergency.ask_release()
 
     def _log_run(self, kind: str, text: str, device: str = "") -> None:
-        if self.standing:
+        if self.is_drawable:
             self.base.query_one(ExperimentPane).log_line(kind, text, device)
 
     def _show_stop(self) -> bool:
-        if not self.standing:
+        if not self.is_drawable:
             return False
         note = self.base.query_one("#stop-note", Static)
         note.display = self.emergency.latch is not None

@@ -1,4 +1,4 @@
-"""What is at work, in words: the line at the top of the screen, and the question before it is left."""
+"""The work in progress, in words: the line at the top of the screen, and the question before it is left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A curve, and how it is put on a raster: lines told apart by how they are drawn, not by colour alone."""
+"""A curve, and how it is drawn on a raster: lines differ in their pen, not in colour alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Pen(StrEnum):
 
 PENS = (Pen.SOLID, Pen.DASHED, Pen.DOTS)
 DASH, PAUSE = 4, 4
-"""Points of the drawn curve."""
+"""Lengths in points of the drawn curve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +43,12 @@ class Curve:
     gap: float = math.inf
 
 
-def drawn(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
+def draw_curves(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
     """Return a raster of so many cells with the curves between the limits; each is owned by its number."""
     raster = Raster(columns, rows)
     for number, curve in enumerate(curves):
-        seen = _within(curve, x)
-        runs = [envelope(seen.x, seen.y, columns)] if curve.pen is Pen.DOTS else _runs(seen, columns)
+        visible = _clip(curve, x)
+        runs = [envelope(visible.x, visible.y, columns)] if curve.pen is Pen.DOTS else _runs(visible, columns)
         for part_x, part_y in runs:
             across = (part_x - x[0]) * ((ACROSS * columns - 1) / (x[1] - x[0]))
             down = (y[1] - part_y) * ((DOWN * rows - 1) / (y[1] - y[0]))
@@ -61,8 +61,8 @@ def drawn(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int
     return raster
 
 
-def _within(curve: Curve, limits: Limits) -> Curve:
-    """The points between the limits, and for each end one beyond them, so that lines go on to the edge."""
+def _clip(curve: Curve, limits: Limits) -> Curve:
+    """The points between the limits, and one beyond each, so that lines go on to the edge."""
     inside = (curve.x >= limits[0]) & (curve.x <= limits[1])
     if inside.all():
         return curve
@@ -74,11 +74,11 @@ def _within(curve: Curve, limits: Limits) -> Curve:
 
 def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """The stretches between two lifts of the pen, reduced to what the columns can show."""
-    good = np.isfinite(curve.y)
-    breaks = np.flatnonzero(np.diff(good.astype(np.int8))) + 1
+    finite = np.isfinite(curve.y)
+    breaks = np.flatnonzero(np.diff(finite.astype(np.int8))) + 1
     total = max(1, len(curve.x))
     for part in np.split(np.arange(total), breaks) if len(curve.x) else ():
-        if not good[part[0]]:
+        if not finite[part[0]]:
             continue
         x, y = curve.x[part], curve.y[part]
         for run in pieces(x, curve.gap):

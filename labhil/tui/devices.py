@@ -52,7 +52,7 @@ class DevicesPane(Vertical):
         self._shape: object = None
 
     def compose(self) -> ComposeResult:
-        """The table, the readings, and what is said when there is nothing."""
+        """The table, the readings, and the text for an empty bench."""
         yield Static(EMPTY, id="devices-empty")
         with Container(id="devices-split"):
             yield DataTable(id="devices-table", cursor_type="row", zebra_stripes=False)
@@ -67,7 +67,7 @@ class DevicesPane(Vertical):
         self.refresh_view()
 
     def refresh_view(self) -> None:
-        """Show things as they stand now."""
+        """Show the devices as they are now."""
         devices = self._lab.devices()
         self.query_one("#devices-empty").display = not devices
         self.query_one("#devices-split").display = bool(devices)
@@ -75,11 +75,11 @@ class DevicesPane(Vertical):
         keys = tuple(f"{endpoint} {view.name}" for endpoint, view in devices)
         rows = [self._row(view) for _, view in devices]
         if keys != self._shown:
-            at = table.cursor_row
+            cursor_row = table.cursor_row
             table.clear()
             for key, row in zip(keys, rows, strict=True):
                 table.add_row(*row, key=key)
-            table.move_cursor(row=min(at, max(0, len(keys) - 1)))
+            table.move_cursor(row=min(cursor_row, max(0, len(keys) - 1)))
             self._shown = keys
         else:
             for key, row in zip(keys, rows, strict=True):
@@ -88,16 +88,16 @@ class DevicesPane(Vertical):
                         table.update_cell(key, column, cell, update_width=column == "last event")
         if devices:
             endpoint, view = devices[min(table.cursor_row, len(devices) - 1)]
-            known = facts(endpoint, view)
+            entries = facts(endpoint, view)
             # numbers change all the time, the height seldom: a layout costs more than all the rest
             shape = (
                 endpoint,
                 view.name,
                 view.stream,
                 self._lab.fault,
-                [len(value) for _, value in known[4:]],
+                [len(value) for _, value in entries[4:]],
             )
-            readings = self._readings(view, known)
+            readings = self._readings(view, entries)
             self.query_one("#device-readings", Static).update(readings, layout=shape != self._shape)
             self._shape = shape
 
@@ -109,9 +109,9 @@ class DevicesPane(Vertical):
     def _row(self, view: DeviceView) -> list[Text]:
         colours = self.app.theme_variables
         beat = view.beat
-        old = view.state == "gone" or beat is None or beat.silent
-        rate = NOTHING if old or beat is None else frequency(beat.rate)
-        delay = NOTHING if old or beat is None else milliseconds(beat.transit)
+        stale = view.state == "gone" or beat is None or beat.silent
+        rate = NOTHING if stale or beat is None else frequency(beat.rate)
+        delay = NOTHING if stale or beat is None else milliseconds(beat.transit)
         gaps = Text(NOTHING if beat is None else count(beat.gaps))
         if beat is not None and beat.gaps:
             gaps.stylize(f"bold {colours['warning']}")
@@ -122,29 +122,29 @@ class DevicesPane(Vertical):
             gaps,
             Text(delay),
             Text(view.holder or NOTHING, overflow="ellipsis"),
-            Text(NOTHING if view.event is None else said(view.event), style=colours["muted"]),
+            Text(NOTHING if view.event is None else event_line(view.event), style=colours["muted"]),
         ]
 
-    def _readings(self, view: DeviceView, told: list[tuple[str, str]]) -> Group:
+    def _readings(self, view: DeviceView, entries: list[tuple[str, str]]) -> Group:
         colours = self.app.theme_variables
-        known = plain_grid()
-        known.add_column(style=colours["muted"], no_wrap=True)
-        known.add_column()
-        for name, value in told:
-            known.add_row(name, value)
+        grid = plain_grid()
+        grid.add_column(style=colours["muted"], no_wrap=True)
+        grid.add_column()
+        for name, value in entries:
+            grid.add_row(name, value)
         if self._lab.fault:
-            known.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.fault)
+            grid.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.fault)
         if view.stream is None:
-            return Group(known)
-        return Group(*self._values(view), Text(), known)
+            return Group(grid)
+        return Group(*self._values(view), Text(), grid)
 
     def _values(self, view: DeviceView) -> tuple[Text, PlainTable]:
-        """What it reads: as live only what is."""
+        """The newest readings, marked as live only while samples come in."""
         assert view.stream is not None
         colours = self.app.theme_variables
-        old = view.state == "gone" or view.beat is None or view.beat.silent
+        stale = view.state == "gone" or view.beat is None or view.beat.silent
         title = Text(view.name, style="bold")
-        if old:
+        if stale:
             age = duration(view.beat.age if view.beat else None)
             title.append(f"  ◌ last known, {age} ago", style=colours["warning"])
         else:
@@ -159,14 +159,14 @@ class DevicesPane(Vertical):
             for column in signal.columns():
                 value = next(values, None)
                 shown = NOTHING if value is None else f"{value:+.5f}".replace("-", "−")
-                style = colours["muted"] if old else f"bold {colours['primary']}"
-                number = Text(f"({shown})" if old else shown, style=style)
+                style = colours["muted"] if stale else f"bold {colours['primary']}"
+                number = Text(f"({shown})" if stale else shown, style=style)
                 table.add_row(column, number, signal.unit, signal.description)
         return title, table
 
 
 def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
-    """What else is known of a device, beside its samples."""
+    """Everything known of a device but its samples, as names and values."""
     beat, stream = view.beat, view.stream
     lines = []
     if stream is not None and beat is not None:
@@ -176,15 +176,16 @@ def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
         lines.append(("jitter", f"{milliseconds(beat.lateness)} between the quickest and the latest sample"))
         lines.append(("samples", f"{count(beat.received)} seen, {count(beat.gaps)} missing"))
     lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
-    told = view.metadata
+    metadata = view.metadata
     if view.is_replayed:
         lines.append(("replay", "no device is there: a recording is played"))
-    lines += [(name, told[name]) for name in ("plugin", "address", "firmware", "serial") if told.get(name)]
+    fields = ("plugin", "address", "firmware", "serial")
+    lines += [(name, metadata[name]) for name in fields if metadata.get(name)]
     lines.append(("bus", endpoint))
     return lines
 
 
-def said(event: Announcement) -> str:
+def event_line(event: Announcement) -> str:
     """An event in one line."""
-    at = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
-    return f"{at} {event.kind}: {event.message}" if event.message else f"{at} {event.kind}"
+    time_of_day = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
+    return f"{time_of_day} {event.kind}: {event.message}" if event.message else f"{time_of_day} {event.kind}"

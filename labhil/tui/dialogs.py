@@ -14,7 +14,7 @@ from textual.widgets.option_list import Option
 
 
 class Confirm(ModalScreen[bool]):
-    """A question with two answers; Escape is the careful one."""
+    """A question with two answers; Escape gives the careful one."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "answer(True)", "Yes", id="confirm.yes"),
@@ -63,11 +63,11 @@ class Choose(ModalScreen[str | None]):
             yield Static("Enter chooses, Escape leaves", classes="dialog-note")
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """This one."""
+        """Return the chosen key."""
         self.dismiss(event.option.id)
 
     def action_leave(self) -> None:
-        """None of them."""
+        """Choose none."""
         self.dismiss(None)
 
 
@@ -88,7 +88,7 @@ class Write(ModalScreen[str | None]):
             yield Static("Enter records it, Escape leaves", classes="dialog-note")
 
     def on_input_submitted(self, event: Input.Submitted) -> None:
-        """This text; an empty one is none."""
+        """Return the text; None for an empty one."""
         event.stop()
         self.dismiss(event.value.strip() or None)
 
@@ -97,7 +97,7 @@ class Write(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class Tell(ModalScreen[None]):
+class Notice(ModalScreen[None]):
     """A text to read."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,q", "dismiss", "Close", id="tell.close")]

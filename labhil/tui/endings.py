@@ -1,4 +1,4 @@
-"""Ends of the screen that nobody asks for on the screen: a signal, and a web server that is gone."""
+"""Ends of the screen that come from outside: a signal, and a web server that is gone."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SERVER = "LABHIL_WEB_SERVER"
 """The variable that holds the process of the web server, for the process of a page."""
 
 
-class Asked(Protocol):
-    """Ends a run in order when it is asked to."""
+class Stoppable(Protocol):
+    """Ends a run in order on request."""
 
     def ask(self, what: str, reason: str = "") -> None:
-        """Ask for ``stop``."""
+        """Request ``stop``."""
 
 
-def end_in_order(app: App[None], runner: Asked) -> None:
+def end_in_order(app: App[None], runner: Stoppable) -> None:
     """Let signals end ``app`` and its run in order; in a page, so does the end of its web server."""
 
     def end(number: signal.Signals) -> None:
@@ -35,8 +35,8 @@ def end_in_order(app: App[None], runner: Asked) -> None:
     if threading.current_thread() is not threading.main_thread():
         return
     loop = asyncio.get_running_loop()
-    for each in ENDINGS:
-        loop.add_signal_handler(each, end, each)
+    for ending in ENDINGS:
+        loop.add_signal_handler(ending, end, ending)
     if app.is_web and SERVER in os.environ:
         server = int(os.environ[SERVER])
         threading.Thread(

@@ -22,7 +22,7 @@ from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
 from labhil.tui.dialogs import Write
 from labhil.tui.lab import Session
-from labhil.tui.messages import StartWanted
+from labhil.tui.messages import StartRequested
 from labhil.tui.recording_library import ExperimentFile, experiments
 from labhil.tui.runner import Runner
 from labhil.tui.words import RUN_STATES, duration
@@ -41,13 +41,13 @@ ALLOWED = {
     "stop": ("starting", "running", "paused"),
     "abort": ("starting", "running", "paused"),
 }
-"""In which states of a run each of them makes sense."""
+"""States of a run in which each control is enabled."""
 
-MARKED = tuple(state.value for state in RECORDED)
-"""In which states of a run a marker is recorded."""
+MARKABLE = tuple(state.value for state in RECORDED)
+"""States of a run in which a marker is recorded."""
 
 MOST_LINES = 200
-"""Of the log; all that happens stands in the recording."""
+"""Lines kept in the log; the recording holds every event."""
 
 
 class ExperimentPane(Vertical):
@@ -94,21 +94,21 @@ class ExperimentPane(Vertical):
 
     def refresh_list(self) -> None:
         """Look for experiment files anew."""
-        found = experiments(self._folder)
-        if found == self._files:
+        files = experiments(self._folder)
+        if files == self._files:
             return
-        self._files = found
+        self._files = files
         options = self.query_one(OptionList)
         options.clear_options()
-        own = [file for file in found if not file.packaged]
+        local_files = [file for file in files if not file.packaged]
         muted = self.app.theme_variables["muted"]
-        if own:
+        if local_files:
             options.add_option(Option(Text("in this folder", style=f"italic {muted}"), disabled=True))
-        for index, file in enumerate(found):
-            if file.packaged and (index == 0 or not found[index - 1].packaged):
+        for index, file in enumerate(files):
+            if file.packaged and (index == 0 or not files[index - 1].packaged):
                 options.add_option(Option(Text("examples, simulated", f"italic {muted}"), disabled=True))
             options.add_option(Option(f"  {file.name}", id=str(index)))
-        options.highlighted = 1 if found else None
+        options.highlighted = 1 if files else None
 
     def on_option_list_option_highlighted(self, event: OptionList.OptionHighlighted) -> None:
         """Show the plan of the chosen experiment."""
@@ -132,11 +132,11 @@ class ExperimentPane(Vertical):
         if name != "start":
             self._runner.ask(name)
         elif self.plan is not None:
-            self.post_message(StartWanted(str(self.plan.experiment.path)))
+            self.post_message(StartRequested(str(self.plan.experiment.path)))
 
     def action_mark(self) -> None:
-        """Ask for a marker's text; it stands in the recording at the moment of the key."""
-        if self._runner.state not in MARKED:
+        """Ask for a marker's text; the recording holds it at the moment of the key."""
+        if self._runner.state not in MARKABLE:
             return
         pressed_ns = steady_ns()
 
@@ -151,7 +151,7 @@ class ExperimentPane(Vertical):
         if action == "control":
             return self._runner.state in ALLOWED[str(parameters[0])]
         if action == "mark":
-            return self._runner.state in MARKED
+            return self._runner.state in MARKABLE
         return True
 
     def moves_hardware(self) -> list[str]:
@@ -178,13 +178,13 @@ class ExperimentPane(Vertical):
     # the run
 
     def refresh_view(self) -> None:
-        """Show how far the run is, and what was announced since."""
+        """Show how far the run is, and the events since the last look."""
         runner, colours = self._runner, self.app.theme_variables
         self.query_one("#run-state", Static).update(RUN_STATES[runner.state].text(colours))
         bar = self.query_one(ProgressBar)
         bar.update(total=max(runner.duration, 1e-9), progress=runner.elapsed)
-        over = runner.duration > 0
-        elapsed = f"{runner.elapsed:.1f} of {duration(runner.duration)}" if over else ""
+        has_duration = runner.duration > 0
+        elapsed = f"{runner.elapsed:.1f} of {duration(runner.duration)}" if has_duration else ""
         self.query_one("#run-elapsed", Static).update(elapsed)
         self.query_one("#run-reason", Static).update(Text(runner.reason, style=colours["muted"]))
         self._log_events()
@@ -201,22 +201,22 @@ class ExperimentPane(Vertical):
             self.log_line(event.kind, event.message, event.device, event.t_ns)
 
     def log_line(self, kind: str, message: str, device: str = "", t_ns: int | None = None) -> None:
-        """Add a line to what happened."""
+        """Add a line to the log."""
         colours = self.app.theme_variables
-        at = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
+        moment = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
         line = Text()
-        line.append(f"{at:%H:%M:%S} ", style=colours["muted"])
+        line.append(f"{moment:%H:%M:%S} ", style=colours["muted"])
         line.append(f"{device or 'screen':<8.8} ", style="bold")
-        bad = kind in ("tripped", "failed", "watchdog", "refused", "aborting", "stop all")
-        sign = "▲ " if bad else ""
-        line.append(f"{sign}{kind}", style=colours["error" if bad else "primary"])
+        is_alarm = kind in ("tripped", "failed", "watchdog", "refused", "aborting", "stop all")
+        sign = "▲ " if is_alarm else ""
+        line.append(f"{sign}{kind}", style=colours["error" if is_alarm else "primary"])
         line.append(f"  {message}")
         self._log.append(line)
         self.query_one("#run-log-lines", Static).update(Text("\n").join(self._log))
         self.query_one("#run-log").scroll_end(animate=False)
 
     def take_result(self, result: dict[str, Any] | None, error: str | None) -> None:
-        """Log what came of a run."""
+        """Log the result of a run."""
         if error:
             self.log_line("failed", error)
         if result is not None and result["path"] is not None:
@@ -224,12 +224,12 @@ class ExperimentPane(Vertical):
 
 
 def plan_text(plan: Plan, colours: dict[str, str]) -> Text:
-    """What ``labhil run --dry-run`` says, with what to mind first."""
+    """The text of ``labhil run --dry-run``, with its warnings first."""
     text = Text()
     for warning in plan.warnings():
         text.append(f"▲ {warning}\n", style=colours["warning"])
-    first, *rest = plan.describe().splitlines()
-    text.append(f"{first}\n", style="bold")
+    heading, *lines = plan.describe().splitlines()
+    text.append(f"{heading}\n", style="bold")
     notes = {f"  note: {warning}" for warning in plan.warnings()}
-    text.append("\n".join(line for line in rest if line not in notes))
+    text.append("\n".join(line for line in lines if line not in notes))
     return text

@@ -1,4 +1,4 @@
-"""Every bus in reach: found again and again, watched, and brought to safety all at once."""
+"""Every bus in reach: discovered, watched, and brought to safety all at once."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from labhil.tui.watch import Announcement, DeviceView, Watch
 
 LOOK_INTERVAL = 0.5
 FORGET_AFTER = 3
-"""A bus that is no longer told of, and has no device any more, is left after so many looks."""
+"""Looks after which a bus that is no longer registered, and has no device, is left."""
 
 BY = "the terminal UI"
 
-Endpoints = Callable[[], Iterable[str]]
+EndpointSource = Callable[[], Iterable[str]]
 
 
 def registered_buses() -> list[str]:
-    """Endpoints of the buses on this machine: of whoever leads one, and of hosts that nobody leads."""
+    """Endpoints of the buses on this machine: of every leader, and of hosts without one."""
     entries = running()
     leaders = [entry for entry in entries if entry.kind != "host"]
     led = {device for entry in leaders for device in entry.devices}
-    alone = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
-    return [entry.endpoint for entry in (*leaders, *alone)]
+    leaderless = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
+    return [entry.endpoint for entry in (*leaders, *leaderless)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +49,18 @@ class Place:
 
     @property
     def key(self) -> str:
-        """A name of its own."""
+        """Unique name of the signal."""
         return f"{self.endpoint} {self.device} {self.stream} {self.signal.name}"
 
 
 class Session:
-    """Watches the buses at ``fixed`` endpoints and at those that ``found`` tells of.
+    """Watches the buses at ``fixed`` endpoints and at those that ``discover`` returns.
 
     Raises BusError where nobody listens at a fixed endpoint.
     """
 
-    def __init__(self, fixed: Iterable[str] = (), found: Endpoints = registered_buses) -> None:
-        self._fixed, self._found = tuple(fixed), found
+    def __init__(self, fixed: Iterable[str] = (), discover: EndpointSource = registered_buses) -> None:
+        self._fixed, self._discover = tuple(fixed), discover
         self._watches: dict[str, Watch] = {}
         self._missed: dict[str, int] = {}
         self._stacks: dict[str, ExitStack] = {}
@@ -94,7 +94,7 @@ class Session:
 
     def devices(self) -> list[tuple[str, DeviceView]]:
         """Every device in reach, with the endpoint of its bus."""
-        return [(place, view) for place, watch in self.watches.items() for view in watch.devices()]
+        return [(endpoint, view) for endpoint, watch in self.watches.items() for view in watch.devices()]
 
     def places(self) -> list[Place]:
         """Every signal in reach."""
@@ -105,18 +105,20 @@ class Session:
         ]
 
     def stream(self, place: Place) -> StreamWatch | None:
-        """The stream that a signal stands in, None when its bus is gone."""
+        """The stream of a signal, None when its bus is gone."""
         watch = self.watches.get(place.endpoint)
         return None if watch is None else watch.stream(place.device, place.stream)
 
     def events(self) -> list[Announcement]:
-        """What was announced, the oldest first."""
-        said = [event for watch in self.watches.values() for event in watch.events.copy()]
-        return sorted(said, key=lambda event: event.t_ns)
+        """All announcements, the oldest first."""
+        events = [event for watch in self.watches.values() for event in watch.events.copy()]
+        return sorted(events, key=lambda event: event.t_ns)
 
     def replays(self) -> list[tuple[str, ReplayMessage]]:
         """Recordings that are replayed, each with the endpoint of its bus."""
-        return [(place, watch.replay) for place, watch in self.watches.items() if watch.replay is not None]
+        return [
+            (endpoint, watch.replay) for endpoint, watch in self.watches.items() if watch.replay is not None
+        ]
 
     def control_replay(self, endpoint: str, action: str, value: float = 0.0) -> None:
         """Ask a replay to "pause", "play", "speed" or "seek"; waits for its answer, raises LabhilError."""
@@ -126,18 +128,18 @@ class Session:
 
     @property
     def fault(self) -> str:
-        """What was wrong last with what came in; empty where nothing was."""
+        """The last errors in incoming messages; empty where there were none."""
         return "; ".join(watch.fault for watch in self.watches.values() if watch.fault)
 
     def failure(self) -> str:
-        """Return why what is shown is news no more; empty while all is well."""
+        """Return why the view is out of date; empty while all is well."""
         if self._thread.ident is not None and not self._ending.is_set() and not self._thread.is_alive():
             return "the thread that looks for devices has died"
         return next((why for watch in self.watches.values() if (why := watch.failure())), "")
 
     @property
     def latch(self) -> Latch | None:
-        """The emergency stop, whoever pressed it; None where none stands. One that cannot be read stands."""
+        """The emergency stop, whoever pressed it, or None. One that cannot be read counts as pressed."""
         try:
             return read_latch()
         except (LabhilError, OSError) as error:
@@ -146,15 +148,15 @@ class Session:
     def stop_all(self, reason: str) -> Outcome:
         """Press the emergency stop: every device on this machine and in reach, at once.
 
-        The latch is set before anybody is asked, and works without any bus. The outcome says who did not
+        The latch is set before any request, and works without any bus. The outcome names who did not
         answer.
         """
         outcomes = [press_everywhere(BY, reason)]
         for endpoint in self._fixed:
             watch = self.watches.get(endpoint)
             if watch is not None:
-                there = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
-                outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in there]))
+                present = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
+                outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in present]))
         answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
         failed = {name: why for outcome in outcomes for name, why in outcome.failed.items()}
         silent = {name for outcome in outcomes for name in outcome.silent} - answered.keys()
@@ -171,15 +173,15 @@ class Session:
     def _look_around(self) -> None:
         while not self._ending.wait(LOOK_INTERVAL):
             try:
-                told = set(self._found())
+                endpoints = set(self._discover())
             except (LabhilError, OSError):
-                told = set(self.watches)  # for now nothing is known of others
-            for endpoint in told - set(self.watches):
+                endpoints = set(self.watches)  # the register cannot be read now: keep those
+            for endpoint in endpoints - set(self.watches):
                 try:
                     self._join(endpoint)
                 except LabhilError:
-                    continue  # it ended between its note and our knock
-            for endpoint in set(self.watches) - told - set(self._fixed):
+                    continue  # it ended after it was listed
+            for endpoint in set(self.watches) - endpoints - set(self._fixed):
                 self._leave_when_empty(endpoint)
 
     def _join(self, endpoint: str) -> None:

@@ -19,7 +19,7 @@ from labhil.tui.curve import PENS, Curve
 from labhil.tui.dialogs import Choose
 from labhil.tui.lab import Place, Session
 from labhil.tui.plot import Chart
-from labhil.tui.recording_library import results
+from labhil.tui.recording_library import models
 from labhil.tui.replaying import replay_line, steer
 from labhil.tui.shadow import ShadowView
 from labhil.tui.stream_watch import trace
@@ -60,7 +60,7 @@ class LivePane(Horizontal):
         self._charts: dict[str, Chart] = {}
         self._limits: dict[str, Limits] = {}
         self._window = 2
-        self._said = Text()
+        self._state_line = Text()
         self.frozen = self._replayed = False
 
     def compose(self) -> ComposeResult:
@@ -80,7 +80,7 @@ class LivePane(Horizontal):
     def refresh_list(self) -> None:
         """Take up signals that appeared, and drop those that are gone."""
         if self.frozen:
-            return  # what is held is held, whatever comes and goes meanwhile
+            return  # a frozen picture stays, whatever comes and goes meanwhile
         replayed = bool(self._lab.replays())
         if replayed != self._replayed:
             self._replayed = replayed
@@ -88,16 +88,16 @@ class LivePane(Horizontal):
         places = {place.key: place for place in self._lab.places()}
         if places.keys() == self._places.keys():
             return
-        listed = self.query_one(SelectionList)
-        chosen = set(listed.selected)
+        signal_list = self.query_one(SelectionList)
+        chosen = set(signal_list.selected)
         new = [place for key, place in places.items() if key not in self._places]
         self._places = places
-        listed.clear_options()
+        signal_list.clear_options()
         several = len({(place.endpoint, place.device) for place in places.values()}) > 1
         chosen |= {place.key for place in _first_choice(new)}
         for key, place in places.items():
             name = f"{place.device} {place.signal.name}" if several else place.signal.name
-            listed.add_option(Selection(Content(f"{name}, {place.signal.unit}"), key, key in chosen))
+            signal_list.add_option(Selection(Content(f"{name}, {place.signal.unit}"), key, key in chosen))
         self.call_after_refresh(self._choose)
 
     def on_selection_list_selected_changed(self, _event: SelectionList.SelectedChanged[str]) -> None:
@@ -105,8 +105,8 @@ class LivePane(Horizontal):
         self.call_after_refresh(self._choose)
 
     async def _choose(self) -> None:
-        listed = self.query_one(SelectionList)
-        chosen = [key for key in self._places if key in set(listed.selected)][:MOST_CHARTS]
+        signal_list = self.query_one(SelectionList)
+        chosen = [key for key in self._places if key in set(signal_list.selected)][:MOST_CHARTS]
         if chosen == list(self._charts):
             return
         area = self.query_one("#live-charts")
@@ -117,24 +117,24 @@ class LivePane(Horizontal):
 
     def draw(self) -> None:
         """Draw the newest, unless the picture is held."""
-        self._say()
+        self._show_state()
         if self.frozen:
             return
         now_ns = labs.clock_ns()
         for number, (key, chart) in enumerate(self._charts.items()):
             place = self._places.get(key)  # a signal that has just gone has its chart until the next layout
             if place is not None and chart.is_attached:
-                self._draw_one(chart, place, now_ns, number)
+                self._draw_chart(chart, place, now_ns, number)
         self.query_one(ShadowView).draw(self.window)
 
-    def _draw_one(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
+    def _draw_chart(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
         watched = self._lab.stream(place)
         if watched is None:
             return
         ago, values = trace(watched, place.signal.name, self.window, now_ns)
         shown = ago >= -self.window
         ago, values = ago[shown], values[shown]
-        limits = self._grown(place.key, values)
+        limits = self._grow_limits(place.key, values)
         gap = 5.0 / (watched.stream.rate * watched.speed)
         names = place.signal.columns()[:MOST_CURVES]
         curves = [
@@ -161,18 +161,18 @@ class LivePane(Horizontal):
             title.append(f"   {values[-1, 0]:+.4f}".replace("-", "−"), style="bold")
         return title
 
-    def _grown(self, key: str, values: FloatArray) -> Limits:
+    def _grow_limits(self, key: str, values: FloatArray) -> Limits:
         """Limits grow with the data and do not shrink by themselves: a breathing picture cannot be read."""
-        known = self._limits.get(key)
+        limits = self._limits.get(key)
         if not values.size:
-            return known or (-1.0, 1.0)
+            return limits or (-1.0, 1.0)
         low, high = limits_of([values])
-        if known is not None:
-            low, high = min(low, known[0]), max(high, known[1])
+        if limits is not None:
+            low, high = min(low, limits[0]), max(high, limits[1])
         self._limits[key] = (low, high)
         return low, high
 
-    def _say(self) -> None:
+    def _show_state(self) -> None:
         colours = self.app.theme_variables
         self.query_one("#live-empty").display = not self._places
         line = Text(no_wrap=True, overflow="ellipsis")
@@ -184,8 +184,8 @@ class LivePane(Horizontal):
         elif self._places:
             line.append(f"▶ the last {duration(self.window)}", style="bold")
             line.append(f", {len(self._charts)} of {len(self._places)} signals", style=colours["muted"])
-        if line != self._said:
-            self._said = line
+        if line != self._state_line:
+            self._state_line = line
             self.query_one("#live-state", Static).update(line, layout=False)
 
     def action_freeze(self) -> None:
@@ -195,11 +195,11 @@ class LivePane(Horizontal):
         self.draw()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """There is something to steer only where a recording is replayed."""
+        """Replay keys work only where a recording is replayed."""
         return bool(self._lab.replays()) if action == "replay" else True
 
     def action_replay(self, what: str, way: int = 0) -> None:
-        """Steer what is replayed; its answer is waited for in a thread."""
+        """Steer the replay; a thread waits for its answer."""
 
         def go() -> None:
             complaint = steer(self._lab, what, way)
@@ -215,8 +215,8 @@ class LivePane(Horizontal):
             view.end()
             return
         place = self._place_of_model()
-        found = results(self._folder)
-        if place is None or not found:
+        choices = models(self._folder)
+        if place is None or not choices:
             lacking = (
                 "a device that sends samples" if place is None else "a fit or a diagnosis in this folder"
             )
@@ -227,20 +227,22 @@ class LivePane(Horizontal):
             if choice is not None:
                 view.begin(place, Path(choice))
 
-        names = [(str(result.path), result.path.name) for result in found]
+        names = [(str(result.path), result.path.name) for result in choices]
         self.app.push_screen(Choose(f"Which model runs beside {place.device}?", names), go)
 
     def _place_of_model(self) -> Place | None:
         """The first measured signal of the device that the list is at, or else of any."""
-        listed = self.query_one(SelectionList)
+        signal_list = self.query_one(SelectionList)
         outputs = [p for p in self._places.values() if p.signal.direction is Direction.OUTPUT]
-        if listed.highlighted is None or not outputs:
+        if signal_list.highlighted is None or not outputs:
             return next(iter(outputs), None)
-        here = self._places.get(listed.get_option_at_index(listed.highlighted).value)
-        own = [
-            p for p in outputs if here is not None and (p.endpoint, p.device) == (here.endpoint, here.device)
+        place = self._places.get(signal_list.get_option_at_index(signal_list.highlighted).value)
+        of_device = [
+            p
+            for p in outputs
+            if place is not None and (p.endpoint, p.device) == (place.endpoint, place.device)
         ]
-        return next(iter(own or outputs))
+        return next(iter(of_device or outputs))
 
     def action_window(self, change: int) -> None:
         """Show more or less of the past."""
@@ -258,6 +260,6 @@ class LivePane(Horizontal):
 
 
 def _first_choice(places: list[Place]) -> list[Place]:
-    """What is plotted without being asked: measurements and what acts, of the first device's first stream."""
+    """The default plots: measurements and inputs of the first device's first stream."""
     wanted = [p for p in places if p.signal.direction in (Direction.OUTPUT, Direction.INPUT)]
     return sorted(wanted, key=lambda place: place.signal.direction is not Direction.OUTPUT)[:3]

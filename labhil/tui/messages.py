@@ -1,4 +1,4 @@
-"""What the working parts tell the screen."""
+"""Messages of the working parts to the screen."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from labhil.tui.recording_library import LibraryEntry
 
 
 @dataclass
-class RunSaid(Message):
+class RunLine(Message):
     """A line of the run process."""
 
     line: dict[str, Any]
 
 
 @dataclass
-class StudySaid(Message):
+class StudyLine(Message):
     """A line of the process of job ``number``."""
 
     number: int
@@ -33,21 +33,14 @@ class ShelfRead(Message):
 
 
 @dataclass
-class StartWanted(Message):
-    """Somebody wants this experiment to run."""
+class StartRequested(Message):
+    """A request to run this experiment."""
 
     path: str
 
 
 @dataclass
-class StudyWanted(Message):
-    """Somebody wants this to be worked out; ``task`` is a labhil.campaign.studies.study.Task."""
+class StudyRequested(Message):
+    """A request for a study; ``task`` is a labhil.campaign.studies.study.Task."""
 
     task: Any
-
-
-@dataclass
-class ResultWanted(Message):
-    """Somebody wants to see this result file."""
-
-    path: str

@@ -30,7 +30,7 @@ Channel = dict[str, Any]
 
 
 @dataclass
-class Simulated(Message):
+class SimulationLine(Message):
     """A line of the process that simulates."""
 
     line: dict[str, Any]
@@ -54,7 +54,7 @@ class Overlay(Screen[None]):
         self._reason = ""
 
     def compose(self) -> ComposeResult:
-        """A title, what is switched, what the errors are, and room for charts."""
+        """A title, the list of options, the errors, and room for charts."""
         yield Static(Text(f" {self._heading} … simulating", style="bold"), id="overlay-title")
         with Container(id="overlay-split"):
             with Vertical(id="overlay-side"):
@@ -64,19 +64,19 @@ class Overlay(Screen[None]):
         yield Footer(show_command_palette=False)
 
     def on_mount(self) -> None:
-        """Have the models simulated."""
+        """Start to simulate the models."""
         self._helper = Helper("the simulation", MODULE, self._request, self._hear)
 
     def _hear(self, line: dict[str, Any]) -> None:
-        self.post_message(Simulated(line))
+        self.post_message(SimulationLine(line))
 
     def on_unmount(self) -> None:
-        """Nobody needs it any more."""
+        """End the process that simulates."""
         if self._helper is not None:
             self._helper.close(0.2)
 
-    async def on_simulated(self, message: Simulated) -> None:
-        """The curves, or why there are none."""
+    async def on_simulation_line(self, message: SimulationLine) -> None:
+        """Show the curves, or why there are none."""
         message.stop()
         line = message.line
         if "failed" in line:
@@ -97,21 +97,21 @@ class Overlay(Screen[None]):
         self.query_one("#overlay-title", Static).update(title)
 
     async def begin(self, options: Mapping[str, str], charts: int) -> None:
-        """List what is switched, by what it is called, and make room for so many charts."""
-        listed = self.query_one(SelectionList)
+        """List the options by their names, and mount so many charts."""
+        selection_list = self.query_one(SelectionList)
         for value, name in options.items():
-            listed.add_option(Selection(Content(name), value, True))
+            selection_list.add_option(Selection(Content(name), value, True))
         self._charts = [Chart(classes="overlay-chart") for _ in range(charts)]
         await self.query_one("#overlay-charts").mount_all(self._charts)
-        listed.highlighted = 0
-        listed.focus()
+        selection_list.highlighted = 0
+        selection_list.focus()
 
     def show_errors(self, lines: Sequence[str]) -> None:
-        """Say how large the errors are."""
+        """Show how large the errors are."""
         self.query_one("#overlay-errors", Static).update(Text("\n".join(lines)))
 
     def show_title(self, more: str = "") -> None:
-        """Say what is on the screen."""
+        """Show what is on the screen."""
         title = Text(f" {self._heading}{more}", style="bold", no_wrap=True, overflow="ellipsis")
         self.query_one("#overlay-title", Static).update(title)
 
@@ -157,29 +157,29 @@ class ModelsScreen(Overlay):
         self._draw()
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
-        """Draw those that are chosen."""
+        """Draw the selected models."""
         self._draw()
 
     def _draw(self) -> None:
         if self._line is None:
             return
-        chosen, errors = set(self.query_one(SelectionList).selected), list[str]()
+        selected, errors = set(self.query_one(SelectionList).selected), list[str]()
         for chart, channel in zip(self._charts, self._line["channels"], strict=True):
             models = [(ascii_uppercase[m["number"]], m) for m in channel["models"]]
-            curves = [] if self._differences else [_measured(channel)]
+            curves = [] if self._differences else [_measured_curve(channel)]
             for letter, model in models:
-                if letter in chosen:
+                if letter in selected:
                     colour = f"curve-{model['number'] % CURVES}"
-                    curves.append(Curve(*self._drawn(channel, model), colour, Pen.SOLID, letter))
+                    curves.append(Curve(*self._model_curve(channel, model), colour, Pen.SOLID, letter))
             what = "less measured, " if self._differences else ""
             chart.show(f"{channel['name']}, {what}{channel['unit']}", curves, keep_view=True)
             rmse = [f"{letter} {_error({**model, 'unit': channel['unit']})}" for letter, model in models]
             errors.append(f"{channel['name']}: RMSE {', '.join(rmse)}")
-        self.shown = frozenset(chosen)
+        self.shown = frozenset(selected)
         self.show_errors(errors)
         self.show_title()
 
-    def _drawn(self, channel: Channel, model: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
+    def _model_curve(self, channel: Channel, model: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
         """Times and values of a model's curve."""
         t, simulated = np.array(model["t"]), _numbers(model["simulated"])
         if not self._differences:
@@ -187,7 +187,7 @@ class ModelsScreen(Overlay):
         return t, simulated - np.interp(t, np.array(channel["t"]), _numbers(channel["measured"]))
 
     def action_differences(self) -> None:
-        """Show by how much models err, or what they say."""
+        """Show the errors of the models, or their curves."""
         self._differences = not self._differences
         for chart in self._charts:
             chart.query_one(Plot).action_whole()
@@ -199,58 +199,58 @@ class OverlayScreen(Overlay):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path.name, {"result": str(path.absolute())})
-        self._whole: list[Channel] = []
+        self._complete: list[Channel] = []
         self.shown: frozenset[str] | None = None
         """The terms without which the model on the screen was simulated; None before the first."""
 
     async def take(self, line: dict[str, Any]) -> None:
         """Show the model with the terms that this line was simulated with."""
         if "terms" in line:
-            self._whole = line["channels"]
+            self._complete = line["channels"]
             await self.begin({term: term for term in line["terms"]}, len(line["channels"]))
         self.shown = frozenset(line["without"])
-        for chart, whole, channel in zip(self._charts, self._whole, line["channels"], strict=True):
-            chart.show(f"{channel['name']}, {channel['unit']}", curves_of(whole, channel), keep_view=True)
-        self.show_errors([_errors(*pair) for pair in zip(self._whole, line["channels"], strict=True)])
-        self._tell()
+        for chart, complete, channel in zip(self._charts, self._complete, line["channels"], strict=True):
+            chart.show(f"{channel['name']}, {channel['unit']}", curves_of(complete, channel), keep_view=True)
+        self.show_errors([_errors(*pair) for pair in zip(self._complete, line["channels"], strict=True)])
+        self._show_progress()
 
-    def _tell(self) -> None:
-        """Say what is on the screen, and whether it is what is chosen."""
+    def _show_progress(self) -> None:
+        """Show what is on the screen, and whether it is up to date."""
         if self.shown is None:
             return
-        self.show_title("" if self.shown == self._without() else " … simulating")
+        self.show_title("" if self.shown == self._deselected() else " … simulating")
 
-    def _without(self) -> frozenset[str]:
-        listed = self.query_one(SelectionList)
-        every = [listed.get_option_at_index(i).value for i in range(listed.option_count)]
-        return frozenset(every) - frozenset(listed.selected)
+    def _deselected(self) -> frozenset[str]:
+        selection_list = self.query_one(SelectionList)
+        terms = [selection_list.get_option_at_index(i).value for i in range(selection_list.option_count)]
+        return frozenset(terms) - frozenset(selection_list.selected)
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
         """Simulate with these terms."""
         if self.shown is not None and self._helper is not None:
-            self._helper.tell({"without": sorted(self._without())})
-            self._tell()
+            self._helper.tell({"without": sorted(self._deselected())})
+            self._show_progress()
 
 
-def curves_of(whole: Channel, chosen: Channel) -> list[Curve]:
-    """Return the curves of an output: measured, under all terms, and under those that are chosen."""
-    t, measured = np.array(whole["t"]), _measured(whole)
-    model = Curve(t, _numbers(chosen["simulated"]), "curve-0", Pen.SOLID, "model")
-    if not chosen["without"]:
+def curves_of(complete: Channel, selected: Channel) -> list[Curve]:
+    """Return the curves of an output: measured, with all terms, and with the selected ones."""
+    t, measured = np.array(complete["t"]), _measured_curve(complete)
+    model = Curve(t, _numbers(selected["simulated"]), "curve-0", Pen.SOLID, "model")
+    if not selected["without"]:
         return [measured, model]
-    complete = Curve(t, _numbers(whole["simulated"]), "curve-1", Pen.DASHED, "all terms")
-    return [measured, complete, model]
+    all_terms = Curve(t, _numbers(complete["simulated"]), "curve-1", Pen.DASHED, "all terms")
+    return [measured, all_terms, model]
 
 
-def _measured(channel: Channel) -> Curve:
+def _measured_curve(channel: Channel) -> Curve:
     measured = _numbers(channel["measured"])
     return Curve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
 
 
-def _errors(whole: Channel, chosen: Channel) -> str:
-    """The RMSE of an output, and what it is under all terms."""
-    text = f"{chosen['name']}: RMSE {_error(chosen)}"
-    return f"{text}, all terms {_error(whole)}" if chosen["without"] else text
+def _errors(complete: Channel, selected: Channel) -> str:
+    """The RMSE of an output, and that with all terms."""
+    text = f"{selected['name']}: RMSE {_error(selected)}"
+    return f"{text}, all terms {_error(complete)}" if selected["without"] else text
 
 
 def _error(channel: Channel) -> str:

@@ -8,13 +8,13 @@ from collections.abc import Callable
 SHARE = 0.1
 """Of one core, for the thread that draws."""
 SLOWEST = 0.5
-"""However dear a picture is, the next one comes after so many s."""
+"""Longest time between two pictures, however costly, s."""
 
 Clock = Callable[[], float]
 
 
 class FrameLimiter:
-    """Says at each tick whether to draw; ``spent`` is the CPU time of the calling thread, s.
+    """Decides at each tick whether to draw; ``spent`` is the CPU time of the calling thread, s.
 
     A picture of three charts takes some 5 ms on a machine of its own and four times that where others
     compete for its cores and caches: then every second tick goes by without one.

@@ -54,7 +54,7 @@ def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
         yield SystemCommand(
             f"cancel: {job.title}", "Files stay as they were", partial(app.studies.jobs.cancel, job)
         )
-    other = "light" if app.theme == DARK.name else "dark"
-    yield SystemCommand(f"layout: {other} colours", "Change the theme", app.action_toggle_theme)
+    opposite = "light" if app.theme == DARK.name else "dark"
+    yield SystemCommand(f"layout: {opposite} colours", "Change the theme", app.action_toggle_theme)
     yield SystemCommand("help: keys", "All keys of this screen, or put them away", app.action_keys)
     yield SystemCommand("quit", "A run is ended in order first", app.action_leave)

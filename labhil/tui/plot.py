@@ -21,11 +21,11 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, drawn
+from labhil.tui.curve import Curve, draw_curves
 from labhil.tui.ticks import Limits, labels, limits_of, ticks
 
 MARGIN = 9
-"""Columns on the left for what stands at the ticks."""
+"""Columns on the left for tick labels."""
 FRAME = 2
 """Columns, and rows, of the frame around the curves; one more row under it is for the ticks of x."""
 
@@ -61,44 +61,44 @@ class Plot(Widget, can_focus=True):
     def __init__(self) -> None:
         super().__init__()
         self._curves: tuple[Curve, ...] = ()
-        self._whole: View = ((0.0, 1.0), (-1.0, 1.0))
-        self._seen = self._whole
+        self._full_view: View = ((0.0, 1.0), (-1.0, 1.0))
+        self._view = self._full_view
         self._lines: list[Strip] = []
         self.cursor: float | None = None
         """Where on x the values are read, None for nowhere."""
 
     @dataclass
     class CursorMoved(Message):
-        """The values are read elsewhere."""
+        """The cursor is at another place."""
 
         x: float | None
 
     @property
     def view(self) -> View:
         """The limits of x and of y that are shown."""
-        return self._seen
+        return self._view
 
     def show(self, curves: Sequence[Curve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
-        """Draw these between these limits, or with ``keep_view`` between those that were zoomed to."""
-        is_zoomed = self._seen != self._whole
-        self._curves, self._whole = tuple(curves), (_spread(x), _spread(y))
-        self._look_at(self._seen if keep_view and is_zoomed else self._whole)
+        """Draw the curves between these limits, or with ``keep_view`` in the zoomed view."""
+        is_zoomed = self._view != self._full_view
+        self._curves, self._full_view = tuple(curves), (_widen(x), _widen(y))
+        self._look_at(self._view if keep_view and is_zoomed else self._full_view)
 
     def notify_style_update(self) -> None:
         """Draw anew, in the colours of another theme."""
         super().notify_style_update()
-        self._look_at(self._seen)
+        self._look_at(self._view)
 
     def on_resize(self, _event: Resize) -> None:
         """Draw anew, as large as it is now."""
-        self._look_at(self._seen)
+        self._look_at(self._view)
 
     def _look_at(self, view: View) -> None:
-        self._seen, self._lines = view, []
+        self._view, self._lines = view, []
         self.refresh()
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """The part of the picture that is asked for; there is no border and no padding around it."""
+        """The requested part of the picture; there is no border and no padding around it."""
         width, height = self.size
         if not self._lines:
             self._lines = self._picture(width - MARGIN - FRAME, height - FRAME - 1)
@@ -108,52 +108,52 @@ class Plot(Widget, can_focus=True):
     def _picture(self, columns: int, rows: int) -> list[Strip]:
         """Every line, as wide as the widget, with the terminal's filters (as without colours) applied."""
         base, (width, height) = self.rich_style, self.size
-        drawn = self._frame(columns, rows, base) if columns > 0 and rows > 0 else [Strip.blank(0)] * height
-        lines = [line.adjust_cell_length(width, base) for line in drawn]
-        behind = self.background_colors[1]
+        strips = self._frame(columns, rows, base) if columns > 0 and rows > 0 else [Strip.blank(0)] * height
+        lines = [line.adjust_cell_length(width, base) for line in strips]
+        background = self.background_colors[1]
         for line_filter in self.app.get_line_filters():
-            lines = [line.apply_filter(line_filter, behind) for line in lines]
+            lines = [line.apply_filter(line_filter, background) for line in lines]
         return lines
 
     def _frame(self, columns: int, rows: int, base: Style) -> list[Strip]:
-        known = self.app.theme_variables
+        colours = self.app.theme_variables
         axis = base + self.get_component_rich_style("plot--axis", partial=True)
         tick = base + self.get_component_rich_style("plot--tick", partial=True)
-        pens = [base + Style(color=known.get(curve.colour, "#888888")) for curve in self._curves]
-        raster = drawn(self._curves, *self._seen, columns, rows)
-        across, beside = self._ticks_of_x(columns), self._ticks_of_y(rows)
+        pens = [base + Style(color=colours.get(curve.colour, "#888888")) for curve in self._curves]
+        raster = draw_curves(self._curves, *self._view, columns, rows)
+        x_labels, y_labels = self._ticks_of_x(columns), self._ticks_of_y(rows)
         margin, cursor = Segment(" " * (MARGIN - 1), tick), self._cursor_column(columns)
-        lines = [Strip([margin, Segment(" " + _edge("┏", "━", "┻", "┓", columns, across), axis)])]
+        lines = [Strip([margin, Segment(" " + _edge("┏", "━", "┻", "┓", columns, x_labels), axis)])]
         for row in range(rows):
-            label, left, right = (beside[row], "┫", "┣") if row in beside else ("", "┃", "┃")
+            label, left, right = (y_labels[row], "┫", "┣") if row in y_labels else ("", "┃", "┃")
             cells = [Segment(text, pens[owner] if owner >= 0 else base) for text, owner in raster.runs(row)]
             head = [Segment(label.rjust(MARGIN - 1)[: MARGIN - 1], tick), Segment(f" {left}", axis)]
             if cursor is not None:
-                whole = Strip(cells)
+                strip = Strip(cells)
                 mark = Strip([Segment("│", tick)])
-                cells = list(Strip.join([whole.crop(0, cursor), mark, whole.crop(cursor + 1)]))
+                cells = list(Strip.join([strip.crop(0, cursor), mark, strip.crop(cursor + 1)]))
             lines.append(Strip([*head, *cells, Segment(right, axis)]))
-        lines.append(Strip([margin, Segment(" " + _edge("┗", "━", "┳", "┛", columns, across), axis)]))
-        lines.append(Strip([Segment(_under(across, MARGIN + FRAME + columns), tick)]))
+        lines.append(Strip([margin, Segment(" " + _edge("┗", "━", "┳", "┛", columns, x_labels), axis)]))
+        lines.append(Strip([Segment(_under(x_labels, MARGIN + FRAME + columns), tick)]))
         return lines
 
     def _ticks_of_x(self, columns: int) -> dict[int, str]:
-        """What stands under which column."""
-        low, high = self._seen[0]
-        found = ticks(low, high, max(2, min(10, columns // 9)))
-        places = [round((tick - low) / (high - low) * (columns - 1)) for tick in found]
-        return dict(zip(places, labels(found), strict=True))
+        """The labels under the columns."""
+        low, high = self._view[0]
+        values = ticks(low, high, max(2, min(10, columns // 9)))
+        places = [round((tick - low) / (high - low) * (columns - 1)) for tick in values]
+        return dict(zip(places, labels(values), strict=True))
 
     def _ticks_of_y(self, rows: int) -> dict[int, str]:
-        """What stands beside which row."""
-        low, high = self._seen[1]
-        found = ticks(low, high, max(1, min(6, rows // 3)))
-        places = [round((high - tick) / (high - low) * (rows - 1)) for tick in found]
-        return dict(zip(places, labels(found), strict=True))
+        """The labels beside the rows."""
+        low, high = self._view[1]
+        values = ticks(low, high, max(1, min(6, rows // 3)))
+        places = [round((high - tick) / (high - low) * (rows - 1)) for tick in values]
+        return dict(zip(places, labels(values), strict=True))
 
     def _cursor_column(self, columns: int) -> int | None:
         """The column of the cursor, where it is in view."""
-        (low, high), x = self._seen[0], self.cursor
+        (low, high), x = self._view[0], self.cursor
         return None if x is None or not low <= x <= high else round((x - low) / (high - low) * (columns - 1))
 
     # looking around
@@ -161,11 +161,11 @@ class Plot(Widget, can_focus=True):
     def action_whole(self) -> None:
         """Show all of it again, without a cursor."""
         self._put_cursor(None)
-        self._look_at(self._whole)
+        self._look_at(self._full_view)
 
     def action_cursor(self, way: int) -> None:
         """Move the cursor by a column; the first time it comes in the middle."""
-        columns, (low, high) = self.size.width - MARGIN - FRAME, self._seen[0]
+        columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
         column = self._cursor_column(columns)
         if columns > 1:
             place = columns // 2 if column is None else min(max(column + way, 0), columns - 1)
@@ -173,7 +173,7 @@ class Plot(Widget, can_focus=True):
 
     def on_click(self, event: Click) -> None:
         """Put the cursor where it was clicked."""
-        columns, (low, high) = self.size.width - MARGIN - FRAME, self._seen[0]
+        columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
         place = event.x - MARGIN - 1
         if columns > 1 and 0 <= place < columns:
             self._put_cursor(low + (high - low) * place / (columns - 1))
@@ -182,28 +182,28 @@ class Plot(Widget, can_focus=True):
         if x != self.cursor:
             self.cursor = x
             self.post_message(self.CursorMoved(x))
-            self._look_at(self._seen)
+            self._look_at(self._view)
 
     def action_zoom(self, way: int) -> None:
         """Show less, or more, around the middle."""
         self._zoom(ZOOM * way, 0.5, 0.5)
 
     def action_move(self, right: int, up: int) -> None:
-        """Show what lies beside."""
+        """Shift the view."""
         self._move(MOVE * right, MOVE * up)
 
     def _zoom(self, share: float, right: float, up: float) -> None:
         """Narrow the view about a place in it (shares of it from the left and from below)."""
-        about = (right, up)
-        seen = [
+        centre = (right, up)
+        limits = [
             (low + 2 * at * share * (high - low), high - 2 * (1 - at) * share * (high - low))
-            for (low, high), at in zip(self._seen, about, strict=True)
+            for (low, high), at in zip(self._view, centre, strict=True)
         ]
-        if all(low + abs(low) * 1e-9 < high for low, high in seen):  # no further than numbers reach
-            self._look_at((seen[0], seen[1]))
+        if all(low + abs(low) * 1e-9 < high for low, high in limits):  # no further than numbers reach
+            self._look_at((limits[0], limits[1]))
 
     def _move(self, right: float, up: float) -> None:
-        (x0, x1), (y0, y1) = self._seen
+        (x0, x1), (y0, y1) = self._view
         dx, dy = right * (x1 - x0), up * (y1 - y0)
         self._look_at(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
 
@@ -246,7 +246,7 @@ class Chart(Vertical):
         yield self._plot
 
     def on_mount(self) -> None:
-        """Write what was given before there was anything to write on; follow changes of the theme."""
+        """Write the title that was set before mounting; follow changes of the theme."""
         self.app.theme_changed_signal.subscribe(self, lambda _theme: self._write())
         self._write()
 
@@ -276,21 +276,21 @@ class Chart(Vertical):
         self._write()
 
     def _write(self) -> None:
-        known, line = self.app.theme_variables, self._title.copy()
+        colours, line = self.app.theme_variables, self._title.copy()
         x = self._plot.cursor
         if x is not None:
             line.append(f" at {x:.4g}:", style="bold")
             for curve in self._curves:
                 value = _value_at(curve, x)
-                line.append(f"  {curve.pen.value} ", style=known.get(curve.colour, "#888888"))
+                line.append(f"  {curve.pen.value} ", style=colours.get(curve.colour, "#888888"))
                 line.append("–" if value is None else f"{value:.4g}".replace("-", "−"), style="bold")
             self._heading.update(line, layout=False)
             return
         for curve in self._curves:
             if curve.label:
                 line.append("   ")
-                line.append(f"{curve.pen.value} {curve.label}", style=known.get(curve.colour, "#888888"))
-        self._heading.update(line, layout=False)  # it is one line, whatever it says
+                line.append(f"{curve.pen.value} {curve.label}", style=colours.get(curve.colour, "#888888"))
+        self._heading.update(line, layout=False)  # always one line
 
 
 def _value_at(curve: Curve, x: float) -> float | None:
@@ -308,20 +308,20 @@ def _span(arrays: Sequence[FloatArray]) -> Limits:
     return min(float(a.min()) for a in filled), max(float(a.max()) for a in filled)
 
 
-def _spread(limits: Limits) -> Limits:
-    """Limits that are apart."""
+def _widen(limits: Limits) -> Limits:
+    """Limits, moved apart where they coincide."""
     low, high = limits
     return limits if high > low else (low - 0.5, high + 0.5)
 
 
-def _edge(left: str, line: str, tick: str, right: str, columns: int, across: dict[int, str]) -> str:
-    return left + "".join(tick if column in across else line for column in range(columns)) + right
+def _edge(left: str, line: str, tick: str, right: str, columns: int, x_labels: dict[int, str]) -> str:
+    return left + "".join(tick if column in x_labels else line for column in range(columns)) + right
 
 
-def _under(across: dict[int, str], width: int) -> str:
+def _under(x_labels: dict[int, str], width: int) -> str:
     """The labels of the ticks of x, each centred under its tick; one that has no room is left out."""
     line, free = "", 0
-    for column, label in across.items():
+    for column, label in x_labels.items():
         start = min(MARGIN + 1 + column - len(label) // 2, width - len(label))
         if start >= free:
             line = line.ljust(start) + label

@@ -64,8 +64,8 @@ class Raster:
         edges = [0, *(np.flatnonzero(np.diff(owner)) + 1).tolist(), self.columns]
         written = np.where(bits > 0, FIRST_BRAILLE + bits.astype(np.uint32), BLANK).astype("<u4")
         text = written.tobytes().decode("utf-32-le")
-        for first, end in pairwise(edges):
-            yield text[first:end], int(owner[first])
+        for first, stop in pairwise(edges):
+            yield text[first:stop], int(owner[first])
 
 
 def _cut(start: FloatArray, step: FloatArray, size: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
@@ -77,6 +77,6 @@ def _cut(start: FloatArray, step: FloatArray, size: tuple[float, float]) -> tupl
     within = (start >= -0.49) & (start <= room + 0.49)
     enter = np.where(still, np.where(within, 0.0, np.inf), np.minimum(low, high)).max(axis=1, initial=0.0)
     leave = np.where(still, 1.0, np.maximum(low, high)).min(axis=1, initial=1.0)
-    seen = enter <= leave
-    first = start[seen] + enter[seen, None] * step[seen]
-    return first, (leave - enter)[seen, None] * step[seen]
+    visible = enter <= leave
+    first = start[visible] + enter[visible, None] * step[visible]
+    return first, (leave - enter)[visible, None] * step[visible]

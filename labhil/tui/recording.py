@@ -1,4 +1,4 @@
-"""A recording looked into: every channel drawn, and what happened."""
+"""The screen of a recording: every channel drawn, and its events."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.plot import Chart
-from labhil.tui.recording_library import how_it_ended
+from labhil.tui.recording_library import run_outcome
 from labhil.tui.themes import CURVES
 from labhil.tui.words import count, duration, ended_look, frequency
 
@@ -65,7 +65,7 @@ class RecordingScreen(Screen[None]):
         if not self.is_mounted:
             return
         colours = self.app.theme_variables
-        status, reason = how_it_ended(recording)
+        status, reason = run_outcome(recording)
         title = Text(f" {self._path.name}  ", style="bold", no_wrap=True, overflow="ellipsis")
         title.append_text(ended_look(status).text(colours))
         title.append(f"  {reason}", style=colours["muted"])
@@ -119,13 +119,13 @@ def _channel(data: StreamData, name: str, number: int, colours: dict[str, str]) 
 
 
 def _events(recording: Recording, colours: dict[str, str]) -> Text:
-    told = [event for event in recording.events if event.topic != ROUTINE]
+    events = [event for event in recording.events if event.topic != ROUTINE]
     text = Text("What happened\n", style="bold")
-    for event in told[:MOST_EVENTS]:
+    for event in events[:MOST_EVENTS]:
         message = event.body.get("message") or event.body.get("text") or ""
         text.append(f"{event.t:9.3f} s  ".replace("-", "−"), style=colours["muted"])
         text.append(f"{event.device:<8} {event.body.get('kind', event.topic)}", style="not bold")
         text.append(f"  {message}\n", style="not bold")
-    if len(told) > MOST_EVENTS:
-        text.append(f"… and {len(told) - MOST_EVENTS} more\n", style="not bold")
+    if len(events) > MOST_EVENTS:
+        text.append(f"… and {len(events) - MOST_EVENTS} more\n", style="not bold")
     return text

@@ -19,7 +19,7 @@ LARGEST_READ = 256 << 20
 """Recordings of more bytes are listed by their size alone: reading them takes seconds."""
 
 GROWING = 3.0
-"""A file without its final name that was written to so many s ago has somebody who writes it."""
+"""A file without its final name counts as growing for so many s after its last change."""
 
 LARGEST_RESULT = LARGEST
 SCHEMAS = {
@@ -28,11 +28,12 @@ SCHEMAS = {
     "labhil.comparison/1": "comparison",
     "labhil.verification/1": "verification",
 }
+WITH_A_MODEL = ("fit", "diagnosis")
 
 
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
-    """One recording. What cannot be read is None, and ``fault`` says why.
+    """One recording. A field that cannot be read is None, and ``fault`` says why.
 
     ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported", "no end",
     "growing" while somebody writes it, or "unreadable".
@@ -60,46 +61,46 @@ class RecordingLibrary:
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
         self.folder, self._clock = folder, clock
-        self._known: dict[tuple[Path, int, float], LibraryEntry] = {}
+        self._entries: dict[tuple[Path, int, float], LibraryEntry] = {}
 
     def look(self) -> Iterator[list[LibraryEntry]]:
         """Yield the list again and again while it is read, the newest recording first.
 
-        A file that grows is not read: it would be read anew with each look.
+        A growing file is not read: it would be read anew with each look.
         """
-        found = sorted(_recordings(self.folder), key=lambda key: -key[2])
-        self._known = {key: self._known[key] for key in found if key in self._known}
-        shelved = [self._known.get(key, LibraryEntry(*key)) for key in found]
-        yield list(shelved)
-        for index, key in enumerate(found):
-            if key in self._known:
+        keys = sorted(_recordings(self.folder), key=lambda key: -key[2])
+        self._entries = {key: self._entries[key] for key in keys if key in self._entries}
+        entries = [self._entries.get(key, LibraryEntry(*key)) for key in keys]
+        yield list(entries)
+        for index, key in enumerate(keys):
+            if key in self._entries:
                 continue
             if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING:
-                shelved[index] = LibraryEntry(*key, status="growing")
+                entries[index] = LibraryEntry(*key, status="growing")
             else:
-                shelved[index] = self._known[key] = describe(*key)
-            yield list(shelved)
+                entries[index] = self._entries[key] = describe(*key)
+            yield list(entries)
 
 
 def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
     for pattern in ("*.mcap", "*.mcap.part"):
         for path in folder.glob(pattern):
             try:
-                about = path.stat()
+                status = path.stat()
             except OSError:
                 continue  # renamed between listing and looking
-            yield path, about.st_size, about.st_mtime
+            yield path, status.st_size, status.st_mtime
 
 
 def describe(path: Path, size: int, modified: float) -> LibraryEntry:
-    """Read one recording; what is wrong with it stands in ``fault``."""
+    """Read one recording; ``fault`` holds the error, if any."""
     if size > LARGEST_READ:
         return LibraryEntry(path, size, modified, fault="large: open it to read it")
     try:
         recording = read_recording(path)
     except LabhilError as error:
         return LibraryEntry(path, size, modified, status="unreadable", fault=str(error))
-    status, reason = how_it_ended(recording)
+    status, reason = run_outcome(recording)
     measured = [data for data in recording.streams if data.stream.name != "command"]
     return LibraryEntry(
         path,
@@ -115,11 +116,11 @@ def describe(path: Path, size: int, modified: float) -> LibraryEntry:
     )
 
 
-def how_it_ended(recording: Recording) -> tuple[str, str]:
+def run_outcome(recording: Recording) -> tuple[str, str]:
     """The exit status of the run as a word, and its reason."""
-    told = recording.metadata.get("end", {})
-    status, reason = told.get("exit_status", ""), told.get("reason", "")
-    if not recording.complete or not told:
+    end_metadata = recording.metadata.get("end", {})
+    status, reason = end_metadata.get("exit_status", ""), end_metadata.get("reason", "")
+    if not recording.complete or not end_metadata:
         return "no end", recording.damage
     if "experiment" not in recording.metadata:
         return "imported", reason
@@ -128,7 +129,7 @@ def how_it_ended(recording: Recording) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
-    """The JSON of a fit or a diagnosis."""
+    """The JSON of a fit, a diagnosis, a comparison or a verification."""
 
     path: Path
     kind: str
@@ -137,21 +138,26 @@ class ResultFile:
 
 def results(folder: Path) -> list[ResultFile]:
     """The results in a folder, the newest first; other JSON is left out."""
-    found = []
+    result_files = []
     for path in folder.glob("*.json"):
         try:
-            about = path.stat()
+            status = path.stat()
         except OSError:
             continue  # gone between listing and looking
-        kind = _kind(path, about.st_size, about.st_mtime_ns)
+        kind = _kind(path, status.st_size, status.st_mtime_ns)
         if kind is not None:
-            found.append(ResultFile(path, kind, about.st_mtime))
-    return sorted(found, key=lambda result: -result.modified)
+            result_files.append(ResultFile(path, kind, status.st_mtime))
+    return sorted(result_files, key=lambda result: -result.modified)
+
+
+def models(folder: Path) -> list[ResultFile]:
+    """The results that have a model, the newest first."""
+    return [result for result in results(folder) if result.kind in WITH_A_MODEL]
 
 
 @lru_cache(maxsize=4096)
 def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
-    """What a file of that size and age holds, None where it is no result; looked into once."""
+    """The kind of result in a file of that size and age, None where it is no result; read once."""
     if size > LARGEST_RESULT:
         return None
     try:
@@ -172,15 +178,15 @@ class ExperimentFile:
 def experiments(folder: Path) -> list[ExperimentFile]:
     """The experiments in a folder, then those that come with labhil."""
     examples = Path(str(files("labhil.experiment") / "examples"))
-    own = [(path, False) for path in sorted(folder.glob("*.toml"))]
+    local = [(path, False) for path in sorted(folder.glob("*.toml"))]
     packaged = [(path, True) for path in sorted(examples.glob("*.toml"))]
-    found = []
-    for path, is_packaged in [*own, *packaged]:
+    experiment_files = []
+    for path, is_packaged in [*local, *packaged]:
         try:
             data = parse_toml(read_document(path))
         except (OSError, ValueError):
             continue
         section = data.get("experiment")
         if isinstance(section, dict):
-            found.append(ExperimentFile(path, str(section.get("name", path.stem)), is_packaged))
-    return found
+            experiment_files.append(ExperimentFile(path, str(section.get("name", path.stem)), is_packaged))
+    return experiment_files

@@ -1,4 +1,4 @@
-"""The recordings of the folder: how each ended, what is in it, and what can be made of it."""
+"""The recordings of the folder: how each ended, its contents, and the studies that it allows."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
-from labhil.tui.messages import StudyWanted
+from labhil.tui.messages import StudyRequested
 from labhil.tui.recording import RecordingScreen
-from labhil.tui.recording_library import LibraryEntry, results
+from labhil.tui.recording_library import LibraryEntry, models
 from labhil.tui.words import count, duration, ended_look, size
 
 COLUMNS = (
@@ -61,12 +61,12 @@ class RecordingsPane(Vertical):
     def __init__(self, folder: Path) -> None:
         super().__init__(id="recordings-pane")
         self._folder = folder
-        self._shelved: list[LibraryEntry] = []
+        self._entries: list[LibraryEntry] = []
         self._marks: dict[Path, str] = {}
         self._name_width = NARROW
 
     def compose(self) -> ComposeResult:
-        """The table, and what is said when there is nothing."""
+        """The table, and the text for an empty folder."""
         yield Static(
             EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty"
         )
@@ -81,157 +81,159 @@ class RecordingsPane(Vertical):
         self.take([])
 
     def on_resize(self, event: Resize) -> None:
-        """Names get the room that there is."""
+        """Give names the room that there is."""
         width = WIDE if event.size.width >= 110 else NARROW
         if width != self._name_width:
             self._name_width = width
             table = self.query_one(DataTable)
             next(column for key, column in table.columns.items() if key == "name").width = width
-            shelved, self._shelved = self._shelved, []
-            self.take(shelved)
+            entries, self._entries = self._entries, []
+            self.take(entries)
 
-    def take(self, shelved: list[LibraryEntry]) -> None:
-        """Show these."""
-        same = [one.path for one in shelved] == [one.path for one in self._shelved]
-        self._shelved = shelved
+    def take(self, entries: list[LibraryEntry]) -> None:
+        """Show these entries."""
+        same = [entry.path for entry in entries] == [entry.path for entry in self._entries]
+        self._entries = entries
         self._marks = {
-            path: mark for path, mark in self._marks.items() if any(s.path == path for s in shelved)
+            path: mark for path, mark in self._marks.items() if any(entry.path == path for entry in entries)
         }
-        self.query_one("#recordings-empty").display = not shelved
+        self.query_one("#recordings-empty").display = not entries
         table = self.query_one(DataTable)
-        table.display = bool(shelved)
+        table.display = bool(entries)
         if not same:
-            at = self._chosen()
+            chosen = self._chosen_entry()
             table.clear()
-            for one in shelved:
-                table.add_row(*self._row(one), key=str(one.path))
-            if at is not None and any(one.path == at.path for one in shelved):
-                table.move_cursor(row=table.get_row_index(str(at.path)))
+            for entry in entries:
+                table.add_row(*self._row(entry), key=str(entry.path))
+            if chosen is not None and any(entry.path == chosen.path for entry in entries):
+                table.move_cursor(row=table.get_row_index(str(chosen.path)))
         else:
-            for one in shelved:
-                self._update(one)
-        self._tell()
+            for entry in entries:
+                self._update(entry)
+        self._show_detail()
 
-    def _update(self, one: LibraryEntry) -> None:
+    def _update(self, entry: LibraryEntry) -> None:
         table = self.query_one(DataTable)
-        for (key, _, _), cell in zip(COLUMNS, self._row(one), strict=True):
-            if table.get_cell(str(one.path), key) != cell:
-                table.update_cell(str(one.path), key, cell, update_width=key == "reason")
+        for (key, _, _), cell in zip(COLUMNS, self._row(entry), strict=True):
+            if table.get_cell(str(entry.path), key) != cell:
+                table.update_cell(str(entry.path), key, cell, update_width=key == "reason")
 
-    def _row(self, one: LibraryEntry) -> list[Text]:
+    def _row(self, entry: LibraryEntry) -> list[Text]:
         colours = self.app.theme_variables
-        mark = self._marks.get(one.path, "")
-        name = one.path.name.removesuffix(".mcap")
+        mark = self._marks.get(entry.path, "")
+        name = entry.path.name.removesuffix(".mcap")
         width = self._name_width
         if len(name) > width:
             name = f"{name[: width - 16]}…{name[-15:]}"
-        gaps = Text(count(one.gaps), justify="right")
-        if one.gaps:
+        gaps = Text(count(entry.gaps), justify="right")
+        if entry.gaps:
             gaps.stylize(f"bold {colours['warning']}")
-        status = ended_look(one.status).text(colours) if one.status else Text("…", style=colours["muted"])
+        status = ended_look(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
         return [
             Text(mark, style=f"bold {colours['accent']}"),
             Text(name),
             status,
-            Text(one.rig or "–"),
-            Text(duration(one.duration), justify="right"),
-            Text(count(one.samples), justify="right"),
+            Text(entry.rig or "–"),
+            Text(duration(entry.duration), justify="right"),
+            Text(count(entry.samples), justify="right"),
             gaps,
-            Text(size(one.size), justify="right"),
-            Text(one.when, style=colours["muted"]),
-            Text(one.fault or one.reason, style=colours["muted"]),
+            Text(size(entry.size), justify="right"),
+            Text(entry.when, style=colours["muted"]),
+            Text(entry.fault or entry.reason, style=colours["muted"]),
         ]
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
         """Another recording was chosen."""
-        self._tell()
+        self._show_detail()
 
     def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
         """Enter opens it."""
         event.stop()
         self.action_open()
 
-    def _tell(self) -> None:
-        """What the narrow table has no room for, and what the keys would do."""
-        one, colours = self._chosen(), self.app.theme_variables
+    def _show_detail(self) -> None:
+        """Show what the narrow table has no room for, and what the keys would use."""
+        entry, colours = self._chosen_entry(), self.app.theme_variables
         line = Text()
-        if one is not None:
-            line.append(one.path.name, style="bold")
-            line.append(f"  {size(one.size)}, {one.when}  ", style=colours["muted"])
-            line.append(f"{one.fault or one.reason or one.status}\n", style=colours["muted"])
-            use, tests = self._use()
-            what = ", ".join(path.name.removesuffix(".mcap") for path in use)
+        if entry is not None:
+            line.append(entry.path.name, style="bold")
+            line.append(f"  {size(entry.size)}, {entry.when}  ", style=colours["muted"])
+            line.append(f"{entry.fault or entry.reason or entry.status}\n", style=colours["muted"])
+            recordings, tests = self._study_inputs()
+            what = ", ".join(path.name.removesuffix(".mcap") for path in recordings)
             line.append("f d x: ", style=colours["muted"]).append(what)
             if tests:
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
         self.query_one("#recordings-detail", Static).update(line)
 
-    def _chosen(self) -> LibraryEntry | None:
+    def _chosen_entry(self) -> LibraryEntry | None:
         table = self.query_one(DataTable)
         try:
             key = table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
         except CellDoesNotExist:
             return None
-        return next((one for one in self._shelved if str(one.path) == key), None)
+        return next((entry for entry in self._entries if str(entry.path) == key), None)
 
-    def _use(self) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
-        """What a study would take: the marked ones, or the chosen one; and what it is judged on."""
+    def _study_inputs(self) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+        """The recordings of a study (the marked ones, else the chosen one), and its test recordings."""
         tests = tuple(path for path, mark in self._marks.items() if mark == "T")
-        use = tuple(one.path for one in self._shelved if self._marks.get(one.path) == "+")
-        chosen = self._chosen()
-        if not use and chosen is not None and chosen.path not in tests:
-            use = (chosen.path,)
-        return use, tests
+        recordings = tuple(entry.path for entry in self._entries if self._marks.get(entry.path) == "+")
+        chosen = self._chosen_entry()
+        if not recordings and chosen is not None and chosen.path not in tests:
+            recordings = (chosen.path,)
+        return recordings, tests
 
     def action_mark(self, mark: str) -> None:
         """Mark the chosen recording, or take the mark away."""
-        one = self._chosen()
-        if one is None:
+        entry = self._chosen_entry()
+        if entry is None:
             return
-        if self._marks.pop(one.path, "") != mark:
-            self._marks[one.path] = mark
-        self._update(one)
-        self._tell()
+        if self._marks.pop(entry.path, "") != mark:
+            self._marks[entry.path] = mark
+        self._update(entry)
+        self._show_detail()
 
     def action_open(self) -> None:
         """Look into the chosen recording."""
-        one = self._chosen()
-        if one is not None:
-            self.app.push_screen(RecordingScreen(one.path))
+        entry = self._chosen_entry()
+        if entry is not None:
+            self.app.push_screen(RecordingScreen(entry.path))
 
     def action_study(self, kind: str) -> None:
-        """Fit, diagnose or export what is marked, or the chosen one."""
-        use, tests = self._use()
-        if use:
-            self.post_message(StudyWanted(Task(kind, use, () if kind == "export" else tests)))
+        """Fit, diagnose or export the marked recordings, or the chosen one."""
+        recordings, tests = self._study_inputs()
+        if recordings:
+            self.post_message(StudyRequested(Task(kind, recordings, () if kind == "export" else tests)))
 
     def action_analyse(self) -> None:
         """Choose terms, test recording, estimator and time, then fit or diagnose."""
-        use, tests = self._use()
-        first = next((one for one in self._shelved if one.path in use), None)
+        recordings, tests = self._study_inputs()
+        first = next((entry for entry in self._entries if entry.path in recordings), None)
         if first is None:
             return
 
         def go(task: Task | None) -> None:
             if task is not None:
-                self.post_message(StudyWanted(task))
+                self.post_message(StudyRequested(task))
 
-        others = [one.path for one in self._shelved if one.path not in use and one.rig == first.rig]
-        self.app.push_screen(AnalysisDialog(Task("fit", use, tests), first.rig, others), go)
+        others = [
+            entry.path for entry in self._entries if entry.path not in recordings and entry.rig == first.rig
+        ]
+        self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), go)
 
     def action_verify(self) -> None:
         """Hold the chosen recording against a model that is chosen now."""
-        one = self._chosen()
-        found = results(self._folder)
-        if one is None:
+        entry = self._chosen_entry()
+        choices = models(self._folder)
+        if entry is None:
             return
-        if not found:
+        if not choices:
             self.notify("There is no fit or diagnosis in this folder yet: f makes one.", severity="warning")
             return
 
         def go(choice: str | None) -> None:
             if choice is not None:
-                self.post_message(StudyWanted(Task("verify", (one.path,), (), Path(choice))))
+                self.post_message(StudyRequested(Task("verify", (entry.path,), (), Path(choice))))
 
-        names = [(str(result.path), result.path.name) for result in found]
-        self.app.push_screen(Choose(f"Verify {one.path.name} against", names), go)
+        names = [(str(result.path), result.path.name) for result in choices]
+        self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), go)

@@ -15,40 +15,40 @@ BACK = 10.0
 
 
 def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
-    """What is played, where it is, and which keys do something now."""
+    """The recording that is played, its position, and the keys that work now."""
     sign, word = ("■", "ENDED") if replay.ended else ("‖", "PAUSED") if replay.paused else ("↻", "REPLAY")
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{sign} {word} ", style=f"bold {colours['accent']}")
     text.append(f"{replay.position:.1f} of {replay.duration:.1f} s", style="bold")
     text.append(f" × {replay.speed:g}  ")
-    goes = "k plays it again" if replay.ended else "k goes on" if replay.paused else "k pauses"
-    text.append(f"{goes}, < > speed, j back  ", style=colours["muted"])
+    key_hint = "k plays it again" if replay.ended else "k goes on" if replay.paused else "k pauses"
+    text.append(f"{key_hint}, < > speed, j back  ", style=colours["muted"])
     return text.append(replay.path.removesuffix(".mcap"), style=colours["muted"])
 
 
 def next_speed(speed: float, way: int) -> float:
-    """The speed above or below, of a row of round ones."""
-    row = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
-    chosen = speed if not row else row[0] if way > 0 else row[-1]
+    """The next round speed above or below."""
+    speeds = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
+    chosen = speed if not speeds else speeds[0] if way > 0 else speeds[-1]
     return min(max(chosen, SLOWEST), FASTEST)
 
 
 def steer(lab: Session, action: str, way: int = 0) -> str:
-    """Do what a key asks of every replay in reach; waits for their answers.
+    """Apply a key to every replay in reach; waits for their answers.
 
     Args:
-        lab: Where they are.
+        lab: Reaches the replays.
         action: "toggle", "speed" or "back".
         way: Faster (1) or slower (-1).
 
     Returns:
-        What went wrong; empty where nothing did.
+        The error; empty where there was none.
     """
     for endpoint, replay in lab.replays():
         try:
             if action == "toggle":
-                held = replay.paused or replay.ended
-                lab.control_replay(endpoint, "play" if held else "pause")
+                is_held = replay.paused or replay.ended
+                lab.control_replay(endpoint, "play" if is_held else "pause")
             elif action == "speed":
                 lab.control_replay(endpoint, "speed", next_speed(replay.speed, way))
             else:

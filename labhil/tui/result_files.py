@@ -17,8 +17,8 @@ from labhil.analysis.schema import (
     FitPart,
     VerificationPart,
     any_result_of,
-    checked,
     json_of,
+    validate,
 )
 from labhil.errors import LabhilError
 from labhil.signals import FloatArray
@@ -39,24 +39,24 @@ NO_CURVES = (
 )
 
 
-def shortened(name: str, width: int) -> str:
-    """A name that is too long without its middle."""
+def shorten(name: str, width: int) -> str:
+    """A name without its middle where it is too long."""
     return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
 
 
 def read_part(path: Path) -> ResultPart | str:
-    """The result in a file, or what is wrong with it."""
+    """The result in a file, or the error in reading it."""
     try:
         data = json_of(path.read_bytes(), path.name)
         if isinstance(data, dict) and data.get("schema") == COMPARISON:
-            return checked(ComparisonPart, data, path.name)
+            return validate(ComparisonPart, data, path.name)
         return any_result_of(data, path.name)
     except (OSError, LabhilError) as error:
         return str(error)
 
 
 def has_model(part: ResultPart | str) -> bool:
-    """Whether there is a model in it, to lay over a measurement or to compare."""
+    """Whether the result holds a model, to lay over a measurement or to compare."""
     return isinstance(part, FitPart | DiagnosisPart)
 
 
@@ -82,20 +82,20 @@ def charts_of(part: ResultPart, curves: dict[str, FloatArray]) -> Iterator[tuple
     """The charts of a result: simulation and error of each channel, what is missing, and its curve."""
     for name in dict.fromkeys(key.rpartition("/")[0] for key in curves if key.endswith("/t")):
         t, measured, unit = curves[f"{name}/t"], curves[f"{name}/measured"], str(curves[f"{name}/unit"])
-        both = [
+        models = [
             (label, curves[f"{name}/{label}"], colour, pen)
             for label, colour, pen in (("before", "curve-1", Pen.DASHED), ("after", "curve-0", Pen.SOLID))
             if f"{name}/{label}" in curves
         ]
-        alone = len(both) == 1
-        seen = Curve(t, measured, "curve-measured", Pen.DOTS, "measured")
+        is_single = len(models) == 1
+        measurement = Curve(t, measured, "curve-measured", Pen.DOTS, "measured")
         yield (
             f"{name}, {unit}",
-            [seen, *(Curve(t, y, c, p, "model" if alone else label) for label, y, c, p in both)],
+            [measurement, *(Curve(t, y, c, p, "model" if is_single else label) for label, y, c, p in models)],
         )
         yield (
             f"error of {name}, {unit}",
-            [Curve(t, y - measured, c, p, "" if alone else label) for label, y, c, p in both],
+            [Curve(t, y - measured, c, p, "" if is_single else label) for label, y, c, p in models],
         )
     for key in (key for key in curves if key.startswith("missing/") and f"{key}/x" in curves):
         x, y = curves[f"{key}/x"], curves[key]
@@ -103,15 +103,15 @@ def charts_of(part: ResultPart, curves: dict[str, FloatArray]) -> Iterator[tuple
         axis = str(curves[f"{key}/axis"])
         yield f"{key.removeprefix('missing/')} over {axis}", [Curve(x[order], y[order], "curve-3", Pen.DOTS)]
     if isinstance(part, DiagnosisPart):
-        drawn = [curve for curve in (part.curve, *part.further_curves) if curve is not None]
-        yield from (_curve(curve) for curve in drawn if len(curve.depends_on) == 1)
+        estimates = [curve for curve in (part.curve, *part.further_curves) if curve is not None]
+        yield from (_curve(curve) for curve in estimates if len(curve.depends_on) == 1)
 
 
 def _curve(curve: EstimatedCurve) -> tuple[str, list[Curve]]:
     x, value = np.array(curve.x, dtype=float).ravel(), np.array(curve.value, dtype=float)
-    drawn = [Curve(x, value, "curve-0", Pen.SOLID, "estimate")]
+    curves = [Curve(x, value, "curve-0", Pen.SOLID, "estimate")]
     for side in curve.ci99:
-        label = "99 % band" if len(drawn) == 1 else ""
-        drawn.append(Curve(x, np.array(side, dtype=float), "curve-measured", Pen.DOTS, label))
+        label = "99 % band" if len(curves) == 1 else ""
+        curves.append(Curve(x, np.array(side, dtype=float), "curve-measured", Pen.DOTS, label))
     where = "" if curve.joint is None else f" on joint {curve.joint}"
-    return f"what has no name{where}, {curve.unit}, over {curve.depends_on[0]}", drawn
+    return f"what has no name{where}, {curve.unit}, over {curve.depends_on[0]}", curves

@@ -21,7 +21,7 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import FIT_VERDICTS, NOT_ASKED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import joints_table, of_joints, silences
+from labhil.report.absent import group_undecided, joints_table, limits_by_joint
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.words import PlainTable
@@ -52,17 +52,17 @@ def headline(part: FitPart | DiagnosisPart) -> str:
     """A result in a few words, for a list."""
     if isinstance(part, FitPart):
         score = part.test or part.train
-        on = "on test data" if part.test is not None else "on what it was fitted to"
-        found = f"R² {percent(score.r2)} {on}, {len(part.parameters)} parameters"
-        return found if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {found}"
-    found = ", ".join(keyed(item.term, item.joint) for item in part.missing)
-    return found or VERDICTS[part.verdict].rstrip(".")
+        data = "on test data" if part.test is not None else "on what it was fitted to"
+        summary = f"R² {percent(score.r2)} {data}, {len(part.parameters)} parameters"
+        return summary if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {summary}"
+    missing = ", ".join(keyed(item.term, item.joint) for item in part.missing)
+    return missing or VERDICTS[part.verdict].rstrip(".")
 
 
 def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     """A fit: how good, the parameters, and what the data cannot know."""
     score = fit.test or fit.train
-    on = "data it has not seen" if fit.test is not None else "the data it was fitted to"
+    data = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
     if fit.statement is not None:
         colour = colours["success" if fit.verdict == "explained" else "warning"]
@@ -72,7 +72,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     for doubt in fit.doubts:
         head.append(f"▲ {doubt}\n", style=colours["warning"])
     head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
-    head.append(f" on {on}\n")
+    head.append(f" on {data}\n")
     head.append(
         f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}"
     )
@@ -84,7 +84,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
-    parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _how(fit, colours)]
+    parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _method(fit, colours)]
     return Group(*parts)
 
 
@@ -94,7 +94,7 @@ def _title(text: str, colours: Colours) -> Text:
 
 @dataclass(frozen=True, slots=True)
 class ParameterTable:
-    """One row per parameter; a word says what cannot be relied on.
+    """One row per parameter; a word marks those that are not reliable.
 
     Where room is short, names and remarks take lines of their own rather than being cut.
     """
@@ -105,33 +105,35 @@ class ParameterTable:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw it in the room that there is: in as few lines as that allows."""
         wide = options.update(max_width=WIDEST)
-        for name, cells in (("", self._beside), ("", self._below), (".\n  ", self._below)):
+        for name, cells in (
+            ("", self._remark_beside),
+            ("", self._remark_below),
+            (".\n  ", self._remark_below),
+        ):
             table = self._table(name, cells)
             if console.measure(table, options=wide).maximum <= options.max_width:
                 break
         yield table
 
     def _table(self, dot: str, layout: Callable[[Parameter, str], Sequence[Text]]) -> PlainTable:
-        """With ``dot`` in the place of the one in a name, where there is any."""
+        """The table with ``dot`` in the place of the first dot in each name, unless it is empty."""
         columns = [column.screen for column in COLUMNS if column.screen is not None]
         style = self.colours["muted"]
         table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=style)
         table.add_column("parameter", no_wrap=True)
-        for place, (name, _) in enumerate(columns):
-            table.add_column(name, justify="left" if place else "right", no_wrap=True)
+        for i, (name, _) in enumerate(columns):
+            table.add_column(name, justify="left" if i else "right", no_wrap=True)
         for row in self.rows:
             first, *last = layout(row, row.key.replace(".", dot, 1) if dot else row.key)
-            cells = [
-                Text(cell(row), style="" if place else "bold") for place, (_, cell) in enumerate(columns)
-            ]
+            cells = [Text(cell(row), style="" if i else "bold") for i, (_, cell) in enumerate(columns)]
             table.add_row(first, *cells, *last)
         return table
 
-    def _beside(self, row: Parameter, name: str) -> Sequence[Text]:
+    def _remark_beside(self, row: Parameter, name: str) -> Sequence[Text]:
         """A name, and a remark behind all figures."""
         return Text(name), _remark(row, self.colours)
 
-    def _below(self, row: Parameter, name: str) -> Sequence[Text]:
+    def _remark_below(self, row: Parameter, name: str) -> Sequence[Text]:
         """A name with a remark below."""
         remark = _remark(row, self.colours)
         return (Text.assemble(name, "\n  ", remark) if remark.plain else Text(name),)
@@ -150,12 +152,15 @@ def _remark(row: Parameter, colours: Colours) -> Text:
 
 
 def _identifiability(fit: FitPart, colours: Colours) -> Text:
-    known = fit.identifiability
-    text = Text(f"\n▲ The data know {known.rank} of {known.of} parameters", style=colours["warning"])
-    if known.combinations:
-        text.append(f"; of the rest only {', '.join(known.combinations)}")
-    if known.would_help:
-        text.append(f". It would help to record or to know {', '.join(known.would_help)}")
+    identifiability = fit.identifiability
+    text = Text(
+        f"\n▲ The data know {identifiability.rank} of {identifiability.of} parameters",
+        style=colours["warning"],
+    )
+    if identifiability.combinations:
+        text.append(f"; of the rest only {', '.join(identifiability.combinations)}")
+    if identifiability.would_help:
+        text.append(f". It would help to record or to know {', '.join(identifiability.would_help)}")
     return text.append(".")
 
 
@@ -186,7 +191,7 @@ def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> PlainTable:
     return table
 
 
-def _how(fit: FitPart, colours: Colours) -> Text:
+def _method(fit: FitPart, colours: Colours) -> Text:
     text = Text(style=colours["muted"])
     text.append(f"terms: {', '.join(listed(fit.terms))}\n")
     text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
@@ -204,36 +209,38 @@ def _sources(part: FitPart | DiagnosisPart) -> str:
     )
 
 
-def diagnosis_text(found: DiagnosisPart, colours: Colours) -> RenderableType:
+def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType:
     """A diagnosis: the verdict, what is missing, how much better, rivals, and what could still hide."""
-    sign, colour = VERDICT_LOOKS[found.verdict]
+    sign, colour = VERDICT_LOOKS[diagnosis.verdict]
     head = Text()
-    head.append(f"{sign} {VERDICTS[found.verdict]}\n", style=f"bold {colours[colour]}")
-    head.append(f"baseline {', '.join(listed(found.baseline.terms))}; ", style=colours["muted"])
-    suffices = f"p {p_value(found.p_value)} that it suffices" if found.asks_baseline else NOT_ASKED
+    head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
+    head.append(f"baseline {', '.join(listed(diagnosis.baseline.terms))}; ", style=colours["muted"])
+    suffices = f"p {p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
     head.append(f"{suffices}\n", style=colours["muted"])
-    if not found.complete:
+    if not diagnosis.complete:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
-    for size in found.collapsed:
+    for size in diagnosis.collapsed:
         head.append(f"▲ {size.statement}\n", style=colours["warning"])
-    for fault in found.faults:
+    for fault in diagnosis.faults:
         head.append(f"▲ {fault.statement}\n", style=colours["warning"])
-    if found.location is not None:
-        head.append(f"{found.location.statement}\n")
+    if diagnosis.location is not None:
+        head.append(f"{diagnosis.location.statement}\n")
     head.rstrip()
     parts: list[RenderableType] = [head]
-    if found.missing:
+    if diagnosis.missing:
         parts.append(_title("What is missing", colours))
-    for number, item in enumerate(found.missing):
+    for number, item in enumerate(diagnosis.missing):
         parts += [Text()] if number else []
-        parts.append(_missing(item, found.rivals, colours))
-    if found.changed:
-        parts += [_title("What has changed", colours), _changed(found)]
-    if found.improvement is not None:
-        parts += [_title("How much better", colours), _improvement(found.improvement, colours)]
-    parts += [_title("Final model", colours), ParameterTable(found.judged_rows, colours)]
-    parts += [Text(line) for line in [disagreement(found.scale_factor)] if line]
-    return Group(*parts, *_rest(found, colours), *next_steps_lines(found.next_steps, colours))
+        parts.append(_missing_effect(item, diagnosis.rivals, colours))
+    if diagnosis.changed:
+        parts += [_title("What has changed", colours), _changes(diagnosis)]
+    if diagnosis.improvement is not None:
+        parts += [_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
+    parts += [_title("Final model", colours), ParameterTable(diagnosis.judged_rows, colours)]
+    parts += [Text(line) for line in [disagreement(diagnosis.scale_factor)] if line]
+    return Group(
+        *parts, *_exclusions_and_sources(diagnosis, colours), *next_steps_lines(diagnosis.next_steps, colours)
+    )
 
 
 def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[RenderableType]:
@@ -243,7 +250,7 @@ def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[Rendera
         yield from (Text(f"· {step}") for step in steps)
 
 
-def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
+def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
     text = Text()
     text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
     text.append(f"  probability {chance(item.probability)}\n")
@@ -258,16 +265,18 @@ def _missing(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> 
     )
     for rival in rivals:
         if (rival.instead_of, rival.joint) == (item.term, item.joint):
-            told = "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
+            distinction = (
+                "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
+            )
             text.append(f"  or {keyed(rival.term, rival.joint)} ({chance(rival.probability)}), ")
-            text.append(f"{told} {rival.experiment}\n", style=colours["muted"])
+            text.append(f"{distinction} {rival.experiment}\n", style=colours["muted"])
     text.rstrip()
     return text
 
 
-def _changed(found: DiagnosisPart) -> PlainTable:
+def _changes(diagnosis: DiagnosisPart) -> PlainTable:
     table = _plain_table(("parameter",), ("before", "after", "99 % interval", "p"))
-    for change in found.changed:
+    for change in diagnosis.changed:
         table.add_row(
             keyed(change.name, change.joint, change.recording),
             quantity(change.before, change.unit),
@@ -278,35 +287,35 @@ def _changed(found: DiagnosisPart) -> PlainTable:
     return table
 
 
-def _improvement(better: Improvement, colours: Colours) -> RenderableType:
-    on = "the test recording" if better.data == "test" else "held-out data"
-    horizon = "" if better.horizon is None else f", windows of {quantity(better.horizon, 's')}"
-    where = Text(f"on {on}{horizon}", style=colours["muted"])
+def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
+    data = "the test recording" if improvement.data == "test" else "held-out data"
+    horizon = "" if improvement.horizon is None else f", windows of {quantity(improvement.horizon, 's')}"
+    where = Text(f"on {data}{horizon}", style=colours["muted"])
     table = _plain_table(("",), ("before", "after", "noise floor"))
     table.add_row(
         "RMSE",
-        quantity(better.rmse_before, better.unit),
-        Text(quantity(better.rmse_after, better.unit), style="bold"),
-        quantity(better.noise_floor, better.unit),
+        quantity(improvement.rmse_before, improvement.unit),
+        Text(quantity(improvement.rmse_after, improvement.unit), style="bold"),
+        quantity(improvement.noise_floor, improvement.unit),
     )
-    table.add_row("R²", percent(better.r2_before), Text(percent(better.r2_after), style="bold"), "")
-    return Group(where, table, _bars(better, colours))
+    table.add_row("R²", percent(improvement.r2_before), Text(percent(improvement.r2_after), style="bold"), "")
+    return Group(where, table, _bars(improvement, colours))
 
 
-def _bars(better: Improvement, colours: Colours) -> Text:
+def _bars(improvement: Improvement, colours: Colours) -> Text:
     """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
     import math
 
     text = Text()
-    if not better.noise_floor:
+    if not improvement.noise_floor:
         return text
-    floor = better.noise_floor
-    shown = [
-        ("before", better.rmse_before, "warning"),
-        ("after", better.rmse_after, "success"),
+    floor = improvement.noise_floor
+    bars = [
+        ("before", improvement.rmse_before, "warning"),
+        ("after", improvement.rmse_after, "success"),
         ("noise", floor, "muted"),
     ]
-    for name, value, colour in shown:
+    for name, value, colour in bars:
         ratio = max(value or 0.0, 1e-12) / floor
         length = round(min(40.0, max(1.0, 4.0 + 12.0 * math.log10(ratio))))
         text.append(f"{name:<7}", style=colours["muted"])
@@ -316,18 +325,20 @@ def _bars(better: Improvement, colours: Colours) -> Text:
     return text
 
 
-def _rest(found: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
-    """What could still hide, of what the data cannot speak, and what was read."""
+def _exclusions_and_sources(diagnosis: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
+    """What could still hide, what the data cannot decide, and the recordings that were read."""
     muted = colours["muted"]
-    whole = [e for e in found.excluded if e.joint is None]
-    limits = [f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in whole]
+    without_joint = [e for e in diagnosis.excluded if e.joint is None]
+    limits = [
+        f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in without_joint
+    ]
     if limits:
         yield Text(f"\nNot there, or smaller than: {', '.join(limits)}.", style=muted)
-    by_joint = of_joints(found.excluded)
+    by_joint = limits_by_joint(diagnosis.excluded)
     if by_joint:
         yield Text("\nNot there, or smaller than this, by joint", style=muted)
         yield joints_table(by_joint, muted)
     text = Text("\n", style=muted)
-    for silence in silences(found.undecided):
-        text.append(f"Undecided: {silence.name}: {silence.reason}.\n")
-    yield text.append(_sources(found))
+    for term in group_undecided(diagnosis.undecided):
+        text.append(f"Undecided: {term.name}: {term.reason}.\n")
+    yield text.append(_sources(diagnosis))

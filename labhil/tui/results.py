@@ -17,7 +17,7 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
-from labhil.tui.messages import StudyWanted
+from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, results
@@ -29,7 +29,7 @@ from labhil.tui.result_files import (
     in_a_line,
     in_full,
     read_part,
-    shortened,
+    shorten,
 )
 from labhil.tui.studies import has_result
 from labhil.tui.words import duration
@@ -92,7 +92,7 @@ class ResultsPane(Vertical):
         self._parts: dict[tuple[Path, float], ResultPart | str] = {}
         self._shown = ""
         self._keys: list[str] = []
-        self._marked: set[Path] = set()
+        self._marks: set[Path] = set()
 
     def compose(self) -> ComposeResult:
         """The list, the text and the charts."""
@@ -131,17 +131,17 @@ class ResultsPane(Vertical):
                 for column, cell in zip(("sign", "kind", "of", "result"), row, strict=True):
                     if table.get_cell(key, column) != cell:
                         table.update_cell(key, column, cell, update_width=column == "result")
-            job = self._job(self._chosen())
+            job = self._job(self._chosen_key())
             if job is not None:
                 self._show_job(job)
             return
-        chosen = self._chosen()
+        chosen = self._chosen_key()
         new = [key for key in rows if key not in self._keys]
         table.clear()
         for key, row in rows.items():
             table.add_row(*row, key=key)
         self._keys = list(rows)
-        if new and self._shown:  # what has just come is what one waits for
+        if new and self._shown:  # the user waits for the newest row
             table.move_cursor(row=self._keys.index(new[0]))
         elif chosen in rows:
             table.move_cursor(row=self._keys.index(chosen or ""))
@@ -158,14 +158,14 @@ class ResultsPane(Vertical):
                 (
                     Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                     Text(job.task.kind),
-                    Text(shortened(names, OF_WIDTH)),
+                    Text(shorten(names, OF_WIDTH)),
                     Text(self._job_line(job), style=colours[colour]),
                 ),
             )
         for file in self._files:
             part = self._parts[file.path, file.modified]
             sign, colour = ("✕", "error") if isinstance(part, str) else ("✓", "success")
-            if file.path in self._marked:
+            if file.path in self._marks:
                 sign, colour = "●", "accent"
             yield (
                 f"file {file.path} {file.modified}",
@@ -173,7 +173,7 @@ class ResultsPane(Vertical):
                     Text(sign, style=f"bold {colours[colour]}"),
                     Text(KINDS.get(file.kind, file.kind)),
                     Text(
-                        shortened(
+                        shorten(
                             file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
                         )
                     ),
@@ -183,12 +183,12 @@ class ResultsPane(Vertical):
 
     def _job_line(self, job: Job) -> str:
         if job.state == "at work":
-            gone, limit = time.monotonic() - job.started, job.task.seconds
-            left = "" if limit is None else f", at most {duration(max(limit - gone, 0.0))} left"
-            return f"{duration(gone)}{left}: {job.said}"
+            elapsed, limit = time.monotonic() - job.started, job.task.seconds
+            remaining = "" if limit is None else f", at most {duration(max(limit - elapsed, 0.0))} left"
+            return f"{duration(elapsed)}{remaining}: {job.said}"
         return str(job.said).splitlines()[0] if job.said else job.state
 
-    def _chosen(self) -> str | None:
+    def _chosen_key(self) -> str | None:
         table = self.query_one(DataTable)
         try:
             return table.coordinate_to_cell_key(table.cursor_coordinate).row_key.value
@@ -211,7 +211,7 @@ class ResultsPane(Vertical):
 
     async def show_chosen(self) -> None:
         """Show the chosen result or job."""
-        key = self._chosen()
+        key = self._chosen_key()
         self.refresh_bindings()
         job = self._job(key)
         if job is not None:
@@ -236,10 +236,10 @@ class ResultsPane(Vertical):
                 text.append("e ends it now with the best so far. ", style=colours["muted"])
             text.append("c cancels it; files stay as they were.", style=colours["muted"])
         elif job.done is not None:
-            told = (
+            answer = (
                 job.done if isinstance(job.done, str) else "\n".join(f"written: {path}" for path in job.done)
             )
-            text.append(told, style="not bold")
+            text.append(answer, style="not bold")
         else:
             text.append(job.said, style="not bold")
         self.query_one("#result-text", Static).update(text)
@@ -266,57 +266,57 @@ class ResultsPane(Vertical):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only what is at work can be cancelled."""
         if action == "charts":
-            there = self.is_mounted and self._chosen_file() is not None
-            return there and self.screen.has_class("-narrow")
-        several = len(self._to_compare()) > 1
+            is_model = self.is_mounted and self._chosen_file() is not None
+            return is_model and self.screen.has_class("-narrow")
+        several = len(self._marked_files()) > 1
         if action in ("overlay", "mark"):
             return self.is_mounted and (self._chosen_file() is not None or (several and action == "overlay"))
         if action == "compare":
             return several
         if action in ("cancel", "end"):
-            job = self._job(self._chosen()) if self.is_mounted else None
+            job = self._job(self._chosen_key()) if self.is_mounted else None
             at_work = job is not None and job.state == "at work"
             return at_work and (action == "cancel" or (job is not None and job.task.kind in ENDS_EARLY))
         return True
 
     def _chosen_file(self) -> Path | None:
         """The chosen result, where it holds a model."""
-        key = self._chosen()
+        key = self._chosen_key()
         for file in self._files:
             if key == f"file {file.path} {file.modified}":
                 return file.path if has_model(self._parts[file.path, file.modified]) else None
         return None
 
-    def _to_compare(self) -> Sequence[Path]:
+    def _marked_files(self) -> Sequence[Path]:
         """The marked results that are still there, in the order of the list."""
-        return [file.path for file in self._files if file.path in self._marked]
+        return [file.path for file in self._files if file.path in self._marks]
 
     def action_mark(self) -> None:
         """Mark the chosen model, or take its mark away."""
         path = self._chosen_file()
         if path is not None:
-            self._marked ^= {path}
+            self._marks ^= {path}
             self.refresh_view()
             self.refresh_bindings()
 
     def action_compare(self) -> None:
         """Compare the marked models over the recording that the first was judged on."""
-        paths = self._to_compare()
-        if len(paths) > 1 and not self._too_many(paths):
-            self.post_message(StudyWanted(Task("compare", tuple(paths))))
-            self._marked.clear()
+        paths = self._marked_files()
+        if len(paths) > 1 and not self._refuse_excess(paths):
+            self.post_message(StudyRequested(Task("compare", tuple(paths))))
+            self._marks.clear()
 
-    def _too_many(self, paths: Sequence[Path]) -> bool:
-        """Whether these are more than fit side by side, which is said."""
+    def _refuse_excess(self, paths: Sequence[Path]) -> bool:
+        """Whether these are too many to compare at once; if so, a warning is shown."""
         if len(paths) > MOST_COMPARED:
             self.app.notify(f"At most {MOST_COMPARED} models are compared at once.", severity="warning")
         return len(paths) > MOST_COMPARED
 
     def action_overlay(self) -> None:
         """Show measurement and the marked models, or the chosen one with each of its terms, on and off."""
-        path, marked = self._chosen_file(), self._to_compare()
+        path, marked = self._chosen_file(), self._marked_files()
         if len(marked) > 1:
-            if not self._too_many(marked):
+            if not self._refuse_excess(marked):
                 self.app.push_screen(ModelsScreen(marked))
         elif path is not None:
             self.app.push_screen(OverlayScreen(path))
@@ -326,15 +326,15 @@ class ResultsPane(Vertical):
         self.toggle_class("charts-first")
 
     def action_end(self) -> None:
-        """End the chosen work with what it has found so far."""
-        job = self._job(self._chosen())
+        """End the chosen work with the best so far."""
+        job = self._job(self._chosen_key())
         if job is not None:
             self._jobs.end(job)
             self.refresh_view()
 
     def action_cancel(self) -> None:
         """End the chosen work."""
-        job = self._job(self._chosen())
+        job = self._job(self._chosen_key())
         if job is not None:
             self._jobs.cancel(job)
             self.refresh_view()

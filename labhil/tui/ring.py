@@ -1,4 +1,4 @@
-"""The newest samples of a stream: one thread appends, another looks."""
+"""The newest samples of a stream: one thread appends, another reads."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labhil.signals import Batch, FloatArray, IntArray
 class Ring:
     """Keeps at least the newest ``capacity`` samples of ``width`` columns.
 
-    Rows are written one after another into arrays twice as long, so that a look at the newest is a slice:
+    Rows are written one after another into arrays twice as long, so that the newest are a slice:
     only when the end is reached, once in ``capacity`` samples, are they moved to the front.
     """
 
@@ -31,14 +31,14 @@ class Ring:
         count = taken.stop - taken.start
         with self._lock:
             if self._end + count > len(self._t_acq_ns):
-                self._to_the_front()
+                self._compact()
             place = slice(self._end, self._end + count)
             self._t_acq_ns[place] = batch.t_acq_ns[taken]
             self._t_hw_ns[place] = batch.t_hw_ns[taken]
             self._values[place] = batch.values[taken]
             self._end += count
 
-    def _to_the_front(self) -> None:
+    def _compact(self) -> None:
         kept = slice(max(0, self._end - self._capacity), self._end)
         count = kept.stop - kept.start
         for array in (self._t_acq_ns, self._t_hw_ns, self._values):
@@ -54,7 +54,7 @@ class Ring:
             t = self._t_acq_ns[: self._end]
             if not len(t):
                 return t.copy(), t.copy(), self._values[:0].copy()
-            # stamps of a host whose clock was set back are not sorted; such a sample is found late, not lost
+            # stamps of a host whose clock was set back are not sorted; such a sample comes late, not never
             start = int(np.searchsorted(t, t[-1] - round(seconds * 1e9)))
             rows = slice(start, self._end)
             return t[start:].copy(), self._t_hw_ns[rows].copy(), self._values[rows].copy()
@@ -63,8 +63,8 @@ class Ring:
 def envelope(x: FloatArray, y: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
     """Reduce samples (n,) to the smallest and the largest in each of ``columns`` parts, in their order.
 
-    A peak of one sample stays visible, which it would not if every so-manieth sample were taken. What is
-    short enough is returned as it is.
+    A peak of one sample stays visible, which it would not if every n-th sample were taken. A short line is
+    returned unchanged.
     """
     if len(x) <= 2 * columns:
         return x, y

@@ -1,4 +1,4 @@
-"""The run of this screen, if there is one: started, asked to pause or stop, and followed."""
+"""The run of this screen, if there is one: started, controlled and followed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ OVER = ("idle", "finished", "failed")
 class Runner:
     """Holds at most one run process; ``on_line`` gets its lines in a thread of its own.
 
-    The lines come back through :meth:`take`, in the thread of the screen, which owns all that is here.
+    The lines come back through :meth:`take`, in the thread of the screen, which owns all state here.
     """
 
     def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], object]) -> None:
@@ -37,15 +37,15 @@ class Runner:
         if self._helper is not None:
             self._helper.close()
         self.state, self.reason, self.elapsed, self.duration, self.name = "starting", "", 0.0, 0.0, name
-        told = {"experiment": str(experiment.absolute()), "out": str(self._folder.absolute())}
+        request = {"experiment": str(experiment.absolute()), "out": str(self._folder.absolute())}
         self._number += 1
         number, on_line = self._number, self._on_line
         self._helper = Helper(
-            "the run", "labhil.tui.running", told, lambda line: on_line({**line, "number": number})
+            "the run", "labhil.tui.running", request, lambda line: on_line({**line, "number": number})
         )
 
     def ask(self, what: str, reason: str = "") -> None:
-        """Ask for ``pause``, ``resume``, ``stop`` or ``abort``."""
+        """Request ``pause``, ``resume``, ``stop`` or ``abort``."""
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
@@ -60,7 +60,7 @@ class Runner:
             self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
 
     def take(self, line: dict[str, Any]) -> None:
-        """Follow what the run says; the last words of the one before are not this one's."""
+        """Take a line of the run process; lines of an earlier run are ignored."""
         if line["number"] != self._number:
             return
         if "state" in line:
@@ -69,7 +69,7 @@ class Runner:
         elif "refused" in line:
             self.reason = line["refused"]
         elif "result" in line:
-            if self.state not in OVER:  # it came to grief before there was a run
+            if self.state not in OVER:  # it failed before there was a run
                 self.state = "failed"
             self.reason = line["error"] or (line["result"] or {}).get("reason", "")
         elif "ended" in line and self.state not in OVER:

@@ -1,10 +1,10 @@
 """A run in a process of its own: what the screen draws can neither delay nor end it by accident.
 
-``python -m labhil.tui.running`` is told ``{"experiment": path, "out": folder}`` first, then ``{"do":
+``python -m labhil.tui.running`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
 "pause" | "resume" | "stop" | "abort", "reason": …}``, or ``{"do": "mark", "text": …, "steady_ns": …}`` with
-the moment by the machine's steady clock. It says its progress ten times a second, what it refuses, and at
-the end its result. When its standard input ends without a word before, whoever started the run has crashed
-or was killed: the run is aborted, devices safe, recording complete, exit status 1.
+the moment by the machine's steady clock. It writes its progress ten times a second, each refusal, and at
+the end its result. When its standard input ends without a request before, the starter has crashed or was
+killed: the run is aborted, devices safe, recording complete, exit status 1.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.campaign.studies.process import on_further_lines, read_request, say
 from labhil.errors import CommandRefusedError, LabhilError
 from labhil.experiment.control import RunControl
 from labhil.experiment.experiment import load_experiment
@@ -25,7 +25,7 @@ GONE = "the terminal UI that started the run is gone"
 
 
 def obey(control: RunControl, line: dict[str, Any]) -> None:
-    """Do what a line asks for; say so where the run's state does not allow it."""
+    """Carry out the request of a line; report a refusal where the run's state does not allow it."""
     reason = str(line.get("reason", "told to by the terminal UI"))
     try:
         match line.get("do"):
@@ -46,7 +46,7 @@ def obey(control: RunControl, line: dict[str, Any]) -> None:
 def end(control: RunControl) -> None:
     """Abort the run, in whatever state it is: nobody watches it any more."""
     if control.is_to_end():
-        return  # it was asked to end before
+        return  # an end was requested before
     try:
         control.abort(GONE)
     except CommandRefusedError:
@@ -55,7 +55,7 @@ def end(control: RunControl) -> None:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    told = told_first()
+    request = read_request()
     control = RunControl()
     refusals = {""}
 
@@ -73,9 +73,9 @@ def main() -> int:
             say({"refused": control.refusal})
 
     try:
-        experiment = load_experiment(Path(told["experiment"]))
+        experiment = load_experiment(Path(request["experiment"]))
         on_further_lines(lambda line: obey(control, line), lambda: end(control))
-        result = run_experiment(experiment, Path(told["out"]), report, control)
+        result = run_experiment(experiment, Path(request["out"]), report, control)
     except LabhilError as error:
         say({"result": None, "error": str(error)})
         return error.exit_status

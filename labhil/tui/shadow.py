@@ -22,7 +22,7 @@ from labhil.tui.shadow_state import Output, ShadowState
 
 MODULE = "labhil.tui.shadowing"
 ROOM_FOR_ORIGIN = 100
-"""Columns from which on there is room to say what the band is made of."""
+"""Columns from which on there is room for the origin of the band."""
 
 PATIENCE = 0.2
 """How long its process may take to end by itself, s."""
@@ -32,7 +32,7 @@ MOST_SHOWN = 6
 
 
 @dataclass
-class ShadowSaid(Message):
+class ShadowLine(Message):
     """A line of the process of shadow ``number``."""
 
     number: int
@@ -40,15 +40,15 @@ class ShadowSaid(Message):
 
 
 class ShadowView(Vertical):
-    """Lines that say whether the model agrees, and a chart of the residual with its band."""
+    """Lines that show whether the model agrees, and a chart of the residual with its band."""
 
     def __init__(self) -> None:
         super().__init__(id="live-shadow")
         self._helper: Helper | None = None
         self._number = 0
-        self._said = Text()
+        self._shown_lines = Text()
         self.state: ShadowState | None = None
-        """What is known of the shadow; None where there is none."""
+        """State of the shadow; None where there is none."""
 
     def compose(self) -> ComposeResult:
         """The lines, and the chart."""
@@ -60,7 +60,7 @@ class ShadowView(Vertical):
         self.display = False
 
     def on_unmount(self) -> None:
-        """Nobody looks at it any more."""
+        """End its process."""
         if self._helper is not None:
             self._helper.close(PATIENCE)
 
@@ -70,14 +70,14 @@ class ShadowView(Vertical):
         self._number += 1
         number = self._number
         self.state = ShadowState(place.device, model.name)
-        told = {
+        request = {
             "endpoint": place.endpoint,
             "device": place.device,
             "stream": place.stream,
             "model": str(model.absolute()),
         }
         self._helper = Helper(
-            "the shadow", MODULE, told, lambda line: self.post_message(ShadowSaid(number, line))
+            "the shadow", MODULE, request, lambda line: self.post_message(ShadowLine(number, line))
         )
         self.display = True
         self.draw(1.0)
@@ -90,25 +90,25 @@ class ShadowView(Vertical):
         self.state = None
         self.display = False
 
-    def on_shadow_said(self, message: ShadowSaid) -> None:
-        """Take what the process says; the last words of the one before are not this one's."""
+    def on_shadow_line(self, message: ShadowLine) -> None:
+        """Take a line of the process; lines of an earlier shadow are ignored."""
         message.stop()
         if self.state is not None and message.number == self._number:
             self.state.take(message.line)
 
     def draw(self, window: float) -> None:
-        """Show the newest of it, and so many s of residuals."""
+        """Show the newest state, and so many s of residuals."""
         state = self.state
         if state is None or not self.is_attached:
             return
         colours, now_ns = self.app.theme_variables, labs.clock_ns() + state.ahead_ns
         rows = state.rows(colours, now_ns, wide=self._is_wide)[:MOST_SHOWN]
         line_end = Text("\n", no_wrap=True, overflow="ellipsis")
-        said = line_end.join([state.title(colours, now_ns), *rows])
-        if said != self._said:
-            changed = len(said.plain.splitlines()) != len(self._said.plain.splitlines())
-            self._said = said
-            self.query_one("#shadow-lines", Static).update(said, layout=changed)
+        lines = line_end.join([state.title(colours, now_ns), *rows])
+        if lines != self._shown_lines:
+            changed = len(lines.plain.splitlines()) != len(self._shown_lines.plain.splitlines())
+            self._shown_lines = lines
+            self.query_one("#shadow-lines", Static).update(lines, layout=changed)
         chart = self.query_one(Chart)
         chart.display = bool(state.outputs)
         if state.outputs:

@@ -1,4 +1,4 @@
-"""What a screen knows of a shadow, and how it says it."""
+"""The state of a shadow, and its text on the screen."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from labhil.signals import FloatArray
 from labhil.tui.words import duration
 
 KEPT_STRETCHES = 400
-"""Of each output: some minutes, more than any chart shows."""
+"""Stretches kept of each output: some minutes, more than any chart shows."""
 
 SILENT = 3.0
-"""After so many times the length of a stretch without a new one samples have stopped to come."""
+"""Lengths of a stretch without a new one after which the samples count as stopped."""
 
 SHORTEST_SILENCE = 2.0
-"""But not before so many s."""
+"""Shortest time after which they do, s."""
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class Output:
 
 @dataclass(slots=True)
 class ShadowState:
-    """What the process of a shadow has said so far; of the ``device`` and the file name of its ``model``."""
+    """State that the process of a shadow reports, with its ``device`` and the file name of its ``model``."""
 
     device: str
     model: str
@@ -79,17 +79,17 @@ class ShadowState:
             self.unjudged = ""
             self.until, self.dropped = float(line["until"]), float(line["dropped"])
             self.gaps, self.ahead_ns = int(line["gaps"]), int(line["ahead_ns"])
-            for each in line["outputs"]:
-                self._take_output(each, int(line["base_ns"]))
+            for output in line["outputs"]:
+                self._take_output(output, int(line["base_ns"]))
 
-    def _take_output(self, told: Mapping[str, Any], base_ns: int) -> None:
-        known = ("name", "unit", "noise", "band", "left_at", "left_ns", "beyond")
-        output = Output(**{key: told[key] for key in known})
+    def _take_output(self, fields: Mapping[str, Any], base_ns: int) -> None:
+        keys = ("name", "unit", "noise", "band", "left_at", "left_ns", "beyond")
+        output = Output(**{key: fields[key] for key in keys})
         before = self.outputs.get(output.name)
         if before is not None:
             output.stretches = before.stretches
-        if told["t"]:
-            output.stretches.append((base_ns, np.array(told["t"]), np.array(told["residual"])))
+        if fields["t"]:
+            output.stretches.append((base_ns, np.array(fields["t"]), np.array(fields["residual"])))
         self.outputs[output.name] = output
 
     @property
@@ -98,7 +98,7 @@ class ShadowState:
         return all(output.left_at is None for output in self.outputs.values())
 
     def silence(self, now_ns: int) -> float | None:
-        """How long no stretch has come, s, where that is longer than it should be."""
+        """Time since the last stretch, s, where that is longer than it should be."""
         newest = [output.stretches[-1] for output in self.outputs.values() if output.stretches]
         if not newest:
             return None
@@ -107,7 +107,7 @@ class ShadowState:
         return age if age > max(SHORTEST_SILENCE, SILENT * float(t[-1] - t[0])) else None
 
     def title(self, colours: Mapping[str, str], now_ns: int) -> Text:
-        """The line that says which model it is, and how the work goes."""
+        """The line with the name of the model, and how the work goes."""
         line = Text(no_wrap=True, overflow="ellipsis")
         if self.failed:
             line.append(f"✕ {self.failed}", style=f"bold {colours['error']}")
@@ -132,7 +132,7 @@ class ShadowState:
         return line
 
     def rows(self, colours: Mapping[str, str], now_ns: int, *, wide: bool = True) -> list[Text]:
-        """A line for each output: it agrees, or since when it does not and how far it is beyond."""
+        """A line for each output: it agrees, or since when it does not and by how much."""
         return [_row(output, colours, now_ns, wide=wide) for output in self.outputs.values()]
 
     def about(self) -> str:

@@ -1,8 +1,8 @@
 """The shadow of a device in a process of its own: a model along what the device sends, while it sends it.
 
-``python -m labhil.tui.shadowing`` is told ``{"endpoint", "device", "stream", "model"}`` first. It takes the
-samples from the bus itself, so that the screen has nothing to do with them. It says what the band is made
-of, then a line for each simulated stretch, and why where it cannot go on.
+``python -m labhil.tui.shadowing`` reads ``{"endpoint", "device", "stream", "model"}`` first. It takes the
+samples from the bus itself, so that the screen has nothing to do with them. It writes the origin of the band,
+then a line for each simulated stretch, and the reason where it cannot go on.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labhil.api.diagnosis import Diagnosis
 from labhil.api.fit import Fit
 from labhil.api.saved import load
 from labhil.bus.session import Bus, open_bus
-from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.campaign.studies.process import on_further_lines, read_request, say
 from labhil.errors import BusError, LabhilError, ModelFileError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
@@ -36,17 +36,17 @@ LOOK = 0.1
 """How often the newest samples are taken, s."""
 
 KNOCKS = 5
-"""How often an answer of the bus is waited for."""
+"""Attempts to open the bus."""
 
 OVERLAP = 0.5
-"""How much more than is new is looked at, since stamps of samples are not quite even, s."""
+"""Extra time read before the new samples, since their stamps are not quite even, s."""
 
 MOST_POINTS = 100
-"""Pairs of smallest and largest residuals of a stretch that are told: no screen has more columns for it."""
+"""Pairs of smallest and largest residuals sent for a stretch: no screen has more columns for it."""
 
 
-def validated_on(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamData | None, str]:
-    """The rig file of a result's recordings, the samples that it was judged on, and what these are called.
+def validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamData | None, str]:
+    """The rig file of a result's recordings, the samples that it was judged on, and the name of their file.
 
     Without its recordings there is nothing but the rig kind.
     """
@@ -59,21 +59,23 @@ def validated_on(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamD
             if recording.rig is None:
                 continue
             signals = {signal.name for signal in recording.rig.kind.outputs}
-            data = next((each for each in recording.streams if signals & set(each.stream.names())), None)
+            data = next(
+                (stream for stream in recording.streams if signals & set(stream.stream.names())), None
+            )
             if data is not None:
                 return recording.rig, data, path.name
     return default_rig(sources[0].rig), None, ""
 
 
-class Following:
-    """Takes what is new in a stream and tells what the model says of it."""
+class Follower:
+    """Simulates the model along the new samples of a stream, and reports the residuals."""
 
     def __init__(self, model: Path, result: Fit | Diagnosis) -> None:
         self._saved = result.saved
-        self._rig, self._judged, self.validated = validated_on(model, result)
+        self._rig, self._validation, self.validated = validation_recording(model, result)
         self._bands: Sequence[float] | None = None
-        if self._judged is not None:
-            data = self._judged
+        if self._validation is not None:
+            data = self._validation
             self._bands = validated_bands(self._saved, self._rig, data.stream, data.t, data.values)
         if self._bands is None:
             self.validated = ""
@@ -83,13 +85,13 @@ class Following:
         self._left: dict[int, int] = {}
 
     def follow(self, watched: StreamWatch) -> None:
-        """Simulate as much as there is; say a line for each stretch."""
+        """Simulate as much as there is; write a line for each stretch."""
         newest, _, _ = watched.ring.newest(0.0)
         if not len(newest):
             return
-        known = int(newest[-1]) if self._shadow is None else self._seen
+        seen_ns = int(newest[-1]) if self._shadow is None else self._seen
         self._seen = int(newest[-1])
-        _, t_hw, values = watched.ring.newest(min(KEPT, (self._seen - known) * 1e-9 + OVERLAP))
+        _, t_hw, values = watched.ring.newest(min(KEPT, (self._seen - seen_ns) * 1e-9 + OVERLAP))
         if self._shadow is None or watched.stream != self._stream or t_hw[-1] < self._last:
             self._stream = watched.stream
             self._shadow = Shadow(self._saved, self._rig, watched.stream, self._bands)
@@ -100,36 +102,36 @@ class Following:
             return
         self._last = int(t_hw[-1])
         self._shadow.take(np.asarray((t_hw[new] - self._begin) * 1e-9, dtype=np.float64), values[new])
-        while (found := self._shadow.step()) is not None:
-            if not len(found.t):
+        while (stretch := self._shadow.step()) is not None:
+            if not len(stretch.t):
                 say({"unjudged": self._shadow.unjudged})
                 continue
             t_acq, t_hw, _ = watched.ring.newest(KEPT)
-            self._tell(found, t_hw, t_acq, watched)
+            self._report(stretch, t_hw, t_acq, watched)
 
-    def _tell(self, found: Stretch, t_hw: IntArray, t_acq: IntArray, watched: StreamWatch) -> None:
+    def _report(self, stretch: Stretch, t_hw: IntArray, t_acq: IntArray, watched: StreamWatch) -> None:
         shadow = self._shadow
         assert shadow is not None
-        own = (t_hw - self._begin) * 1e-9
-        base = int(t_acq[0])
+        t_device = (t_hw - self._begin) * 1e-9
+        base_ns = int(t_acq[0])
 
-        def wall(t: FloatArray) -> FloatArray:
-            return np.asarray(np.interp(t, own, (t_acq - base) * 1e-9))
+        def wall_time(t: FloatArray) -> FloatArray:
+            return np.asarray(np.interp(t, t_device, (t_acq - base_ns) * 1e-9))
 
         outputs = []
         for j, (name, unit, state) in enumerate(
-            zip(found.names, found.units, shadow.agreements, strict=True)
+            zip(stretch.names, stretch.units, shadow.agreements, strict=True)
         ):
             if state.left_at is None:
                 self._left.pop(j, None)
             elif j not in self._left:
-                self._left[j] = base + round(float(wall(np.array([state.left_at]))[0]) * 1e9)
-            x, y = envelope(wall(found.t), np.clip(found.residuals[:, j], -1e6, 1e6), MOST_POINTS)
+                self._left[j] = base_ns + round(float(wall_time(np.array([state.left_at]))[0]) * 1e9)
+            x, y = envelope(wall_time(stretch.t), np.clip(stretch.residuals[:, j], -1e6, 1e6), MOST_POINTS)
             outputs.append(
                 {
                     "name": name,
                     "unit": unit,
-                    "noise": float(found.noise[j]),
+                    "noise": float(stretch.noise[j]),
                     "band": state.band,
                     "left_at": state.left_at,
                     "left_ns": self._left.get(j),
@@ -140,9 +142,9 @@ class Following:
             )
         say(
             {
-                "base_ns": base,
+                "base_ns": base_ns,
                 "ahead_ns": watched.ahead_ns,
-                "until": float(found.t[-1]),
+                "until": float(stretch.t[-1]),
                 "outputs": outputs,
                 "dropped": shadow.dropped,
                 "gaps": shadow.gaps,
@@ -151,7 +153,7 @@ class Following:
 
 
 def _bus_at(endpoint: str) -> AbstractContextManager[Bus]:
-    """The bus there; on a busy machine it may take more than one knock. BusError where nobody answers."""
+    """Open the bus there; on a busy machine that may take several attempts. BusError where none answers."""
     for _ in range(KNOCKS - 1):
         with suppress(BusError):
             return open_bus(endpoint)
@@ -160,20 +162,20 @@ def _bus_at(endpoint: str) -> AbstractContextManager[Bus]:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    told = told_first()
+    request = read_request()
     on_further_lines(lambda _line: None, lambda: os._exit(0))
     try:
-        model = Path(str(told["model"]))
+        model = Path(str(request["model"]))
         result = load(model)
         if not isinstance(result, (Fit, Diagnosis)):
             raise ModelFileError(f"{model}: expected a fit or a diagnosis")
-        following = Following(model, result)
-        say({"validated": following.validated})
-        with _bus_at(str(told["endpoint"])) as bus, Watch(bus) as watch:
+        follower = Follower(model, result)
+        say({"validated": follower.validated})
+        with _bus_at(str(request["endpoint"])) as bus, Watch(bus) as watch:
             while not (failure := watch.failure()):
-                watched = watch.stream(str(told["device"]), str(told["stream"]))
+                watched = watch.stream(str(request["device"]), str(request["stream"]))
                 if watched is not None:
-                    following.follow(watched)
+                    follower.follow(watched)
                 time.sleep(LOOK)
             raise BusError(failure)
     except LabhilError as error:

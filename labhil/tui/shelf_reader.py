@@ -1,4 +1,4 @@
-"""Reads the recordings of the folder beside the screen's own thread, one look at a time."""
+"""Reads the recordings of the folder in a thread of its own, one pass at a time."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from labhil.tui.recording_library import RecordingLibrary
 
 
 class ShelfReader:
-    """Sends ``app`` a :class:`ShelfRead` as often as more of ``folder`` has been read."""
+    """Sends ``app`` a :class:`ShelfRead` whenever more of ``folder`` has been read."""
 
     def __init__(self, app: App[None], folder: Path) -> None:
-        self._app, self._shelf = app, RecordingLibrary(folder)
+        self._app, self._library = app, RecordingLibrary(folder)
         self._reading = threading.Lock()
 
     def look(self) -> None:
@@ -25,7 +25,7 @@ class ShelfReader:
 
     def _read(self) -> None:
         try:
-            for recordings in self._shelf.look():
+            for recordings in self._library.look():
                 self._app.post_message(ShelfRead(recordings))
         finally:
             self._reading.release()

@@ -17,17 +17,15 @@ from labhil.tui.dialogs import Confirm
 from labhil.tui.lab import Session
 
 
-def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
-    """What the red line says: who pressed it, who is safe, and above all who did not answer."""
-    text = Text(
-        f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(standing.since))}", style="bold"
-    )
-    text.append(f" by {standing.by}. ", style="not bold")
+def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
+    """The red line: who pressed the stop, who is safe, and above all who did not answer."""
+    text = Text(f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(latch.since))}", style="bold")
+    text.append(f" by {latch.by}. ", style="not bold")
     if outcome is not None:
-        bad = [*outcome.failed, *outcome.silent]
-        if bad:
+        unsafe = [*outcome.failed, *outcome.silent]
+        if unsafe:
             text.append(
-                f"NO PROPER ANSWER from {', '.join(bad)}: switch the power off. ", style="bold reverse"
+                f"NO PROPER ANSWER from {', '.join(unsafe)}: switch the power off. ", style="bold reverse"
             )
         if outcome.answered:
             text.append(f"Safe: {', '.join(outcome.answered)}. ")
@@ -35,7 +33,7 @@ def stop_note(standing: Latch, outcome: Outcome | None) -> Text:
 
 
 class StopButton(Static):
-    """The emergency stop for who has a mouse at hand."""
+    """The emergency stop for a mouse."""
 
     def on_click(self, event: Click) -> None:
         """Stop everything."""
@@ -46,7 +44,7 @@ class StopButton(Static):
 class EmergencyStop:
     """Stops every device in reach, follows who has stopped and released them, and releases the stop.
 
-    Devices are asked in a thread, so that the screen goes on; what comes of it is shown in the screen's own.
+    Devices are stopped in a thread, so that the screen goes on; its own thread shows the outcome.
 
     Args:
         app: Runs the threads and shows the question before a release.
@@ -62,7 +60,7 @@ class EmergencyStop:
         self.latch: Latch | None = None
         """The stop that stands, None while runs are allowed."""
         self.outcome: Outcome | None = None
-        """What the devices have answered to this screen's own stop."""
+        """The devices' answers to this screen's own stop."""
         self._is_shown = True
 
     def press(self) -> None:

@@ -1,4 +1,4 @@
-"""One stream as it comes in to a screen: its newest samples, how regularly they come, what is missing."""
+"""One stream as a screen receives it: its newest samples, how regularly they come, what is missing."""
 
 from __future__ import annotations
 
@@ -79,8 +79,8 @@ class StreamWatch:
         """Take messages in."""
         batch = self.codec.decode(payloads)
         seq = batch.seq
-        before = self.last_seq if self.last_seq is not None else int(seq[0]) - 1
-        self.gaps += int(np.maximum(np.diff(seq, prepend=before) - 1, 0).sum())
+        previous = self.last_seq if self.last_seq is not None else int(seq[0]) - 1
+        self.gaps += int(np.maximum(np.diff(seq, prepend=previous) - 1, 0).sum())
         self.last_seq = int(seq[-1])
         self.received += len(batch)
         self.arrived_at = now

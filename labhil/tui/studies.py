@@ -1,4 +1,4 @@
-"""Fits, diagnoses, verifications and exports that the terminal UI starts, and what it tells of their ends."""
+"""Fits, diagnoses, verifications and exports that the terminal UI starts, and how it announces their ends."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import time
 from textual.app import App
 
 from labhil.campaign.studies.jobs import Job, Jobs
-from labhil.tui.dialogs import Tell
-from labhil.tui.messages import StudySaid, StudyWanted
+from labhil.tui.dialogs import Notice
+from labhil.tui.messages import StudyLine, StudyRequested
 
 WITHOUT_RESULT_FILE = ("export", "verify")
 """Kinds of work whose answer is no file in the list of results."""
@@ -23,35 +23,35 @@ class Studies:
     """Starts analyses in processes of their own, follows them, and announces how they end.
 
     Args:
-        app: Gets each line of a process as :class:`StudySaid`, and shows notes and dialogs.
+        app: Gets each line of a process as :class:`StudyLine`, and shows notes and dialogs.
     """
 
     def __init__(self, app: App[None]) -> None:
         self._app = app
-        self.jobs = Jobs(lambda number, line: app.post_message(StudySaid(number, line)), time.monotonic)
+        self.jobs = Jobs(lambda number, line: app.post_message(StudyLine(number, line)), time.monotonic)
 
     @property
     def at_work(self) -> list[Job]:
         """The analyses that have not ended."""
         return list(self.jobs.at_work)
 
-    def start(self, message: StudyWanted) -> bool:
+    def start(self, message: StudyRequested) -> bool:
         """Start the work, and return whether its place is the list of results."""
         job = self.jobs.start(message.task)
         self._app.notify(f"{job.title}: at work", timeout=2)
         return job.task.kind not in WITHOUT_RESULT_FILE
 
-    def follow(self, message: StudySaid) -> tuple[Job, bool]:
+    def follow(self, message: StudyLine) -> tuple[Job, bool]:
         """Take in a line of a process; return its job, and whether its state has changed."""
         before = self.jobs.all[message.number].state
         job = self.jobs.take(message.number, message.line)
         return job, job.state != before
 
     def announce(self, job: Job) -> None:
-        """Tell how the work has ended: a failure with its reason, a verification with its whole answer."""
+        """Announce how the work has ended: a failure with its reason, a verification with its answer."""
         if job.state == "failed":
             self._app.notify(job.said, title=job.title, severity="error", timeout=10)
         elif job.task.kind == "verify":
-            self._app.push_screen(Tell(job.title, str(job.done)))
+            self._app.push_screen(Notice(job.title, str(job.done)))
         elif job.state == "done":
             self._app.notify("done", title=job.title)

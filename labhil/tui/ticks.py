@@ -17,24 +17,24 @@ def ticks(low: float, high: float, most: int = 4) -> list[float]:
     if not (math.isfinite(high - low) and high > low):
         return []
     step = round_step((high - low) / max(1, most))
-    found = _multiples(step, low, high)
+    values = _multiples(step, low, high)
     for _ in range(3):
-        if len(found) < 2:  # a single tick says nothing of the scale
+        if len(values) < 2:  # a single tick gives no scale
             step = round_step(step / 2.6)
-            found = _multiples(step, low, high)
-    return found
+            values = _multiples(step, low, high)
+    return values
 
 
-def labels(found: Sequence[float]) -> list[str]:
-    """Return what stands at these ticks."""
-    if not found:
+def labels(values: Sequence[float]) -> list[str]:
+    """Return the labels of these ticks."""
+    if not values:
         return []
-    step = found[1] - found[0] if len(found) > 1 else abs(found[0]) or 1.0
-    largest = max(abs(tick) for tick in found)
+    step = values[1] - values[0] if len(values) > 1 else abs(values[0]) or 1.0
+    largest = max(abs(tick) for tick in values)
     if largest >= 1e5 or (0 < largest < 1e-3):
-        return [f"{tick:.1e}".replace("e-0", "e-").replace("e+0", "e") for tick in found]
+        return [f"{tick:.1e}".replace("e-0", "e-").replace("e+0", "e") for tick in values]
     decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in found]
+    return [f"{tick + 0.0:.{decimals}f}".replace("-", "−") for tick in values]
 
 
 def _multiples(step: float, low: float, high: float) -> list[float]:
@@ -53,7 +53,7 @@ def round_step(step: float) -> float:
 def limits_of(values: Sequence[FloatArray]) -> Limits:
     """Round limits around all finite values, with a little room; (−1, 1) where there are none.
 
-    A constant stands in the middle of an axis as wide as itself: nothing tells what a small change would be.
+    A constant stands in the middle of an axis as wide as itself: there is no scale for a small change.
     """
     finite = [v[np.isfinite(v)] for v in values]
     finite = [v for v in finite if len(v)]

@@ -1,4 +1,4 @@
-"""A seat on a bus that only looks: what its devices send, how regularly, and what they say of themselves.
+"""A passive seat on a bus: what its devices send, how regularly, and what they report of themselves.
 
 One thread takes samples in, another asks what cannot be seen in samples (who is there, who holds the
 lease). The screen reads snapshots when it draws; no sample ever becomes a message to it.
@@ -61,12 +61,12 @@ UNEXPLAINED = (
     ValueError,
     ArithmeticError,
 )
-"""A stream that is not what it says must not hide the others."""
+"""Errors in a malformed stream, which must not hide the others."""
 
 COMMAND_STREAM = "command"
 
 REPLAYED = f"{REPLAY}/"
-"""What the name of a device begins with that is only replayed; names of devices have no stroke in them."""
+"""Prefix of the name of a device that is only replayed; names of devices contain no slash."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +112,8 @@ class _Device:
     @property
     def main(self) -> StreamWatch | None:
         """The stream of what is measured."""
-        found = [watched for name, watched in self.streams.items() if name != COMMAND_STREAM]
-        return found[0] if found else None
+        measured = [watched for name, watched in self.streams.items() if name != COMMAND_STREAM]
+        return measured[0] if measured else None
 
 
 class Watch:
@@ -149,17 +149,17 @@ class Watch:
     ) -> None:
         self._resources.close()
 
-    # what the screen asks
+    # what the screen reads
 
     def devices(self) -> list[DeviceView]:
-        """Every device that was seen, in order of appearance, as things stand now."""
+        """Every device that was seen, in order of appearance, with its state now."""
         now = time.monotonic()
         with self._lock:
-            found = list(self._devices.items())
-        return [_view(name, device, now) for name, device in found]
+            devices = list(self._devices.items())
+        return [_view(name, device, now) for name, device in devices]
 
     def signals(self) -> list[tuple[str, str, Signal]]:
-        """Every signal that comes in: device, stream and what it is."""
+        """Every signal that comes in: device, stream and signal."""
         with self._lock:
             return [
                 (name, stream, signal)
@@ -171,11 +171,11 @@ class Watch:
     def stream(self, device: str, stream: str) -> StreamWatch | None:
         """The stream of that name, None where it is not known."""
         with self._lock:
-            found = self._devices.get(device)
-            return None if found is None else found.streams.get(stream)
+            known = self._devices.get(device)
+            return None if known is None else known.streams.get(stream)
 
     def failure(self) -> str:
-        """Return why what is shown is news no more, though nobody closed this; empty while all is well."""
+        """Return why this is out of date although nobody closed it; empty while all is well."""
         if not self._ending.is_set() and not self._asking.is_alive():
             return "the thread that asks the devices has died"
         return self.bus.failure()
@@ -233,24 +233,26 @@ class Watch:
             event = parse(EventMessage, payload, "an event")
             text, state = event.message or event.reason or event.text, event.state
             kind = state if event.kind == "note" and state else event.kind
-            said = Announcement(event.t_ns, device, kind, text)
+            announcement = Announcement(event.t_ns, device, kind, text)
         except CommandRefusedError:
-            said = Announcement(time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace"))
-        self.events.append(said)
+            announcement = Announcement(
+                time.time_ns(), device, "note", payload[:1000].decode("utf-8", "replace")
+            )
+        self.events.append(announcement)
         if device == "run" or device.startswith(REPLAYED):
-            return  # what a device was at that time says nothing about now
+            return  # a past state is not the present one
         with self._lock:
             if device not in self._devices and len(self._devices) >= MOST_DEVICES:
                 return
-            found = self._device(device)
-            found.event = said
+            entry = self._device(device)
+            entry.event = announcement
             if state:
-                found.state, found.reason = state, said.message
+                entry.state, entry.reason = state, announcement.message
 
     def _device(self, name: str) -> _Device:
         return self._devices.setdefault(name, _Device())
 
-    # what has to be asked
+    # what has to be requested
 
     def _ask_around(self) -> None:
         while not self._ending.wait(ASK_INTERVAL):
@@ -265,16 +267,16 @@ class Watch:
         with self._lock:
             for name in alive:
                 self._device(name)
-            known = list(self._devices.items())
-        self._ask_replay(name for name, _ in known)
+            devices = list(self._devices.items())
+        self._ask_replay(name for name, _ in devices)
         with self._lock:
-            for name, device in known:
+            for name, device in devices:
                 device.alive = name in alive or (name.startswith(REPLAYED) and self.replay is not None)
             unknown = list(self._unknown)
-            unknown += [(name, "state") for name, device in known if device.alive and not device.streams]
+            unknown += [(name, "state") for name, device in devices if device.alive and not device.streams]
         for device_name, stream in dict.fromkeys(unknown):
             self._ask_schema(device_name, stream)
-        for name, device in known:
+        for name, device in devices:
             if device.alive and name.startswith(REPLAYED):
                 device.state, device.reason = _replay_state(self.replay)
             elif device.alive:
@@ -289,7 +291,7 @@ class Watch:
             self.replay = None
 
     def control_replay(self, action: str, value: float = 0.0) -> None:
-        """Ask the replay on this bus for something; waits for its answer.
+        """Send a command to the replay on this bus; waits for its answer.
 
         Raises BusError where none answers, CommandRefusedError where it refuses.
         """
@@ -315,7 +317,7 @@ class Watch:
 
 
 def _names(key: str) -> tuple[str, str]:
-    """Device and stream of a key; a device that is replayed is never called like one that is there."""
+    """Device and stream of a key; a replayed device never has the name of a real one."""
     device, stream = split_key(key)
     return (f"{REPLAYED}{device}" if key.startswith(REPLAYED) else device), stream
 

@@ -37,7 +37,7 @@ def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, p
     """Serve the terminal UI until SIGINT, SIGTERM or SIGHUP; returns 0.
 
     The first line of the output is the address to open. Beyond the loopback, and where the system does not
-    say whose a connection is, it holds a token without which nobody is let in.
+    name the user of a connection, it holds a token without which nobody is let in.
 
     Args:
         folder: Where recordings and results are.
@@ -51,19 +51,19 @@ def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, p
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
-    listening = _listen(host, port)
-    options = ["--folder", str(folder), *(part for each in connect for part in ("--connect", each))]
+    listener = _listen(host, port)
+    options = ["--folder", str(folder), *(part for endpoint in connect for part in ("--connect", endpoint))]
     command = [sys.executable, "-P", "-m", "labhil", "tui", *options, *(["--light"] if light else [])]
     os.environ[SERVER] = str(os.getpid())
     # without exec a shell would stand between the page's process and this one, and outlive it
     pages = Pages("exec " + shlex.join(command), Gate.at(host))
-    with listening:
-        asyncio.run(_serve(pages, listening, _shown_host(host)))
+    with listener:
+        asyncio.run(_serve(pages, listener, _display_host(host)))
     return 0
 
 
 class Pages:
-    """What is answered to a browser. ``command`` is run for each page, in a shell."""
+    """The responses to a browser. ``command`` runs for each page, in a shell."""
 
     def __init__(self, command: str, gate: Gate) -> None:
         self._command, self.gate = command, gate
@@ -104,7 +104,7 @@ class Pages:
             self._command,
             write_bytes=connection.send_bytes,
             write_str=connection.send_str,
-            close=_closing(connection),
+            close=_closer(connection),
             download_manager=self._downloads,
         )
         self._services.add(service)
@@ -122,19 +122,19 @@ class Pages:
 
 
 async def _follow(connection: web.WebSocketResponse, service: AppService) -> None:
-    """Hand on what the page sends until it is closed; what is no message of its protocol ends it."""
+    """Forward what the page sends until it is closed; a message outside its protocol ends it."""
     async for message in connection:
         if message.type is not WSMsgType.TEXT:
             continue
         try:
-            await _hand_on(message.json(), connection, service)
+            await _forward(message.json(), connection, service)
         except (ValueError, TypeError, KeyError, IndexError) as error:
             await connection.close(code=1008, message=f"not understood: {error}"[:100].encode())
             return
 
 
-async def _hand_on(said: list[object], connection: web.WebSocketResponse, service: AppService) -> None:
-    match said:
+async def _forward(message: list[object], connection: web.WebSocketResponse, service: AppService) -> None:
+    match message:
         case ["stdin", str(keys)]:
             await service.send_bytes(keys.encode())
         case ["resize", {"width": int(width), "height": int(height)}] if width in CELLS and height in CELLS:
@@ -146,10 +146,10 @@ async def _hand_on(said: list[object], connection: web.WebSocketResponse, servic
         case ["focus", *_]:
             await service.focus()
         case _:
-            raise ValueError(f"expected stdin, resize, ping, blur or focus, found {str(said)[:60]}")
+            raise ValueError(f"expected stdin, resize, ping, blur or focus, found {str(message)[:60]}")
 
 
-def _closing(connection: web.WebSocketResponse) -> Callable[[], Awaitable[None]]:
+def _closer(connection: web.WebSocketResponse) -> Callable[[], Awaitable[None]]:
     async def close() -> None:
         await connection.close()
 
@@ -165,29 +165,29 @@ def _listen(host: str, port: int) -> socket.socket:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        listening = socket.socket(family, kind, protocol)
+        listener = socket.socket(family, kind, protocol)
     except (OSError, OverflowError) as error:
         raise UsageError(f"--host {host}: expected an address of this machine: {error}") from error
     try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(address)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
     except OSError as error:
-        listening.close()
+        listener.close()
         raise UsageError(
             f"--host {host} --port {port}: nobody can listen there: {error.strerror}; "
             "--port 0 takes a free one"
         ) from error
-    return listening
+    return listener
 
 
-def _shown_host(host: str) -> str:
-    """What a browser is given: an address for "every interface" is none that can be opened."""
+def _display_host(host: str) -> str:
+    """The host for a browser: an address for "every interface" is none that can be opened."""
     if host in ("", "0.0.0.0", "::"):
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host
 
 
-async def _serve(pages: Pages, listening: socket.socket, host: str) -> None:
+async def _serve(pages: Pages, listener: socket.socket, host: str) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in ENDINGS:
@@ -195,9 +195,9 @@ async def _serve(pages: Pages, listening: socket.socket, host: str) -> None:
     runner = web.AppRunner(pages.app(), access_log=None, shutdown_timeout=5.0)
     await runner.setup()
     try:
-        await web.SockSite(runner, listening).start()
-        show(f"http://{host}:{listening.getsockname()[1]}/{pages.gate.query}")
-        if not is_loopback(listening.getsockname()[0]):
+        await web.SockSite(runner, listener).start()
+        show(f"http://{host}:{listener.getsockname()[1]}/{pages.gate.query}")
+        if not is_loopback(listener.getsockname()[0]):
             complain(
                 "reachable from other machines, and not encrypted: whoever has the address above is let in"
             )

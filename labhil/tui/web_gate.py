@@ -19,7 +19,7 @@ from aiohttp import web
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 CONNECTIONS = Path("/proc/net/tcp"), Path("/proc/net/tcp6")
-"""Where Linux lists them: local address, remote address, state, …, user."""
+"""Where Linux lists connections: local address, remote address, state, …, user."""
 ESTABLISHED = "01"
 
 
@@ -52,7 +52,7 @@ class Gate:
 
     @property
     def query(self) -> str:
-        """What an address that is handed out ends in."""
+        """End of the address that is handed out."""
         return "" if self.token is None else f"?token={self.token}"
 
     def refusal(self, request: web.Request) -> str:
@@ -61,7 +61,7 @@ class Gate:
         if origin is not None and urlsplit(origin).netloc != request.host:
             return f"a page of {origin[:200]} may not use this one"
         if self.token is None:
-            return self._of_a_stranger(request)
+            return self._stranger_refusal(request)
         given = request.query.get("token") or request.cookies.get(_cookie(request), "")
         if not secrets.compare_digest(given.encode(), self.token.encode()):
             return "open the whole address that `labhil tui --web` printed, with its token"
@@ -75,7 +75,7 @@ class Gate:
         answer.set_cookie(_cookie(request), self.token, httponly=True, samesite="Strict")
         return answer
 
-    def _of_a_stranger(self, request: web.Request) -> str:
+    def _stranger_refusal(self, request: web.Request) -> str:
         # a name of another site may lead here; its page would then count as one of this server
         name = urlsplit(f"//{request.host}").hostname
         if name not in LOOPBACK_NAMES:
@@ -107,21 +107,26 @@ def user_of(theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
     """
     for path in CONNECTIONS:
         if path.exists():
-            user = user_listed(path.read_text(), theirs, ours)
+            user = user_in_listing(path.read_text(), theirs, ours)
             if user is not None:
                 return user
     return None
 
 
-def user_listed(listing: str, theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
+def user_in_listing(listing: str, theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
     """The user of one established connection in a listing such as /proc/net/tcp.
 
     A port by itself names no user: ports are drawn again as soon as the far end differs, and a closed
     connection stands in the list for a minute more, under user 0 whoever it was.
     """
-    wanted = {(_as_listed(*theirs), _as_listed(*ours))}
+    wanted = {(_listing_address(*theirs), _listing_address(*ours))}
     if ":" not in theirs[0]:
-        wanted.add((_as_listed(f"::ffff:{theirs[0]}", theirs[1]), _as_listed(f"::ffff:{ours[0]}", ours[1])))
+        wanted.add(
+            (
+                _listing_address(f"::ffff:{theirs[0]}", theirs[1]),
+                _listing_address(f"::ffff:{ours[0]}", ours[1]),
+            )
+        )
     for line in listing.splitlines()[1:]:
         _, local, remote, state, _, _, _, user, *_ = line.split()
         if (local, remote) in wanted and state == ESTABLISHED:
@@ -129,7 +134,7 @@ def user_listed(listing: str, theirs: tuple[str, int], ours: tuple[str, int]) ->
     return None
 
 
-def _as_listed(address: str, port: int) -> str:
+def _listing_address(address: str, port: int) -> str:
     """Words of 4 bytes in the machine's order, as the kernel prints them."""
     packed = socket.inet_pton(socket.AF_INET6 if ":" in address else socket.AF_INET, address)
     words = struct.unpack(f"={len(packed) // 4}I", packed)

@@ -77,16 +77,16 @@ def plain_grid() -> PlainTable:
 
 
 def device_look(view: DeviceView) -> Look:
-    """How a device stands; one that lives and sends nothing is silent whatever its host says."""
+    """The state of a device; one that lives and sends nothing is silent, whatever its host reports."""
     if view.state == "gone":
         return STATES["gone"]
     if view.beat is not None and view.beat.silent and not view.is_replayed:
-        return Look("◌", f"SILENT {whole(view.beat.age)}", "warning")
+        return Look("◌", f"SILENT {whole_seconds(view.beat.age)}", "warning")
     return STATES.get(view.state, Look("?", view.state, "muted"))
 
 
 def ended_look(status: str) -> Look:
-    """How a recording ended."""
+    """The outcome of a recording."""
     return ENDED.get(status, Look("✕", status, "error"))
 
 
@@ -100,7 +100,7 @@ def duration(seconds: float | None) -> str:
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def whole(seconds: float) -> str:
+def whole_seconds(seconds: float) -> str:
     """``3 s``; what is longer in minutes."""
     return f"{seconds:.0f} s" if seconds < 100 else duration(seconds)
 

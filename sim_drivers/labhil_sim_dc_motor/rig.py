@@ -41,8 +41,8 @@ class DcMotorBench:
             if device["temperature_sensor"]
             else None,
         }
-        self._converters = {name: one for name, one in fitted.items() if one is not None}
-        scales = [NOT_FITTED if one is None else one.scale for one in fitted.values()]
+        self._converters = {name: converter for name, converter in fitted.items() if converter is not None}
+        scales = [NOT_FITTED if converter is None else converter.scale for converter in fitted.values()]
         self.board = Board(
             "dc_motor",
             (*scales, VOLTAGE),

@@ -47,7 +47,7 @@ class PhysicalArm:
         self._live.place(q)
 
     def step(self, plan: Plan, h: float) -> Sample:
-        """Let h (s) pass while the drives are told to follow the plan, and measure then."""
+        """Let h (s) pass while the drives follow the plan, and measure then."""
         return self._live.step(Moment(plan.q, plan.qd, plan.qdd), h)
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:

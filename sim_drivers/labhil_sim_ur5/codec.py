@@ -116,12 +116,12 @@ class Recipe:
         if len(data) < self._struct.size:
             raise FramingError(f"{len(data)} bytes for a recipe of {self._struct.size}")
         flat = self._struct.unpack_from(data)
-        found: dict[str, Value] = {}
+        values: dict[str, Value] = {}
         place = 0
         for name, width in zip(self.names, self._widths, strict=True):
-            found[name] = flat[place] if width == 1 else flat[place : place + width]
+            values[name] = flat[place] if width == 1 else flat[place : place + width]
             place += width
-        return found
+        return values
 
 
 def data_package(recipe_id: int, fields: bytes) -> bytes:
@@ -131,11 +131,11 @@ def data_package(recipe_id: int, fields: bytes) -> bytes:
 
 def text_package(message: str, source: str = "labhil", level: int = 2) -> bytes:
     """Return a text message (level 0 exception, 1 error, 2 warning, 3 info)."""
-    said, by = message.encode()[:255], source.encode()[:255]
-    return package(Command.TEXT, bytes([len(said)]) + said + bytes([len(by)]) + by + bytes([level]))
+    text, origin = message.encode()[:255], source.encode()[:255]
+    return package(Command.TEXT, bytes([len(text)]) + text + bytes([len(origin)]) + origin + bytes([level]))
 
 
-def listed(payload: bytes) -> tuple[str, ...]:
+def split_names(payload: bytes) -> tuple[str, ...]:
     """Return the names in a comma-separated list; an empty one at its end, as clients send it, is none."""
     return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
 

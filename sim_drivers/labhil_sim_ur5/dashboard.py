@@ -56,9 +56,9 @@ class Dashboard:
     def answer(self, line: str) -> str:
         """Return the answer to one line."""
         line = line.strip()
-        known = self._exact.get(line)
-        if known is not None:
-            return known()
+        exact = self._exact.get(line)
+        if exact is not None:
+            return exact()
         word, _, rest = line.partition(" ")
         if word == "load" and rest:
             self._controller.program_name = rest
@@ -87,9 +87,9 @@ class Dashboard:
         state = "PAUSED" if paused else "PLAYING" if running else "STOPPED"
         return f"{state} {self._controller.program_name}"
 
-    def _power(self, mode: RobotMode, said: str) -> str:
+    def _power(self, mode: RobotMode, reply: str) -> str:
         self._controller.power(mode)
-        return said
+        return reply
 
     def _unlock(self) -> str:
         if self._controller.stopped_for() < self._unlock_after:

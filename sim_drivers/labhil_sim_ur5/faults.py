@@ -58,9 +58,9 @@ class Faults:
                 self._began = time.monotonic()
             return
         while self._due and time.monotonic() - self._began >= self._due[0][0]:
-            self.told(self._due.pop(0)[1])
+            self.carry_out(self._due.pop(0)[1])
 
-    def told(self, line: str) -> None:
+    def carry_out(self, line: str) -> None:
         """Do what a line says."""
         name = next((name for name in self._lines if line == name or line.startswith(f"{name} ")), None)
         if name is None:

@@ -17,7 +17,7 @@ from labhil_sim_ur5.motion import (
     joint_rates,
     towards,
 )
-from labhil_sim_ur5.poses import Pose, rotation_of, times, transposed, turned, vector_of
+from labhil_sim_ur5.poses import Pose, rotate, rotation_of, times, transpose, vector_of
 
 EASING = 0.02
 """In what time (s) the servo eases into the joints' greatest speed, so that it does not overshoot it."""
@@ -51,10 +51,10 @@ class Servo:
         k, lookahead, (q, qd, qdd) = self._gain, self._lookahead, self._now
         q = q + h * qd + (h * h / 3.0) * qdd
         before, qd = qd, qd + 0.5 * h * qdd
-        wanted = k * (self._set - q - lookahead * qd) / (1.0 + k * h * (0.5 * lookahead + h / 6.0))
-        wanted = np.clip(wanted, (-JOINT_SPEED - before) / EASING, (JOINT_SPEED - before) / EASING)
-        wanted = np.clip(wanted, -ACCELERATION_LIMIT, ACCELERATION_LIMIT)
-        self._now = Plan(q + (h * h / 6.0) * wanted, qd + 0.5 * h * wanted, wanted)
+        target = k * (self._set - q - lookahead * qd) / (1.0 + k * h * (0.5 * lookahead + h / 6.0))
+        target = np.clip(target, (-JOINT_SPEED - before) / EASING, (JOINT_SPEED - before) / EASING)
+        target = np.clip(target, -ACCELERATION_LIMIT, ACCELERATION_LIMIT)
+        self._now = Plan(q + (h * h / 6.0) * target, qd + 0.5 * h * target, target)
         return self._now
 
 
@@ -96,10 +96,10 @@ class ToolSpeed:
     def advance(self, h: float) -> Plan:
         """Let h (s) pass and return the plan then; MotionError near a singularity."""
         twist, self._twist = self._twist, towards(self._twist, self._set, self._a * h)
-        q, before, before_that = self._now
-        ahead = q + h * before + 0.5 * h * h * before_that
+        q, before_qd, before_qdd = self._now
+        ahead = q + h * before_qd + 0.5 * h * h * before_qdd
         qd = joint_rates(self._arm, ahead, self._tool, self._twist)
-        q = q + 0.5 * h * (before + qd)
+        q = q + 0.5 * h * (before_qd + qd)
         qdd = joint_accelerations(self._arm, q, qd, self._tool, (self._twist - twist) / h)
         self._now = Plan(q, qd, qdd)
         return self._now
@@ -123,14 +123,14 @@ class Approach:
 
     def advance(self, h: float) -> Plan:
         """Let h (s) pass and return the plan then; MotionError near a singularity."""
-        here = self._arm.pose(self._plan.q, self._tool)
-        rotation = rotation_of(*here[3:])
-        turn = vector_of(times(transposed(rotation), rotation_of(*self._set[3:])))
-        missing = np.array([*np.subtract(self._set[:3], here[:3]), *turned(rotation, turn)])
-        far = max(float(np.linalg.norm(missing[:3])), float(np.linalg.norm(missing[3:])))
+        pose = self._arm.pose(self._plan.q, self._tool)
+        rotation = rotation_of(*pose[3:])
+        turn = vector_of(times(transpose(rotation), rotation_of(*self._set[3:])))
+        missing = np.array([*np.subtract(self._set[:3], pose[:3]), *rotate(rotation, turn)])
+        distance = max(float(np.linalg.norm(missing[:3])), float(np.linalg.norm(missing[3:])))
         # at half the deceleration that would do, so that one tick's delay does not carry it beyond
-        speed = min(self._v, sqrt(self._a * far), 0.5 * far / h)
-        twist = missing * (speed / far) if far > 0.0 else np.zeros(6)
+        speed = min(self._v, sqrt(self._a * distance), 0.5 * distance / h)
+        twist = missing * (speed / distance) if distance > 0.0 else np.zeros(6)
         self._speed.aim(twist.tolist(), 2.0 * self._a)
         self._plan = self._speed.advance(h)
         return self._plan

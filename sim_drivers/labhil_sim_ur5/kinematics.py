@@ -25,8 +25,8 @@ from labhil_sim_ur5.poses import (
     inverse,
     nearest_turn,
     pose_times,
+    rotate,
     rotation_of,
-    turned,
     vector_of,
 )
 
@@ -98,7 +98,7 @@ class Geometry:
         """Return the Jacobian (6, 6): velocity (m/s) and rate (rad/s) of the tool per joint rate."""
         place, rotation = self.flange(q)
         if tool != NO_OFFSET:
-            x, y, z = turned(rotation, tool[:3])
+            x, y, z = rotate(rotation, tool[:3])
             place = (place[0] + x, place[1] + y, place[2] + z)
         columns = np.empty((6, 6))
         axis = (rotation[2], rotation[5], rotation[8])
@@ -118,7 +118,7 @@ class Geometry:
     def solutions(self, flange: Pose, near: Joints6) -> list[Joints]:
         """Return all joint angles (up to eight) that bring the flange to a pose, turned towards ``near``."""
         r = rotation_of(*flange[3:])
-        found = []
+        solutions = []
         for first in self._first_joints(flange, r):
             c1, s1 = cos(first), sin(first)
             cosine = (flange[0] * s1 - flange[1] * c1 - self.d4) / self.d6
@@ -127,18 +127,18 @@ class Geometry:
             bend = acos(min(max(cosine, -1.0), 1.0))
             for fifth in (bend, -bend):
                 last = _last_joint(r, c1, s1, sin(fifth), near[5])
-                found += [
+                solutions += [
                     (first, second, third, fourth, fifth, last)
                     for second, third, fourth in self._plane(flange, r, c1, s1, sin(fifth), last)
                 ]
-        return [_turned(q, near) for q in found]
+        return [_turn_towards(q, near) for q in solutions]
 
     def _first_joints(self, flange: Pose, r: Rotation) -> tuple[float, ...]:
         x, y = flange[0] - self.d6 * r[2], flange[1] - self.d6 * r[5]
-        far = hypot(x, y)
-        if far < abs(self.d4) - REACH_SLACK or far == 0.0:
+        distance = hypot(x, y)
+        if distance < abs(self.d4) - REACH_SLACK or distance == 0.0:
             return ()
-        open_angle = acos(min(max(self.d4 / far, -1.0), 1.0))
+        open_angle = acos(min(max(self.d4 / distance, -1.0), 1.0))
         towards = atan2(y, x) + pi / 2
         return (towards + open_angle, towards - open_angle)
 
@@ -166,7 +166,7 @@ def _last_joint(r: Rotation, c1: float, s1: float, s5: float, near: float) -> fl
     return atan2((r[4] * c1 - r[1] * s1) / s5, (r[0] * s1 - r[3] * c1) / s5)
 
 
-def _turned(q: Joints, near: Joints6) -> Joints:
+def _turn_towards(q: Joints, near: Joints6) -> Joints:
     a, b, c, d, e, f = (nearest_turn(x, y, JOINT_LIMIT) for x, y in zip(q, near, strict=True))
     return (a, b, c, d, e, f)
 

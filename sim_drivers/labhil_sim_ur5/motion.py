@@ -1,6 +1,6 @@
 """How the controller gets from where it is to where a program wants it: one object a motion.
 
-A motion is asked once a tick for the next angles, velocities and accelerations that the controller plans.
+A motion gives once a tick the next angles, velocities and accelerations that the controller plans.
 It runs in its own time, which the controller lets pass slower when the speed slider is down.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from labhil.signals import FloatArray
 from labhil_sim_ur5.kinematics import Geometry
-from labhil_sim_ur5.poses import Pose, rotation_of, times, transposed, turned, vector_of
+from labhil_sim_ur5.poses import Pose, rotate, rotation_of, times, transpose, vector_of
 
 SPEED_LIMIT = 3.3
 """rad/s of a joint, beyond which the safety system stops the arm (UR5: 180°/s, and what it tolerates)."""
@@ -118,10 +118,10 @@ class LineMove:
         self._from = first[:3]
         self._way = np.subtract(end[:3], first[:3])
         self._rotation = rotation_of(*first[3:])
-        self._turn = np.array(vector_of(times(transposed(self._rotation), rotation_of(*end[3:]))))
+        self._turn = np.array(vector_of(times(transpose(self._rotation), rotation_of(*end[3:]))))
         length = max(float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn)))
         self._profile = Trapezoid(length, speed, acceleration)
-        spin = turned(self._rotation, (self._turn[0], self._turn[1], self._turn[2]))
+        spin = rotate(self._rotation, (self._turn[0], self._turn[1], self._turn[2]))
         self._twist = np.array([*self._way, *spin]) / length if length > 0.0 else np.zeros(6)
         self._q = begin.copy()
         self._t = 0.0
@@ -209,8 +209,8 @@ def joint_accelerations(
     return np.asarray(np.linalg.solve(arm.jacobian(q, tool), acceleration - turning), dtype=np.float64)
 
 
-def towards(now: FloatArray, wanted: FloatArray, step: float) -> FloatArray:
+def towards(now: FloatArray, target: FloatArray, step: float) -> FloatArray:
     """Go from now to wanted along a straight line, the component with the longest way by at most ``step``."""
-    missing = wanted - now
+    missing = target - now
     longest = float(np.abs(missing).max())
-    return wanted.copy() if longest <= step else now + missing * (step / longest)
+    return target.copy() if longest <= step else now + missing * (step / longest)

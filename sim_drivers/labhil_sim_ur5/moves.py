@@ -11,7 +11,7 @@ from labhil.signals import FloatArray
 from labhil_sim_ur5.following import Approach, JointSpeed, Servo, ToolSpeed
 from labhil_sim_ur5.motion import Halt, JointMove, LineMove, Motion, Plan
 from labhil_sim_ur5.paths import Path, UntilContact
-from labhil_sim_ur5.poses import NO_OFFSET, Pose, Rotation, rotation_of, turned
+from labhil_sim_ur5.poses import NO_OFFSET, Pose, Rotation, rotate, rotation_of
 from labhil_sim_ur5.script import ScriptError, Statement
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def move_joints(program: Program) -> Motion | None:
 
 def move_joints_to_pose(program: Program) -> Motion | None:
     """``moveJ_IK``: command 2."""
-    return _joint_move(program, solved(program, program.registers.six(0)))
+    return _joint_move(program, solve(program, program.registers.six(0)))
 
 
 def _joint_move(program: Program, q: Pose) -> Motion | None:
@@ -54,7 +54,7 @@ def _line_move(program: Program, pose: Pose) -> Motion | None:
     return program.start(motion, registers.integer(1) == 1)
 
 
-def solved(program: Program, pose: Pose, near: Pose | None = None) -> Pose:
+def solve(program: Program, pose: Pose, near: Pose | None = None) -> Pose:
     """Return the joint angles for a pose; ScriptError when there are none, which ends a program."""
     controller = program.controller
     q = controller.geometry.inverse(pose, controller.plan.q if near is None else near, controller.tool)
@@ -70,7 +70,7 @@ def servo_joints(program: Program) -> None:
 
 def servo_pose(program: Program) -> None:
     """``servoL``: command 24."""
-    _servo(program, solved(program, program.registers.six(0)))
+    _servo(program, solve(program, program.registers.six(0)))
 
 
 def servo_circular(program: Program) -> None:
@@ -136,15 +136,15 @@ def stop_servo(program: Program) -> Motion | None:
 
 def stop_line(program: Program) -> Motion | None:
     """``stopL``: command 33."""
-    return _stopped(program, halt_tool(program, program.registers.number(0)))
+    return _stop(program, halt_tool(program, program.registers.number(0)))
 
 
 def stop_joints(program: Program) -> Motion | None:
     """``stopJ``: command 34."""
-    return _stopped(program, halt_joints(program, program.registers.number(0)))
+    return _stop(program, halt_joints(program, program.registers.number(0)))
 
 
-def _stopped(program: Program, motion: Motion) -> Motion | None:
+def _stop(program: Program, motion: Motion) -> Motion | None:
     if program.registers.integer(1) != 1:
         return motion
     program.asynchronous = motion
@@ -180,11 +180,11 @@ def start_jog(program: Program) -> None:
     elif feature == 2:
         frame = registers.six(8)
     rotation = rotation_of(*frame[3:])
-    tool_speed(program, _both_turned(rotation, speeds), registers.number(7))
+    tool_speed(program, _turn_twist(rotation, speeds), registers.number(7))
 
 
-def _both_turned(rotation: Rotation, twist: Pose) -> Pose:
-    return (*turned(rotation, twist[:3]), *turned(rotation, twist[3:]))
+def _turn_twist(rotation: Rotation, twist: Pose) -> Pose:
+    return (*rotate(rotation, twist[:3]), *rotate(rotation, twist[3:]))
 
 
 def stop_jog(program: Program) -> Motion | None:
@@ -250,7 +250,7 @@ def move_of(program: Program, statement: Statement, begin: FloatArray) -> Move |
     acceleration = statement.number("a", 1, 1.4 if joints else 1.2)
     target = as_six(six)
     is_pose = statement.poses[0]
-    ends = np.array(solved(program, target, as_six(begin.tolist())) if is_pose else target)
+    ends = np.array(solve(program, target, as_six(begin.tolist())) if is_pose else target)
     radius = statement.number("r", 4, 0.0)
     if joints:
         return lambda q: JointMove(q, ends, speed, acceleration), ends, radius

@@ -11,7 +11,7 @@ STOP_RATE = 20.0
 
 
 class Pace:
-    """Share of full speed; ``slider`` is what is asked for."""
+    """Share of full speed; ``slider`` is the requested one."""
 
     def __init__(self) -> None:
         self.slider = 1.0

@@ -34,7 +34,7 @@ class Path:
     """Moves one after the other; where a move has a blend radius the next begins before it has ended.
 
     ``moves`` make each move from the angles where the one before ends; both are added up in a blend, so that
-    the way through it is smooth. ``begun`` is told the number of each move that begins.
+    the way through it is smooth. ``begun`` is called with the number of each move that begins.
     """
 
     def __init__(

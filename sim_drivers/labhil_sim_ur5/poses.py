@@ -69,12 +69,12 @@ def times(a: Rotation, b: Rotation) -> Rotation:
     )
 
 
-def transposed(r: Rotation) -> Rotation:
+def transpose(r: Rotation) -> Rotation:
     """Return the rotation the other way."""
     return (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8])
 
 
-def turned(r: Rotation, p: Point) -> Point:
+def rotate(r: Rotation, p: Point) -> Point:
     """Return r·p."""
     return (
         r[0] * p[0] + r[1] * p[1] + r[2] * p[2],
@@ -86,21 +86,21 @@ def turned(r: Rotation, p: Point) -> Point:
 def pose_times(a: Pose, b: Pose) -> Pose:
     """Return the pose b, seen from a, in the frame that a is given in (URScript's ``pose_trans``)."""
     rotation = rotation_of(*a[3:])
-    x, y, z = turned(rotation, b[:3])
+    x, y, z = rotate(rotation, b[:3])
     turn = times(rotation, rotation_of(*b[3:]))
     return (a[0] + x, a[1] + y, a[2] + z, *vector_of(turn))
 
 
 def inverse(a: Pose) -> Pose:
     """Return the pose that undoes a."""
-    back = transposed(rotation_of(*a[3:]))
-    x, y, z = turned(back, a[:3])
+    back = transpose(rotation_of(*a[3:]))
+    x, y, z = rotate(back, a[:3])
     return (-x, -y, -z, -a[3], -a[4], -a[5])
 
 
 def angle_between(a: Rotation, b: Rotation) -> float:
     """Return the angle (rad) of the rotation from a to b."""
-    r = times(transposed(a), b)
+    r = times(transpose(a), b)
     return acos(min(max(0.5 * (r[0] + r[4] + r[8] - 1.0), -1.0), 1.0)) if a != b else 0.0
 
 

@@ -40,16 +40,16 @@ def running_twin(
     command = [sys.executable, "-m", "labhil", "twin", "ur5", "--host", host, "--series", series]
     for name, value in (settings or {}).items():
         command += ["--set", f"{name}={value!r}"]
-    with tempfile.TemporaryFile("w+") as said:
+    with tempfile.TemporaryFile("w+") as errors:
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=said, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
         )
         assert process.stdin is not None
         assert process.stdout is not None
         try:
             if process.stdout.readline().strip() != host:
-                said.seek(0)
-                raise RuntimeError(f"the twin did not start: {said.read().strip()}")
+                errors.seek(0)
+                raise RuntimeError(f"the twin did not start: {errors.read().strip()}")
             yield TwinProcess(host, process)
         finally:
             process.stdin.close()

@@ -38,7 +38,7 @@ class Program:
         self.watchdog: float | None = None
         self.watching_contact = False
         self.contact_steps = 0
-        self.said: set[int] = set()
+        self.logged: set[int] = set()
         self._waiting: Motion | None = None
         self._executing = False
         self._since = controller.ticks
@@ -58,7 +58,7 @@ class Program:
             self.controller.end_program(f"runtime error: {error}")
 
     def _listen(self) -> None:
-        if self._starved():
+        if self._is_starved():
             self.controller.end_program("the watchdog heard nothing from the client")
             return
         self._watch_asynchronous()
@@ -87,11 +87,11 @@ class Program:
 
     def _carry_out(self, command: int) -> Motion | None:
         """Carry out one command; return the motion that it waits for."""
-        found = COMMANDS.get(command)
-        if found is None:
+        handler = COMMANDS.get(command)
+        if handler is None:
             self.controller.log(f"command {command} is unknown: answered as done, nothing happens")
             return None
-        waited_for = found(self)
+        waited_for = handler(self)
         return waited_for if waited_for is not None and not waited_for.done else None
 
     def start(self, motion: Motion, asynchronous: bool) -> Motion | None:
@@ -122,13 +122,13 @@ class Program:
             self.progress.finished()
 
     def _watch_contact(self) -> None:
-        """Stop when something was touched while the client has asked for that."""
+        """Stop at a contact while the client watches for one."""
         if self.watching_contact and self.controller.contact > 0:
             self.watching_contact = False
             self.contact_steps = self.controller.contact
             halt_tool(self, CONTACT_STOP)
 
-    def _starved(self) -> bool:
+    def _is_starved(self) -> bool:
         if self.watchdog is None:
             return False
         controller = self.controller

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labhil_sim_ur5.modes import JOINT_MODE, POWER_ON, PROGRAM_RUNNING, SAFETY_BITS, RobotMode, Runtime
-from labhil_sim_ur5.poses import Pose, rotation_of, transposed, turned
+from labhil_sim_ur5.poses import Pose, rotate, rotation_of, transpose
 
 if TYPE_CHECKING:
     from labhil.signals import FloatArray
@@ -71,7 +71,7 @@ def _tool(controller: Controller) -> None:
     jacobian = geometry.jacobian(reading.q, tool)
     values["actual_TCP_speed"] = _six(jacobian @ reading.qd)
     values["target_TCP_speed"] = _six(jacobian @ plan.qd)
-    values["actual_tool_accelerometer"] = _felt(controller, pose, jacobian)
+    values["actual_tool_accelerometer"] = _accelerometer(controller, pose, jacobian)
     since = controller.ticks - controller.force_at
     if since * controller.period >= FORCE_PERIOD:
         controller.force_at = controller.ticks
@@ -85,11 +85,11 @@ def _tool(controller: Controller) -> None:
         values["elbow_position"], values["elbow_velocity"] = place, velocity
 
 
-def _felt(controller: Controller, pose: Pose, jacobian: FloatArray) -> tuple[float, float, float]:
+def _accelerometer(controller: Controller, pose: Pose, jacobian: FloatArray) -> tuple[float, float, float]:
     """What an accelerometer at the tool feels in the tool's frame, m/s²: its acceleration less gravity."""
     ax, ay, az = (jacobian[:3] @ controller.plan.qdd).tolist()
     gx, gy, gz = controller.gravity
-    return turned(transposed(rotation_of(*pose[3:])), (ax - gx, ay - gy, az - gz))
+    return rotate(transpose(rotation_of(*pose[3:])), (ax - gx, ay - gy, az - gz))
 
 
 def _force(controller: Controller, jacobian: FloatArray, h: float) -> Pose:

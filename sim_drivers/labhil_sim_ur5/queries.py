@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil_sim_ur5.kinematics import JOINT_LIMIT
 from labhil_sim_ur5.motion import AT_REST
-from labhil_sim_ur5.moves import as_six, solved
+from labhil_sim_ur5.moves import as_six, solve
 from labhil_sim_ur5.poses import Point, Pose, pose_times
 
 if TYPE_CHECKING:
@@ -97,12 +97,12 @@ def waypoint(program: Program) -> None:
 def inverse_near(program: Program) -> None:
     """``getInverseKinematics`` with ``qnear``: command 30."""
     registers = program.registers
-    registers.answer(solved(program, registers.six(0), registers.six(6)))
+    registers.answer(solve(program, registers.six(0), registers.six(6)))
 
 
 def inverse_here(program: Program) -> None:
     """``getInverseKinematics``: command 46, near to where the arm is."""
-    program.registers.answer(solved(program, program.registers.six(0)))
+    program.registers.answer(solve(program, program.registers.six(0)))
 
 
 def has_inverse_near(program: Program) -> None:
@@ -152,7 +152,7 @@ def joint_torques(program: Program) -> None:
     program.registers.answer(reading.current * controller.arm.torque_constant - reading.friction)
 
 
-def transformed(program: Program) -> None:
+def transform_pose(program: Program) -> None:
     """``poseTrans``: command 39."""
     registers = program.registers
     registers.answer(pose_times(registers.six(0), registers.six(6)))
@@ -256,14 +256,14 @@ def read_contact(program: Program) -> None:
     program.registers.answer_integer(1, program.contact_steps)
 
 
-def accepted(program: Program) -> None:
+def accept(program: Program) -> None:
     """Answered as done: what it would do has no part in this world, such as force control."""
     program.controller.log(f"command {program.registers.command} is accepted, but has no effect on the twin")
 
 
-def quietly_accepted(program: Program) -> None:
-    """The same for what comes at every tick: said once a program."""
+def accept_quietly(program: Program) -> None:
+    """The same for a command of every tick: logged once a program."""
     command = program.registers.command
-    if command not in program.said:
-        program.said.add(command)
-        accepted(program)
+    if command not in program.logged:
+        program.logged.add(command)
+        accept(program)

@@ -11,8 +11,8 @@ from labhil_sim_ur5.codec import (
     Recipe,
     Value,
     data_package,
-    listed,
     package,
+    split_names,
     text_package,
     type_list,
 )
@@ -83,10 +83,10 @@ class Conversation:
             return b""
         if command == Command.TEXT:
             return b""
-        known = self._requests.get(command)
-        if known is None:
+        handler = self._requests.get(command)
+        if handler is None:
             return text_package(f"unknown command {command}")
-        return package(command, known(payload))
+        return package(command, handler(payload))
 
     def _protocol(self, payload: bytes) -> bytes:
         return bytes([payload == PROTOCOL])
@@ -107,7 +107,7 @@ class Conversation:
         if len(payload) < 8:
             return type_list(0, ())
         frequency = struct.unpack_from(">d", payload)[0]
-        names = listed(payload[8:])
+        names = split_names(payload[8:])
         types = [self._variables.outputs.get(name, "NOT_FOUND") for name in names]
         if "NOT_FOUND" in types or not names:
             self._output = None
@@ -119,7 +119,7 @@ class Conversation:
         return type_list(1, types)
 
     def _setup_inputs(self, payload: bytes) -> bytes:
-        names = listed(payload)
+        names = split_names(payload)
         types = [self._input_type(name) for name in names]
         good = bool(names) and not {"NOT_FOUND", "IN_USE"} & set(types) and len(self._inputs) < MOST_RECIPES
         # the client counts its recipes itself: a bad one has a number too

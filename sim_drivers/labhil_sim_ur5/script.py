@@ -59,8 +59,8 @@ def parse(text: str) -> Script:
     named = _NAME.search(text)
     name = named.group(1) if named else "<unnamed>"
     if name == CONTROL_PROGRAM or "signal_async_operation_started" in text:
-        found = _OFFSET.search(text)
-        offset = int(found.group(1)) if found else 0
+        match = _OFFSET.search(text)
+        offset = int(match.group(1)) if match else 0
         return Script(name, True, offset, _path(text), ())
     return Script(name, False, 0, (), tuple(_statements(text.splitlines())))
 
@@ -72,12 +72,12 @@ def _path(text: str) -> tuple[Statement, ...]:
 
 
 def _statements(lines: list[str]) -> list[Statement]:
-    found = []
+    statements = []
     for line in lines:
         code = line.partition("#")[0].strip()
         if code and not code.startswith(("def ", "sec ")) and code != "end":
-            found.append(_statement(code))
-    return found
+            statements.append(_statement(code))
+    return statements
 
 
 def _statement(code: str) -> Statement:

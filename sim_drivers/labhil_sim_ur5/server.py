@@ -25,7 +25,7 @@ RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
 PATIENCE = 0.5
 """How far (s) the controller may fall behind and still catch up; beyond that its world has paused."""
 TOO_LATE = 0.05
-"""How far (s) behind a tick is done, but told to nobody, unless nothing was told for ``SILENCE`` s."""
+"""How late (s) a tick may be to be sent; later ones are sent only after ``SILENCE`` s without any."""
 SILENCE = 0.02
 LARGEST_SCRIPT = 1 << 20
 SEND_BUFFER = 1 << 16
@@ -77,15 +77,15 @@ class RtdeClient(Client):
 
 
 class Server:
-    """Serves a controller at one address until it is told to end."""
+    """Serves a controller at one address until it is ended."""
 
     def __init__(self, controller: Controller, dashboard: Dashboard, host: str) -> None:
         self.controller = controller
         self.variables = Variables(controller.version)
         self.missed = 0
         """Ticks that were given up because the machine had no time."""
-        self.untold = 0
-        """Ticks that were done too late to be told."""
+        self.unsent = 0
+        """Ticks that were done too late to be sent."""
         self._dashboard = dashboard
         self._clients: dict[int, Client] = {}
         self._lines: dict[int, Lines] = {}
@@ -97,20 +97,20 @@ class Server:
                 (SCRIPT_PORT, ScriptClient),
                 (DASHBOARD_PORT, DashboardClient),
             ):
-                door = _listening(host, port)
+                door = _listening_socket(host, port)
                 self._doors[door.fileno()] = (door, kind)
         except BaseException:
             self.close()
             raise
 
-    def run(self, ending: Ending, told: Callable[[str], None], each_tick: Callable[[], None]) -> None:
-        """Serve; ``told`` gets lines from the side, ``each_tick`` is called before every tick."""
-        due = told_at = time.monotonic()
+    def run(self, ending: Ending, on_line: Callable[[str], None], each_tick: Callable[[], None]) -> None:
+        """Serve; ``on_line`` gets lines from the side, ``each_tick`` is called before every tick."""
+        due = sent_at = time.monotonic()
         while not ending.due:
             readable = self._wait(ending, due - time.monotonic())
             self._serve(readable)
             for line in ending.hear(readable):
-                told(line)
+                on_line(line)
             now = time.monotonic()
             if now < due:
                 continue
@@ -121,11 +121,11 @@ class Server:
                 due += missed * self.controller.period
             each_tick()
             self.controller.tick()
-            if now - due < TOO_LATE or now - told_at > SILENCE:
-                told_at = now
+            if now - due < TOO_LATE or now - sent_at > SILENCE:
+                sent_at = now
                 self._send_samples()
             else:
-                self.untold += 1
+                self.unsent += 1
             due += self.controller.period
 
     def rtde_clients(self) -> list[RtdeClient]:
@@ -231,7 +231,7 @@ class ScriptClient(Client):
 
         A line outside of a program is a program of its own.
         """
-        found = []
+        scripts = []
         lines = self.text.split(b"\n")
         rest = [] if closed else [lines.pop()]
         block: list[bytes] = []
@@ -240,10 +240,10 @@ class ScriptClient(Client):
             begun = block[0].startswith((b"def ", b"sec "))
             if not begun or line.rstrip() == b"end":
                 if any(part.strip() for part in block):
-                    found.append(b"\n".join(block).decode("utf-8", "replace"))
+                    scripts.append(b"\n".join(block).decode("utf-8", "replace"))
                 block = []
         self.text = b"\n".join([*block, *rest])[-LARGEST_SCRIPT:]
-        return found
+        return scripts
 
 
 class DashboardClient(Client):
@@ -254,7 +254,7 @@ class DashboardClient(Client):
         self.lines = Lines()
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listening_socket(host: str, port: int) -> socket.socket:
     try:
         door = socket.create_server((host, port))
     except OSError as error:

@@ -74,9 +74,9 @@ class TwinSettings:
         if options.speed != 1.0:
             raise UsageError(f"the twin of a ur5 runs in real time only, found speed {options.speed:g}")
         given = dict(options.parameters)
-        faults = FaultSettings(**_picked(given, _FAULTS, "fault."))
-        robot = RobotSettings(**_picked(given, _ROBOT, ""))
-        home = tuple(_picked(given, _HOME, "").values())
+        faults = FaultSettings(**_take_settings(given, _FAULTS, "fault."))
+        robot = RobotSettings(**_take_settings(given, _ROBOT, ""))
+        home = tuple(_take_settings(given, _HOME, "").values())
         if not all(abs(angle) <= JOINT_LIMIT for angle in home):
             raise UsageError(f"home must lie within ±{JOINT_LIMIT:.3f} rad, found {home}")
         known = twin_parameters()
@@ -115,12 +115,12 @@ def twin_parameters() -> dict[str, float]:
     return flat | dict(_HOME) | dict(_ROBOT) | dict(_FAULTS)
 
 
-def _picked(given: dict[str, float], defaults: Mapping[str, float], prefix: str) -> dict[str, float]:
+def _take_settings(given: dict[str, float], defaults: Mapping[str, float], prefix: str) -> dict[str, float]:
     """Take the settings with these names out of ``given``; UsageError for one that cannot be."""
-    picked = {}
+    settings = {}
     for name, default in defaults.items():
         value = float(given.pop(name, default))
         if not (value >= 0.0 or name.startswith("home")) or value == float("inf"):
             raise UsageError(f"{name} must be finite and not negative, found {value:g}")
-        picked[name.removeprefix(prefix)] = value
-    return picked
+        settings[name.removeprefix(prefix)] = value
+    return settings

@@ -69,12 +69,12 @@ class Ur5Twin:
                 controller.tick()
                 controller.publish()
                 ready(settings.host)
-                server.run(ending, faults.told, faults.tick)
+                server.run(ending, faults.carry_out, faults.tick)
             finally:
                 server.close()
-                if server.missed or server.untold:
+                if server.missed or server.unsent:
                     tell(
-                        f"the machine was too slow: {server.missed} ticks left out, {server.untold} too late"
+                        f"the machine was too slow: {server.missed} ticks left out, {server.unsent} too late"
                     )
 
 

@@ -96,15 +96,15 @@ _INPUTS: Mapping[str, str] = {
 
 def output_types(version: Version) -> dict[str, str]:
     """Return all variables that a controller of this version sends, with their types."""
-    found = dict.fromkeys(_DOUBLES.split(), "DOUBLE")
-    found |= dict.fromkeys(_SIXES.split(), "VECTOR6D")
-    found |= dict.fromkeys(_UINT32.split(), "UINT32")
-    found |= {"actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64"}
-    found |= {"robot_mode": "INT32", "safety_mode": "INT32", "tool_output_voltage": "INT32"}
-    found |= {"joint_mode": "VECTOR6INT32", "actual_tool_accelerometer": "VECTOR3D"}
-    found |= {name: kind for name, (kind, since) in _LATER.items() if version.has(since)}
-    found |= dict(_registers("output", version))
-    return found | dict(_registers("input", version))
+    types = dict.fromkeys(_DOUBLES.split(), "DOUBLE")
+    types |= dict.fromkeys(_SIXES.split(), "VECTOR6D")
+    types |= dict.fromkeys(_UINT32.split(), "UINT32")
+    types |= {"actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64"}
+    types |= {"robot_mode": "INT32", "safety_mode": "INT32", "tool_output_voltage": "INT32"}
+    types |= {"joint_mode": "VECTOR6INT32", "actual_tool_accelerometer": "VECTOR3D"}
+    types |= {name: kind for name, (kind, since) in _LATER.items() if version.has(since)}
+    types |= dict(_registers("output", version))
+    return types | dict(_registers("input", version))
 
 
 def input_types(version: Version) -> dict[str, str]:

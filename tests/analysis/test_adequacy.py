@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import Replay, replay, staircase
 
 from labhil.analysis.results import fit_json
-from labhil.analysis.schema import FitPart, checked
+from labhil.analysis.schema import FitPart, validate
 from labhil.analysis.verdicts import fit_verdict
-from labhil.diagnose.intake import Kind, faults_of, usable
+from labhil.diagnose.intake import Kind, assess_usability, faults_of
 from labhil.identify.adequacy import EXPLAINED_TO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
 from labhil.report.text import show_fit
@@ -35,7 +35,7 @@ def motor() -> Replay:
 def shown(found: Fit) -> str:
     text = StringIO()
     data = fit_json(found, [], "dc_motor", "nlse", 0, 0.0)
-    show_fit(checked(FitPart, data, "the fit"), Console(width=140, file=text))
+    show_fit(validate(FitPart, data, "the fit"), Console(width=140, file=text))
     return text.getvalue()
 
 
@@ -88,7 +88,7 @@ def test_a_chopped_current_is_named(motor):
     chopped = replace(motor.record, outputs=outputs)
     faults = faults_of(chopped)
     assert [(fault.kind, fault.channel) for fault in faults] == [(Kind.UNDERSAMPLED, "current")]
-    assert "chopper" in faults[0].statement and not usable(chopped, faults).fit
+    assert "chopper" in faults[0].statement and not assess_usability(chopped, faults).fit
     found = fit(motor.model, chopped, TERMS, options=FAST)
     assert any("current" in note and "chopper" in note for note in found.sampling)
     assert " * " not in shown(found)

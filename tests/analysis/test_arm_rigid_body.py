@@ -121,7 +121,7 @@ def test_thirty_six_grouped_parameters_do_what_sixty_do():
     motion = motions(200, seed=5)
     y = regressor(UR5, *motion, upright()).reshape(-1, 60)
     values = np.linalg.lstsq(y[:, list(group.kept)], y @ UR5.inertial, rcond=None)[0]
-    np.testing.assert_allclose(y @ group.embedded(values), y @ UR5.inertial, atol=1e-8)
+    np.testing.assert_allclose(y @ group.embed(values), y @ UR5.inertial, atol=1e-8)
     # and the words say of each which of the sixty it stands for
     place = [name for name, _, _ in group.names()].index("grouped_first_moment_x")
     assert group.combinations[place].startswith("mx_1 ")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labhil.analysis.results import fit_json
-from labhil.analysis.schema import FitPart, checked
+from labhil.analysis.schema import FitPart, validate
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.fit import Options, fit
 from labhil.identify.score import score, with_forces
@@ -59,7 +59,7 @@ def test_forces_stand_beside_the_score_and_enter_no_headline(found):
     assert (both.rmse, both.mse, both.r2) == (alone.rmse, alone.mse, alone.r2)
     assert both.noise_floor == alone.noise_floor
     assert both.max_abs_error == alone.max_abs_error
-    assert [row.metric for row in both.rows_told] == ["windowed_simulation", "inverse_dynamics"]
+    assert [row.metric for row in both.reported] == ["windowed_simulation", "inverse_dynamics"]
 
 
 def test_a_fit_by_inverse_dynamics_finds_the_numbers_and_is_scored_by_simulation(found):
@@ -78,7 +78,7 @@ def test_a_fit_by_inverse_dynamics_finds_the_numbers_and_is_scored_by_simulation
 
 def test_a_page_names_the_metric_of_the_forces_and_keeps_the_headline_in_metres(found):
     result = fit(found.model, found.record, ("viscous_friction", "coulomb_friction"), options=INVERSE)
-    told = checked(FitPart, fit_json(result, [], "axis", "hybrid", 0, 0.0), "the fit")
+    told = validate(FitPart, fit_json(result, [], "axis", "hybrid", 0, 0.0), "the fit")
     assert told.train.unit == "m"
     page = str(fit_page(told, "", Album()))
     assert "inverse dynamics" in page

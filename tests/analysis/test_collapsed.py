@@ -16,10 +16,10 @@ import labhil as lh
 from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.begin import data_of
-from labhil.diagnose.collapsed import NEAR, given_way, kept_near
+from labhil.diagnose.collapsed import NEAR, bound_near_nominal, find_collapsed
 from labhil.diagnose.diagnosis import _changes, diagnose
 from labhil.identify.fitted import fit_terms
-from labhil.identify.statistics import stated
+from labhil.identify.statistics import stated_estimates
 from labhil.identify.windows import split
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.dc_motor import DcMotorModel
@@ -100,7 +100,7 @@ def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
     for p, place in index_of(model.parameters).items():
         if p in own:
             theta[place] = model.parameters[place].lower
-    assert given_way(data, replace(fitted, theta=theta)) == ()
+    assert find_collapsed(data, replace(fitted, theta=theta)) == ()
 
 
 def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nominal_value():
@@ -116,23 +116,23 @@ def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nomina
             model, record, ("viscous_friction",), 1.0, data.sigma, start=theta, iterations=0, thorough=False
         )
 
-    (lost,) = given_way(data, at(1e-3))
+    (lost,) = find_collapsed(data, at(1e-3))
     assert (lost.key, lost.nominal) == ("acceleration_per_radian", pytest.approx(GAIN))
     assert "against a nominal 7.007 m/s²" in lost.statement
-    assert given_way(data, at(0.5 * GAIN)) == ()
-    near = kept_near(model, [lost]).parameters[place]
+    assert find_collapsed(data, at(0.5 * GAIN)) == ()
+    near = bound_near_nominal(model, [lost]).parameters[place]
     assert near.lower == pytest.approx(GAIN / NEAR) and near.upper == pytest.approx(GAIN * NEAR)
     assert model.parameters[place].lower == 1e-3
 
 
 def test_a_value_that_was_held_has_no_interval():
-    (row,) = stated([SIZE], np.array([2.0]), np.array([0.0]))
+    (row,) = stated_estimates([SIZE], np.array([2.0]), np.array([0.0]))
     assert not row.identifiable and not row.significant
     assert finite(row.ci99) == [None, None] and finite(row.std_error) is None
 
 
 def test_a_change_has_to_beat_the_errors_of_both_values():
-    (row,) = stated([SIZE], np.array([-10.5]), np.array([0.3]))
+    (row,) = stated_estimates([SIZE], np.array([-10.5]), np.array([0.3]))
     row = replace(row, identifiable=True)
 
     def accepted(error: float) -> Accepted:

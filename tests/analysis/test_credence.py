@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.claim_probability import claim_probability
-from labhil.diagnose.evidence import Evidence, independent
+from labhil.diagnose.evidence import Evidence, independent_samples
 from labhil.identify.table import _wide_enough
 from labhil.physics.terms import Parameter
 
@@ -35,5 +35,5 @@ def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():
 
 def test_data_are_worth_as_many_samples_as_their_residuals_are_independent():
     white = np.random.default_rng(1).standard_normal((4000, 1))
-    assert independent(white) == pytest.approx(4000, rel=0.1)
-    assert independent(np.repeat(white[::4], 4, axis=0)) < 0.3 * 4000
+    assert independent_samples(white) == pytest.approx(4000, rel=0.1)
+    assert independent_samples(np.repeat(white[::4], 4, axis=0)) < 0.3 * 4000

@@ -96,11 +96,11 @@ def test_model_and_plant_agree_though_they_share_no_code(case):
 def test_a_motor_may_have_to_find_its_angle():
     """Where nothing tells it, it is one more state; no force depends on it, so nothing else changes."""
     found = replay("dc_motor", staircase(8.0, 0.01, 0.5, 5.0), DRY)
-    assert found.model.placed() is found.model
+    assert found.model.with_place() is found.model
     record = replace(found.record, auxiliary={})
     blind = DcMotorModel(rig_of("dc_motor"), record)
-    placed = blind.placed()
-    assert placed.placed() is placed
+    placed = blind.with_place()
+    assert placed.with_place() is placed
     assert [model.moved[0].position for model in (blind, placed)] == ["", "shaft_angle"]
     windows = Windows.of([(100, 300), (400, 700)])
     states = placed.initial_states(record, windows)
@@ -113,7 +113,7 @@ def test_a_motor_may_have_to_find_its_angle():
     assert np.array_equal(plain, other)
     only = replace(record, outputs=record.outputs[:, 1:], output_names=("current",), output_units=("A",))
     without_speed = DcMotorModel(rig_of("dc_motor"), only)
-    assert without_speed.placed() is without_speed
+    assert without_speed.with_place() is without_speed
 
 
 def test_a_lagging_sensor_agrees_from_rest():

@@ -14,7 +14,7 @@ from labhil.analysis.results import Source, diagnosis_json
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
-from labhil.diagnose.evidence import independent
+from labhil.diagnose.evidence import independent_samples
 from labhil.identify.statistics import Estimate
 from labhil.report.plots import diagnosis_figure
 
@@ -194,19 +194,19 @@ def test_an_effect_that_lives_everywhere_is_drawn_over_what_it_follows():
     along, units = {"x": x, "v": v}, {"x": "m", "v": "m/s"}
     dry = locate.Contribution("coulomb_friction", -np.sign(v), "N", along, units, None)
     assert dry.regimes() == ()
-    assert dry.revealed_over(()).label == "v, m/s"
+    assert dry.abscissa(()).label == "v, m/s"
     ends = replace(dry, values=np.maximum(np.abs(x) - 0.8, 0.0))
-    assert ends.revealed_over(ends.regimes()).name == "x"
+    assert ends.abscissa(ends.regimes()).name == "x"
     # where it is large is told by x, what it is by v
     bent = replace(dry, values=np.where(x > 0.5, 1.0, 0.3) * v)
     assert {regime.coordinate for regime in bent.regimes()} == {"x"}
-    assert bent.revealed_over(bent.regimes()).name == "v"
+    assert bent.abscissa(bent.regimes()).name == "v"
 
 
 def test_what_repeats_is_drawn_over_one_period():
     x = np.linspace(-1.0, 1.0, 4001)
     wave = locate.Contribution("torque_ripple[1]", np.sin(200.0 * x), "N·m", {"q_1": x}, {"q_1": "rad"}, 1)
-    folded = replace(wave, period=("q_1", 2.0 * math.pi / 200.0)).revealed_over(())
+    folded = replace(wave, period=("q_1", 2.0 * math.pi / 200.0)).abscissa(())
     assert folded.label == "q_1 modulo 0.0314, rad"
     assert np.sin(200.0 * folded.x) == pytest.approx(wave.values, abs=1e-9)
 
@@ -218,9 +218,9 @@ def test_correlated_residuals_are_worth_fewer():
     slow[0] = white[0]
     for i in range(1, len(white)):
         slow[i] = 0.8 * slow[i - 1] + white[i]
-    assert independent(white[:, None]) == pytest.approx(20_000, rel=0.06)
-    assert independent(slow[:, None]) == pytest.approx(20_000 * 0.2 / 1.8, rel=0.15)
-    assert independent(np.column_stack([slow, slow])) == pytest.approx(40_000 * 0.2 / 1.8, rel=0.15)
+    assert independent_samples(white[:, None]) == pytest.approx(20_000, rel=0.06)
+    assert independent_samples(slow[:, None]) == pytest.approx(20_000 * 0.2 / 1.8, rel=0.15)
+    assert independent_samples(np.column_stack([slow, slow])) == pytest.approx(40_000 * 0.2 / 1.8, rel=0.15)
 
 
 def test_where_nothing_moves_nothing_is_decided(model, acquire):

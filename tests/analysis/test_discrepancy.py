@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.discrepancy import absent_effects, moved_by_what_is_left
+from labhil.diagnose.discrepancy import absent_effects, discrepancy_shifts
 from labhil.identify.fitted import fit_terms
 from labhil.identify.statistics import REACH
 from labhil.identify.table import table_of
@@ -32,7 +32,7 @@ def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, flo
     record = acquire(terms, seed, parameters=values, duration=15.0)
     fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
     (row,) = [row for row in table_of(fitted).rows if row.key == KEY]
-    return row.value, row.std_error, moved_by_what_is_left(absent_effects(fitted)).get(KEY, 0.0)
+    return row.value, row.std_error, discrepancy_shifts(absent_effects(fitted)).get(KEY, 0.0)
 
 
 @pytest.mark.parametrize("missing", MISSING)
@@ -47,8 +47,8 @@ def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, miss
 def test_what_counts_as_known_is_not_moved(model, acquire) -> None:
     record = acquire(("viscous_friction", "coulomb_friction"), 1, parameters=MISSING_DRY, duration=15.0)
     fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
-    assert set(moved_by_what_is_left(absent_effects(fitted))) == set(fitted.estimates)
-    assert KEY not in moved_by_what_is_left(absent_effects(fitted), but={KEY})
+    assert set(discrepancy_shifts(absent_effects(fitted))) == set(fitted.estimates)
+    assert KEY not in discrepancy_shifts(absent_effects(fitted), known={KEY})
 
 
 def test_of_a_complete_model_nothing_moves_the_estimates(model, acquire) -> None:

@@ -202,6 +202,9 @@ def test_a_search_ends_for_the_reason_that_it_names(name):
         flat = method(Ledger(lambda z: 1.0 + 0.0 * z[0], box(2), Budget(100_000, patience=3)), 1)
         assert flat.stopped_because in ("no gain in 3 rounds", "finished")
         assert flat.evaluations < 500
+        sinking = Budget(100_000, threshold=-np.inf, patience=3)
+        below_zero = method(Ledger(lambda z: -1.0 + 0.0 * z[0], box(2), sinking), 1)
+        assert below_zero.evaluations == flat.evaluations
 
 
 def test_the_history_is_the_best_cost_after_each_round_and_is_told():
@@ -229,10 +232,10 @@ def test_an_interrupted_search_hands_on_the_best_so_far(name, after):
 
     problem.residuals = residuals
     begin = search(problem, name, seed=1)
-    assert begin.found.stopped_because == "interrupted"
+    assert begin.search.stopped_because == "interrupted"
     # the first evaluation only tells what the initial states could explain
     if after > 1:
-        assert begin.found.cost == min(costs)
+        assert begin.search.cost == min(costs)
         z = begin.theta[[2, 4]] / problem.scale
         difference = honest(type(problem.start())(z, problem.start().states))
         assert difference @ difference == pytest.approx(min(costs))
@@ -283,14 +286,14 @@ def test_a_search_of_the_nonlinear_parameters_ends_near_the_truth(name):
         return
     np.testing.assert_allclose(begin.theta, TRUTH, atol=0.25)
     # 200 samples in units of their noise
-    assert begin.found.cost < 320.0
+    assert begin.search.cost < 320.0
 
 
 def test_a_chain_that_begins_near_the_truth_stays_there_and_one_from_afar_gets_nearer():
     problem = problem_of(Decay())
     coordinates = Coordinates.of(problem)
     begin = search(problem, "mcmc", seed=3)
-    assert begin.found.cost < coordinates.cost(coordinates.start)
+    assert begin.search.cost < coordinates.cost(coordinates.start)
     problem.base[:] = TRUTH
     near = search(problem, "mcmc", seed=3)
     np.testing.assert_allclose(near.theta, TRUTH, atol=0.1)
@@ -329,12 +332,12 @@ def test_a_simulation_that_runs_away_costs_much_and_breaks_nothing():
     model.simulate = lambda theta, *rest: honest(theta, *rest) * (np.nan if theta[2] > 1.0 else 1.0)
     problem = problem_of(model)
     begin = search(problem, "pso_de", seed=2, budget=Budget(400))
-    assert np.isfinite(begin.found.cost)
+    assert np.isfinite(begin.search.cost)
     assert begin.theta[2] == pytest.approx(TRUTH[2], rel=0.2)
 
 
 def test_nothing_to_search_is_solved_at_once():
     problem = problem_of(Decay(), (0, 1, 3))
     begin = search(problem, "pso")
-    assert begin.found.stopped_because == "nothing to search"
+    assert begin.search.stopped_because == "nothing to search"
     np.testing.assert_allclose(begin.theta, TRUTH, atol=0.05)

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from labhil.diagnose.frozen import clipped
-from labhil.diagnose.intake import Fault, Kind, faults, usable
+from labhil.diagnose.frozen import clipped_values
+from labhil.diagnose.intake import Fault, Kind, assess_usability, faults
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Record
 from labhil_benchmarks.statistics.arm import arm
@@ -89,7 +89,7 @@ def test_clean_recordings_have_no_faults(what):
         record = CLEAN[what](seed)
         found = of(record)
         assert found == (), [fault.statement for fault in found]
-        left = usable(record, found)
+        left = assess_usability(record, found)
         assert left.fit
         assert left.sound.all()
 
@@ -121,7 +121,7 @@ def test_a_stuck_sensor_is_found_where_it_is(clean, name, place, data):
     assert end == pytest.approx(record.t[place + length - 1], abs=5 * record.period)
     assert fault.channel == record.output_names[0]
     assert "stuck" in fault.statement
-    left = usable(stuck, (fault,))
+    left = assess_usability(stuck, (fault,))
     assert not left.fit
     assert not left.sound[place + 6 : place + length - 6].any()
 
@@ -139,7 +139,7 @@ def test_a_clipped_sensor_is_found(clean, name, share, top):
     fault = the(found, Kind.SATURATED)
     assert fault.share >= 0.9 * share
     assert f"{limit:.6g}" in fault.statement
-    assert not usable(clipped, found).fit
+    assert not assess_usability(clipped, found).fit
 
 
 @SOME
@@ -163,7 +163,7 @@ def test_spikes_are_found(clean, name, places, sign):
     times = [begin for begin, _ in fault.times]
     assert set(record.t[quiet]) >= set(times)
     assert len(times) >= 0.5 * len(quiet)
-    assert usable(record, found).fit
+    assert assess_usability(record, found).fit
 
 
 def test_a_sensor_that_slips_is_found(clean):
@@ -173,7 +173,7 @@ def test_a_sensor_that_slips_is_found(clean):
     found = of(with_output(record, x))
     fault = the(found, Kind.ZERO_STEP)
     assert fault.times[0][1] == record.t[700]
-    assert not usable(record, found).fit
+    assert not assess_usability(record, found).fit
 
 
 @SOME
@@ -186,7 +186,7 @@ def test_gaps_are_counted(clean, first, lost):
     fault = the(found, Kind.GAP)
     assert fault.times == ((record.t[first - 1], record.t[first + lost]),)
     assert f"about {lost} samples" in fault.statement
-    assert usable(holed, found).fit is (fault.share <= 0.2)
+    assert assess_usability(holed, found).fit is (fault.share <= 0.2)
 
 
 def test_time_that_stands_or_goes_back_is_a_fault(clean):
@@ -197,7 +197,7 @@ def test_time_that_stands_or_goes_back_is_a_fault(clean):
     fault = the(found, Kind.TIME_ORDER)
     assert "1 repeat" in fault.statement
     assert "1 go back" in fault.statement
-    assert not usable(record, found).fit
+    assert not assess_usability(record, found).fit
 
 
 def test_what_is_no_number_is_a_fault(clean):
@@ -229,7 +229,7 @@ def test_nothing_that_moves_is_said_but_is_no_fault_of_the_data(clean):
     )
     assert {fault.kind for fault in found} == {Kind.NO_EXCITATION}
     assert len(found) == 2
-    assert usable(still, found).fit
+    assert assess_usability(still, found).fit
 
 
 def test_a_channel_that_has_not_moved_yet_is_not_clipped():
@@ -237,6 +237,6 @@ def test_a_channel_that_has_not_moved_yet_is_not_clipped():
     random = np.random.default_rng(3)
     t = 0.005 * (np.arange(2000) + 0.1 * random.standard_normal(2000))
     warm = 25.0 + np.maximum(t - 0.4, 0.0) ** 2
-    assert clipped(warm) == ()
+    assert clipped_values(warm) == ()
     noisy = np.minimum(warm + 0.02 * random.standard_normal(2000), 40.0)
-    assert clipped(noisy) == (40.0,)
+    assert clipped_values(noisy) == (40.0,)

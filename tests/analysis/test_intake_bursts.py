@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.diagnose.intake import TOLERATED, Kind, faults_of, usable, without_spikes
+from labhil.diagnose.intake import TOLERATED, Kind, assess_usability, faults_of, without_spikes
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.problem import Problem
 from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows, split
@@ -57,7 +57,7 @@ def test_wrong_readings_in_a_row_are_found_and_do_not_count(kind, width, sign):
     assert f"up to {width} samples" in fault.statement
     wrong = np.unique((np.sort(places)[:, None] + np.arange(width)).ravel())
     counted = 3 * width <= TOLERATED[Kind.OUTLIER] * len(record)
-    assert fault.mended == counted == usable(hit, (fault,)).fit
+    assert fault.mended == counted == assess_usability(hit, (fault,)).fit
     if counted:
         mended = without_spikes(hit)
         assert np.flatnonzero(mended.censored[:, 0] == UNREAD).tolist() == wrong.tolist()
@@ -155,7 +155,7 @@ def test_a_chopped_current_that_looks_like_white_noise_is_named(period, sign):
     record = Record(t, 12.0 * sign * duty[:, None], sign * np.column_stack([speed, current]), *names)
     (fault,) = (each for each in faults_of(record) if each.channel == "current")
     assert fault.kind is Kind.UNDERSAMPLED
-    assert "chopper" in fault.statement and not usable(record, (fault,)).fit
+    assert "chopper" in fault.statement and not assess_usability(record, (fault,)).fit
     # as large a noise that goes both ways is noise
     noisy = speed + np.std(speed) * random.standard_normal(len(t))
     loud = replace(record, outputs=np.column_stack([noisy, speed]))
@@ -185,10 +185,10 @@ def test_long_holes_leave_the_rest_fit_for_a_verdict_and_many_lost_samples_do_no
     paused = without_rows(record, (200, 900))
     (fault,) = faults_of(paused)
     assert fault.kind is Kind.GAP and "47 % of the recording" in fault.statement
-    assert usable(paused, (fault,)).fit
+    assert assess_usability(paused, (fault,)).fit
     torn = without_rows(record, *((k, k + 4) for k in range(20, 1480, 11)))
     found = faults_of(torn)
-    assert not usable(torn, found).fit
+    assert not assess_usability(torn, found).fit
 
 
 def test_accelerations_that_are_planned_may_stand_still_and_jump():

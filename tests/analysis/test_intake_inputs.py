@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.hold import evident_hold
-from labhil.diagnose.intake import Kind, faults_of, usable, with_censored, without_spikes
+from labhil.diagnose.intake import Kind, assess_usability, faults_of, with_censored, without_spikes
 from labhil.diagnose.lead import lead_of
 from labhil.diagnose.timing import all_faults, better_hold, late_input, why_untimed
 from labhil.diagnose.wraps import wraps_of
@@ -99,7 +99,7 @@ def test_an_output_that_answers_before_its_input_is_a_fault(samples):
     record = late(motor(stepped()), samples)
     fault = next(f for f in faults_of(record) if f.kind is Kind.LEAD)
     assert f"shift = {-0.01 * samples:.6g}" in fault.statement
-    assert not usable(record, (fault,)).fit
+    assert not assess_usability(record, (fault,)).fit
 
 
 @pytest.mark.parametrize("inductance", [1e-4, 1e-2, 0.1])
@@ -268,7 +268,7 @@ def test_many_spikes_are_left_where_they_are():
     assert without_spikes(hit) is hit
     (fault,) = faults_of(hit)
     assert not fault.mended and "leave these samples out" in fault.statement
-    assert not usable(hit, (fault,)).fit
+    assert not assess_usability(hit, (fault,)).fit
 
 
 def test_a_channel_that_answers_every_jump_by_a_pulse_has_no_spikes():
@@ -299,7 +299,7 @@ def test_readings_at_the_end_of_a_range_count_one_sidedly():
     found = faults_of(marked)
     assert [fault.kind for fault in found] == [Kind.SATURATED]
     assert f"{at.sum()} samples" in found[0].statement
-    assert usable(marked, found).fit
+    assert assess_usability(marked, found).fit
 
     class CompiledForce(type(model_for(default_rig("dc_motor"), marked))):
         def simulate(self, theta, record, windows, states):

@@ -24,7 +24,7 @@ from labhil.identify.linear import (
     study_text,
 )
 from labhil.identify.linear.baselines import dead_time
-from labhil.identify.linear.filters import stabilised, stable, unbounded
+from labhil.identify.linear.filters import stabilise, stable, unbounded
 from labhil.identify.linear.polynomial import PolynomialModel, fit_box_jenkins
 from labhil.identify.linear.study import evenly
 from labhil.identify.linear.transfer_function import TransferFunctionModel
@@ -216,7 +216,7 @@ def test_denominators_are_stable_whatever_is_tried(theta: list[float]) -> None:
     assert np.abs(np.roots(f)).max() < 1 + 5e-3
     mild = stable(np.clip(theta, -2, 2))
     np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-6)
-    mirrored = stabilised(np.append(1.0, np.array(theta)))
+    mirrored = stabilise(np.append(1.0, np.array(theta)))
     assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 5e-3
 
 

@@ -12,8 +12,9 @@ from labhil.identify.fitted import fit_terms
 from labhil.identify.score import score
 from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.ball_beam import BallBeamModel
+from labhil.physics.joining import join_records
 from labhil.physics.measured_input import smoothing_notes
-from labhil.physics.model import Begin, Record, joined
+from labhil.physics.model import Begin, Record
 from labhil.physics.rigs import model_for
 from labhil.plants.rigs import plant_of
 from labhil.rig import default_rig
@@ -66,7 +67,7 @@ def test_a_command_and_an_input_that_is_noise_itself_stay_as_they_are():
 
 def test_each_recording_is_smoothed_by_itself():
     one, other = pulled(0.004), pulled(0.0)
-    found = prepared(joined([one, other]))
+    found = prepared(join_records([one, other]))
     assert np.array_equal(found[: len(one)], prepared(one))
     assert np.array_equal(found[len(one) :], CURRENT)
 

@@ -170,7 +170,7 @@ def test_what_has_no_memory_is_its_curve_at_every_moment(name, signal):
 def test_a_lag_is_exact_however_finely_it_is_cut(signal, lag, parts):
     t, u = np.arange(float(len(signal))), np.array(signal)
     whole = input_path.first_order_lag(t, u, lag)
-    cut = input_path.first_order_lag(*input_path.refined(t, u, parts), lag)
+    cut = input_path.first_order_lag(*input_path.refine(t, u, parts), lag)
     assert np.allclose(cut[::parts], whole, atol=1e-12)
     assert whole[0] == u[0]
     assert np.all((whole >= u.min() - 1e-12) & (whole <= u.max() + 1e-12))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from labhil.diagnose.adequacy import residual_rms_on, unexplained
+from labhil.diagnose.adequacy import exceeds_noise, residual_rms_on
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import start_theta
 from labhil.identify.noise import CORRELATIONS, estimate_coloured_noise
@@ -63,8 +63,8 @@ def test_correlated_noise_makes_initial_states_worse_and_so_the_floor_higher(mod
 
 def test_what_is_left_decides(model, still):
     data = Data(model, still, still, np.array([LEVEL]), np.array([LEVEL]), 1.5, start_theta(model, TRUTH))
-    assert not unexplained(data, np.array([1.1]))
-    assert unexplained(data, np.array([1.0, 1.3]))
+    assert not exceeds_noise(data, np.array([1.1]))
+    assert exceeds_noise(data, np.array([1.0, 1.3]))
 
 
 class Undamped:

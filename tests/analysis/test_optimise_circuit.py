@@ -8,7 +8,7 @@ import pytest
 from labhil.errors import UsageError
 from labhil.optimise.circuit import force_curves, positions
 from labhil.optimise.geometry import HOUSING, LEVELS, LOWER, ORIGINAL, SHOWN, TEXT_OPTIMUM, UPPER
-from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, flux_density, magnetised, magnetised_all
+from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, flux_density, magnetisation, magnetisation_all
 
 pytestmark = pytest.mark.extended
 
@@ -20,17 +20,17 @@ UNSATURATED = Steel(1e4, 1e4 / (2000.0 * MU0))
 def test_steel_turns_its_own_formula_around() -> None:
     H = np.array([0.0, 3.0, 700.0, 5e3, 1e5, 2e6])
     B = flux_density(H, FREE_CUTTING)
-    assert magnetised_all(B, FREE_CUTTING)[0] == pytest.approx(H, rel=1e-7, abs=1e-9)
-    assert [magnetised(b, FREE_CUTTING)[0] for b in B] == pytest.approx(H, rel=1e-7, abs=1e-9)
+    assert magnetisation_all(B, FREE_CUTTING)[0] == pytest.approx(H, rel=1e-7, abs=1e-9)
+    assert [magnetisation(b, FREE_CUTTING)[0] for b in B] == pytest.approx(H, rel=1e-7, abs=1e-9)
 
 
 def test_steel_stores_what_was_put_into_it() -> None:
     B = np.linspace(0.0, 3.0, 3001)
-    H, slope, stored = magnetised_all(B, FREE_CUTTING)
+    H, slope, stored = magnetisation_all(B, FREE_CUTTING)
     work = np.concatenate([[0.0], np.cumsum(0.5 * (H[1:] + H[:-1]) * np.diff(B))])
     assert stored == pytest.approx(work, rel=1e-4, abs=1e-3)
     assert np.gradient(H, B)[1:-1] == pytest.approx(slope[1:-1], rel=0.02)
-    assert [magnetised(b, FREE_CUTTING) for b in B[::500]] == [
+    assert [magnetisation(b, FREE_CUTTING) for b in B[::500]] == [
         pytest.approx(row) for row in zip(H[::500], slope[::500], stored[::500], strict=True)
     ]
 

@@ -61,8 +61,8 @@ def test_runs_follow_their_seed() -> None:
 
 
 def test_interpolation_goes_through_its_runs(database: Database) -> None:
-    assert database.interpolated(database.designs) == pytest.approx(database.curves, abs=1e-6)
-    assert database.left_out().shape == database.curves.shape
+    assert database.interpolate(database.designs) == pytest.approx(database.curves, abs=1e-6)
+    assert database.leave_one_out().shape == database.curves.shape
 
 
 def test_objectives_of_curves_that_are_known() -> None:

@@ -15,6 +15,7 @@ from one_input_rigs import replay, rig_of, staircase, two_tones
 from test_arm_model import acquired
 
 from labhil.identify.plausibility import doubts_of
+from labhil.physics.joining import join_records
 from labhil.physics.model import Record
 from labhil.rig import parse_rig
 
@@ -75,6 +76,12 @@ def test_two_wrong_units_at_once_are_both_found(ball):
     found = lines(scaled(ball, servo_angle=DEGREES, ball_position=1e3), "ball_beam", BEAM)
     assert len(found) == 2
     assert all("scale = 0.0" in line for line in found)
+
+
+def test_of_several_recordings_the_doubtful_one_is_numbered(ball):
+    both = join_records([ball, scaled(ball, servo_angle=DEGREES)])
+    (doubt,) = doubts_of(both, rig_of("ball_beam", BEAM))
+    assert doubt.statement.startswith("Recording 2: ")
 
 
 def test_either_of_two_signs_may_be_wrong_where_only_their_product_is_seen(ball):

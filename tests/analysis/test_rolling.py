@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labhil.identify.problem import Problem
-from labhil.identify.window_states import evaluate, fit_states, rescued_states
+from labhil.identify.window_states import evaluate, fit_states, rescue_states
 from labhil.physics import input_path, rolling
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record, Windows, index_of, start_values, starts_of
@@ -120,7 +120,7 @@ def test_model_and_plant_agree_though_they_share_no_code(model: BallBeamModel, a
     problem = Problem(model, record, windows, none, theta, np.array([1e-4]))
     guess = model.initial_states(record, windows)
     fitted = evaluate(problem, np.empty(0), fit_states(problem, np.empty(0), guess, iterations=20))
-    states = rescued_states(problem, np.empty(0), fitted).states
+    states = rescue_states(problem, np.empty(0), fitted).states
     error = model.simulate(theta, record, windows, states)[:, 0] - truth[windows.rows]
     assert np.sqrt(np.mean(error**2)) < tolerance
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.diagnose.evidence import independent
+from labhil.diagnose.evidence import independent_samples
 from labhil.identify.rounding import Rounding, effective_fractions
 from labhil.physics.model import Record
 
@@ -58,7 +58,9 @@ def test_a_reading_that_repeats_itself_tells_nothing_new():
         share = effective_fractions(replace(record, outputs=rounded(ramp, deviation, random)), sigma).mean()
         assert least <= share <= most
         white = random.standard_normal((4000, 1))
-        assert independent(white, effective_fraction=share) == pytest.approx(4000 * min(share, 1.0), rel=0.05)
+        assert independent_samples(white, effective_fraction=share) == pytest.approx(
+            4000 * min(share, 1.0), rel=0.05
+        )
 
 
 def test_a_channel_at_rest_tells_little_though_noise_flips_its_last_digit():

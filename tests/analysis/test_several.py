@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from labhil.diagnose.diagnosis import diagnose
-from labhil.diagnose.intake import Kind, faults_of, usable
+from labhil.diagnose.intake import Kind, assess_usability, faults_of
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.fitted import covariances, fit_terms, start_theta
@@ -20,7 +20,8 @@ from labhil.identify.intervals import bootstrap_intervals
 from labhil.identify.score import score
 from labhil.identify.windows import all_of, fit_windows, noise_of, scored_windows, split, with_noise_scales
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
-from labhil.physics.model import Record, Windows, index_of, joined, start_values
+from labhil.physics.joining import join_records
+from labhil.physics.model import Record, Windows, index_of, start_values
 from labhil.physics.rigs import model_for
 from labhil.physics.several import for_every_recording, several
 from labhil.rig import parse_rig
@@ -60,7 +61,7 @@ def motor(seed: int, n: int = 400, terms=("viscous_friction", "coulomb_friction"
 
 def test_recordings_come_out_of_a_record_as_they_went_in():
     given = [blank(30, 0.01, 5.0), blank(40, 0.02, -1.0), blank(25, 0.01)]
-    record = joined(given)
+    record = join_records(given)
     assert np.all(np.diff(record.t) > 0.0)
     assert record.spans == [(0, 30), (30, 70), (70, 95)]
     for number, (each, back) in enumerate(zip(given, record.recordings(), strict=True), 1):
@@ -73,7 +74,7 @@ def test_recordings_come_out_of_a_record_as_they_went_in():
     assert part.spans == [(0, 10), (10, 50), (50, 60)]
     assert [begin.number for begin in part.begins] == [1, 2, 3]
     assert part.own_time(10) == (2, pytest.approx(-1.0))
-    assert joined(given[:1]) is given[0]
+    assert join_records(given[:1]) is given[0]
 
 
 @pytest.mark.parametrize(
@@ -87,7 +88,7 @@ def test_recordings_come_out_of_a_record_as_they_went_in():
 )
 def test_recordings_of_other_channels_are_refused(other, told):
     with pytest.raises(RecordingError, match=told):
-        joined([blank(30), other])
+        join_records([blank(30), other])
 
 
 LENGTHS = st.lists(st.integers(60, 400), min_size=1, max_size=4)
@@ -100,7 +101,7 @@ def test_no_window_reaches_from_one_recording_into_the_next(lengths, window, per
     given = [blank(n, period, 3.0) for n, period in zip(lengths, periods, strict=False)]
     # a number of windows half way between two may be rounded to either
     assume(all(abs((each.duration / window) % 1.0 - 0.5) > 1e-6 for each in given))
-    record = joined(given)
+    record = join_records(given)
     cut = fit_windows(record, window)
     assert np.array_equal(cut.rows, np.arange(len(record)))
     alone = np.concatenate([each.last - each.first for each in (fit_windows(each, window) for each in given)])
@@ -122,7 +123,7 @@ def crossing(record: Record, windows: Windows) -> int:
 
 
 def test_the_last_share_of_every_recording_is_held_out():
-    record = joined([blank(200), blank(100)])
+    record = join_records([blank(200), blank(100)])
     learn, held_out = split(record, 0.3, 0.1)
     assert [part.duration for part in held_out.recordings()] == pytest.approx([0.6, 0.3], abs=0.02)
     assert [part.duration for part in learn.recordings()] == pytest.approx([1.29, 0.59], abs=0.02)
@@ -132,7 +133,7 @@ def test_the_last_share_of_every_recording_is_held_out():
 def test_noise_is_that_within_recordings():
     random = np.random.default_rng(1)
     parts = [replace(blank(9), outputs=level + 1e-3 * random.standard_normal((9, 1))) for level in range(100)]
-    assert noise_of(joined(parts))[0] == pytest.approx(1e-3, rel=0.2)
+    assert noise_of(join_records(parts))[0] == pytest.approx(1e-3, rel=0.2)
 
 
 def test_neighbours_are_of_the_same_recording():
@@ -141,7 +142,7 @@ def test_neighbours_are_of_the_same_recording():
     parts = [scores[:100], scores[100:220], scores[220:]]
     for lag in (0, 1, 7):
         alone = sum(part[lag:].T @ part[: len(part) - lag] for part in parts)
-        assert statistics.lagged(scores, lag, begins) == pytest.approx(alone)
+        assert statistics.lagged_product(scores, lag, begins) == pytest.approx(alone)
     # one recording after another that go on alike: a border would be seen as a jump
     walk = np.concatenate(
         [level + 0.1 * random.standard_normal(50) for level in 100.0 * random.standard_normal(9)]
@@ -166,12 +167,12 @@ def test_faults_are_looked_for_in_each_recording_by_itself():
     good = axis(1)
     stuck = good.outputs.copy()
     stuck[300:420] = stuck[300]
-    record = joined([good, replace(good, outputs=good.outputs + 5.0), replace(good, outputs=stuck)])
+    record = join_records([good, replace(good, outputs=good.outputs + 5.0), replace(good, outputs=stuck)])
     found = faults_of(record)
     assert {(fault.kind, fault.recording) for fault in found} == {(Kind.STUCK, 3)}
     assert found[0].statement.startswith("Recording 3: ")
     assert found[0].times[0][0] == pytest.approx(good.t[300], abs=0.02)
-    left = usable(record, found)
+    left = assess_usability(record, found)
     assert not left.fit
     assert left.sound[:1800].all() and not left.sound[2100 + 10 : 2220 - 10].any()
 
@@ -187,7 +188,7 @@ def three() -> list[Record]:
 
 def test_every_recording_is_simulated_by_its_own_model():
     records = [motor(1), motor(2)]
-    record = joined(records)
+    record = join_records(records)
     rig = rig_of("dc_motor")
     model = model_for(rig, record, ("constant_force", "dead_zone.left"))
     keys = {p.key for p in model.parameters}
@@ -237,7 +238,7 @@ def test_every_recording_is_simulated_by_its_own_model():
 
 @pytest.mark.extended
 def test_a_further_force_acts_in_the_recording_it_is_given_for():
-    record = joined([axis(1), axis(2)])
+    record = join_records([axis(1), axis(2)])
     model = model_for(rig_of("axis"), record)
     assert isinstance(model, AcceptsExtraForce)
     theta, windows = start_theta(model), fit_windows(record, 1.0)
@@ -255,7 +256,7 @@ def test_a_further_force_acts_in_the_recording_it_is_given_for():
 def test_one_recording_is_what_it_was():
     record = axis(3)
     rig = rig_of("axis")
-    plain = model_for(rig, joined([record]))
+    plain = model_for(rig, join_records([record]))
     wrapped = several(plain, (), 1)
     sigma = noise_of(record)
     one, other = (fit_terms(model, record, TERMS, 1.0, sigma, iterations=10) for model in (plain, wrapped))
@@ -271,7 +272,7 @@ def test_one_recording_is_what_it_was():
 def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
     """Values that are shared are known as well as from all data, those that are not as from their own."""
     rig, shared = rig_of("axis"), ["viscous_friction.coefficient", "coulomb_friction.level"]
-    record = joined(three)
+    record = join_records(three)
     model = model_for(rig, record, OWN)
     found = fit_terms(model, record, TERMS, 1.0, np.array([NOISE]))
     keys = [model.parameters[i].key for i in found.problem.free]
@@ -303,7 +304,7 @@ def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
 
 
 def test_scores_are_told_of_each_recording(three):
-    record = joined([three[0], replace(three[1], outputs=three[1].outputs + 7.0)])
+    record = join_records([three[0], replace(three[1], outputs=three[1].outputs + 7.0)])
     model = model_for(rig_of("axis"), record, OWN)
     found = fit_terms(model, record, TERMS, 1.0, np.array([NOISE]))
     marks = score(model, found.theta, record, np.array([NOISE]), 1.0)
@@ -339,7 +340,7 @@ def lifted() -> Record:
         values = {**arm.SILENT, "payload.mass": mass, "payload.centre_z": 0.06}
         seen = arm.follow((*arm.TERMS, "payload"), values, seed)
         records.append(replace(seen, outputs=seen.outputs + arm.noise(len(seen), False, random)))
-    return joined(records)
+    return join_records(records)
 
 
 def values_of(model, record: Record) -> dict[str, float]:
@@ -384,11 +385,11 @@ def test_of_an_arm_of_unknown_inertia_all_recordings_tell(lifted, tmp_path):
 )
 def test_what_cannot_be_of_one_recording_is_refused(names, known, error, told):
     with pytest.raises(error, match=told):
-        model_for(rig_of("axis", known), joined([axis(1, n=100), axis(2, n=100)]), names)
+        model_for(rig_of("axis", known), join_records([axis(1, n=100), axis(2, n=100)]), names)
 
 
 def test_a_recording_that_a_model_was_not_made_for_is_refused():
-    two, three = (joined([axis(seed, n=100) for seed in range(count)]) for count in (2, 3))
+    two, three = (join_records([axis(seed, n=100) for seed in range(count)]) for count in (2, 3))
     for names, simulated in (((), True), (("moving_mass",), False)):
         model = model_for(rig_of("axis"), two, names)
         windows = fit_windows(three, 1.0)
@@ -401,7 +402,7 @@ def test_a_recording_that_a_model_was_not_made_for_is_refused():
 
 
 def test_a_value_that_is_said_of_no_recording_is_said_of_all():
-    model = model_for(rig_of("axis"), joined([axis(1, n=100), axis(2, n=100)]), ("moving_mass",))
+    model = model_for(rig_of("axis"), join_records([axis(1, n=100), axis(2, n=100)]), ("moving_mass",))
     values = {"moving_mass": 90.0, "moving_mass@2": 80.0, "coulomb_friction.level": 20.0}
     assert for_every_recording(model, values) == {
         "moving_mass@1": 90.0, "moving_mass@2": 80.0, "coulomb_friction.level": 20.0
@@ -425,7 +426,7 @@ def sprung(seed: int, stiffness: float, n: int = 400) -> Record:
 
 
 def diagnosed(searched: list[Record], tested: list[Record], names=()):
-    search, test = joined(searched), joined(tested)
+    search, test = join_records(searched), join_records(tested)
     model = model_for(rig_of("axis", "moving_mass = 95.0\n"), search, names)
     return diagnose(model, search, test, heldout_is_test=True, baseline=BASELINE, measured=search)
 
@@ -467,8 +468,8 @@ def test_a_loud_recording_says_less_than_a_quiet_one():
     bad = replace(bad, outputs=bad.outputs + 100.0 * NOISE * random.standard_normal(bad.outputs.shape))
     errors = []
     for records in ([good], [good, bad]):
-        model = model_for(rig_of("axis"), joined(records))
-        record = with_noise_scales(model, joined(records))
+        model = model_for(rig_of("axis"), join_records(records))
+        record = with_noise_scales(model, join_records(records))
         found = fit_terms(model, record, TERMS, 1.0, noise_of(record))
         _, classical, _ = covariances(found)
         errors.append(np.sqrt(np.diag(classical)))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labhil.analysis.agreement import Agreement, leaves
-from labhil.analysis.dataset import rig_of
+from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.shadow import Shadow, Stretch, validated_bands
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.recording.reader import read_recording

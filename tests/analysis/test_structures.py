@@ -16,9 +16,9 @@ from labhil.diagnose.structures.marginal import (
     Batch,
     Grams,
     View,
+    extended_evidence,
     grams,
     log_evidence,
-    promised,
 )  # fmt: skip
 from labhil.diagnose.structures.stages import search_structures
 
@@ -114,7 +114,7 @@ def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
     seen = disturbed(matrix, modes, (1.0, 10.0)).with_precisions(blocks)
     start = Batch(np.array([[1], [2]]), np.array([[0], [0]]), np.array([[False], [False]]))
     for block, positive in (([3], [True]), ([4, 5], [False, False])):
-        logs, calm = promised(seen, start, np.array([block]), np.array([positive]))
+        logs, calm = extended_evidence(seen, start, np.array([block]), np.array([positive]))
         for s, first in enumerate((1, 2)):
             longer = one([first, *block], [0, *[1] * len(block)], [False, *positive])
             expected, undisturbed_too, _ = log_evidence(seen, longer)

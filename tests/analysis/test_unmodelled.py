@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.diagnose.force_curve import ForceCurve, stated
+from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import FittedCurve
@@ -95,7 +95,7 @@ def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurv
 def unmodelled(data: Data, final: Fitted) -> ForceCurve | None:
     """The same as an answer states it, of a fit that names nothing."""
     found = curve_of(data, final, final.terms)
-    return None if found is None else stated(data, found)
+    return None if found is None else state_curve(data, found)
 
 
 def within(found: ForceCurve, law: Law) -> float:

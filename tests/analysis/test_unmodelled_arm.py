@@ -13,7 +13,7 @@ import pytest
 
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
-from labhil.diagnose.adequacy import residual_rms, unexplained
+from labhil.diagnose.adequacy import exceeds_noise, residual_rms
 from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.force_curve import ForceCurve
@@ -103,7 +103,7 @@ def excess(found: ForceCurve) -> float:
 def both() -> tuple[Data, tuple[ForceCurve, ...]]:
     """What is found of an arm with a patch in joint 5 and a spring at joint 2."""
     data, base = searched(*(sprung(rubbed(plain(seed), 5), 2) for seed in (1, 2)))
-    assert unexplained(data, residual_rms(data, base))
+    assert exceeds_noise(data, residual_rms(data, base))
     return data, curves_of(data, base)
 
 
@@ -127,7 +127,7 @@ def test_each_torque_is_found_on_its_joint_within_its_band() -> None:
 
 def test_nothing_is_found_where_nothing_is() -> None:
     data, base = searched(plain(1), plain(2))
-    assert not unexplained(data, residual_rms(data, base))
+    assert not exceeds_noise(data, residual_rms(data, base))
     assert curves_of(data, base) == ()
 
 

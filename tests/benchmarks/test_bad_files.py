@@ -15,7 +15,7 @@ from labhil_benchmarks.bad_files import kinds, samples
 from labhil_benchmarks.bad_files.harm import harmful_cases
 from labhil_benchmarks.bad_files.kinds import SHARES, Case, make_cases
 from labhil_benchmarks.bad_files.reader import Outcome, Reader
-from labhil_benchmarks.bad_files.verdict import Tally, tried
+from labhil_benchmarks.bad_files.verdict import Tally, try_case
 
 SPOILERS = (
     "spoil_bytes",
@@ -51,7 +51,7 @@ def test_every_command_reads_the_files_before_they_are_spoilt(reader: Reader, tm
         cases = [make(Random(1), number) for make, _ in SHARES for number in (1, 2, 4, 5)]
     found = {}
     for case in cases:
-        outcome, faults = tried(case, reader, tmp_path / "case")
+        outcome, faults = try_case(case, reader, tmp_path / "case")
         if faults or outcome.status:
             found[case.kind, case.number, case.command] = outcome.err, faults
     assert found == {}
@@ -64,7 +64,7 @@ def test_bad_files_are_read_or_refused(reader: Reader, tmp_path: Path) -> None:
     harmful = harmful_cases()[::17]
     for make in [*make_cases(80, seed=2), *harmful]:
         case = make()
-        tally.add(case, *tried(case, reader, tmp_path / "case"))
+        tally.add(case, *try_case(case, reader, tmp_path / "case"))
     assert tally.faults == []
     assert min(tally.read, tally.refused) > 20
 
@@ -86,7 +86,7 @@ def test_a_fault_is_seen(tmp_path: Path, outcome: Outcome, fault: str) -> None:
         def run(self, command: tuple[str, ...], folder: Path) -> Outcome:
             return outcome
 
-    _, faults = tried(WHOLE, Finished(), tmp_path / "case")  # type: ignore[arg-type]
+    _, faults = try_case(WHOLE, Finished(), tmp_path / "case")  # type: ignore[arg-type]
     assert [one.strip() for one in faults] == [fault]
 
 
@@ -98,5 +98,5 @@ def test_a_file_that_was_changed_or_left_is_seen(tmp_path: Path) -> None:
             (folder / "new").write_bytes(b"x")
             return Outcome(0, 0.1, 0, "", "")
 
-    _, faults = tried(WHOLE, Careless(), tmp_path / "case")  # type: ignore[arg-type]
+    _, faults = try_case(WHOLE, Careless(), tmp_path / "case")  # type: ignore[arg-type]
     assert sorted(faults) == ["changed outside", "changed work/a.toml", "left 'work/new'"]

@@ -9,7 +9,7 @@ from scipy.special import expit
 from labhil.diagnose.claim_probability import claim_probability, features
 from labhil.diagnose.evidence import Evidence
 from labhil.errors import UsageError
-from labhil_benchmarks.trials.calibrate import Claimed, calibrated, claimed_in
+from labhil_benchmarks.trials.calibrate import Claimed, calibrate, claimed_in
 
 WEIGHTS = np.array([2.0, -3.0, -0.8, 0.6])
 
@@ -24,7 +24,7 @@ def claims(count: int, seed: int) -> list[Claimed]:
 
 
 def test_weights_are_found_again_within_their_errors():
-    fitted = calibrated(claims(4000, 1))
+    fitted = calibrate(claims(4000, 1))
     assert fitted.claims == 4000
     assert np.all(np.abs(fitted.weights - WEIGHTS) < 3.5 * fitted.errors)
     assert np.all(fitted.errors < 0.35)
@@ -32,7 +32,7 @@ def test_weights_are_found_again_within_their_errors():
 
 def test_a_few_claims_that_are_all_right_have_finite_weights():
     every = [Claimed(claim.features, True) for claim in claims(12, 2)]
-    fitted = calibrated(every)
+    fitted = calibrate(every)
     assert (fitted.claims, fitted.right) == (12, 12)
     assert np.all(np.isfinite(fitted.weights[1:]))
 
@@ -44,7 +44,7 @@ def test_what_is_fitted_is_what_is_stated():
 
 def test_nothing_claimed_and_an_arm_are_refused(tmp_path):
     with pytest.raises(UsageError, match="found none"):
-        calibrated([])
+        calibrate([])
     (tmp_path / "trials.json").write_text(
         '{"schema": "labhil.trials/1", "rig": "ur5", "fixed_seed": true, "trials": []}'
     )

@@ -187,7 +187,7 @@ def test_the_noise_of_an_arm_is_read_from_what_its_model_leaves(null):
     oracle = null.oracle
     refit = oracle.refit(BASELINE)
     stated = estimate_coloured_noise(oracle.model, refit.theta, oracle.test, noise_of(oracle.test)).sigma
-    assert stated == pytest.approx(oracle.left.rms, rel=0.15)
+    assert stated == pytest.approx(oracle.residual_noise.rms, rel=0.15)
 
 
 def test_structure_is_looked_for_across_windows_without_states(null):
@@ -209,7 +209,7 @@ def test_the_truth_leaves_noise_as_it_is_known(null):
     assert marks == pytest.approx([1.0] * 6, abs=0.15)
     assert oracle.strength(refit.theta) == pytest.approx(np.mean(marks))
     # of white noise of as many samples as are judged
-    judged = np.count_nonzero(oracle.left.judged)
+    judged = np.count_nonzero(oracle.residual_noise.judged)
     assert -2.0 * oracle.log_likelihood(refit.theta) == pytest.approx(judged, rel=0.1)
     setup, secret = found.secret.setup, found.secret
     record = setup.record(setup.silent(secret, found.walks[1], 1))

@@ -31,7 +31,7 @@ def answer(shaken: Composed) -> Answer:
 
 def test_a_random_force_lasts_as_long_as_it_says() -> None:
     one = Disturbance(Kind.FORCE, 2.0, 0.1, 0.0)
-    factor, added = one.acting(200_000, 1e-3, 3)
+    factor, added = one.sample(200_000, 1e-3, 3)
     assert np.all(factor == 1.0)
     assert np.std(added) == pytest.approx(2.0, rel=0.05)
     lag = round(0.1 / 1e-3)
@@ -39,7 +39,7 @@ def test_a_random_force_lasts_as_long_as_it_says() -> None:
 
 
 def test_a_gain_that_drifts_goes_through_one_swing() -> None:
-    factor, added = Disturbance(Kind.DRIFT, 0.1, 0.1, 0.0).acting(1000, 0.01, 3)
+    factor, added = Disturbance(Kind.DRIFT, 0.1, 0.1, 0.0).sample(1000, 0.01, 3)
     assert not added.any()
     assert (factor.max(), factor.min()) == (pytest.approx(1.1, abs=1e-4), pytest.approx(0.9, abs=1e-4))
     assert np.sum(np.diff(np.sign(factor[1:-1] - 1.0)) != 0) == 1

@@ -18,7 +18,7 @@ import pytest
 
 from labhil.bus.session import open_bus
 from labhil.campaign.policies import Policies, check_policies
-from labhil.campaign.result_log import RESULT_LOG, left_behind
+from labhil.campaign.result_log import RESULT_LOG, unstudied_recordings
 from labhil.campaign.studies.study import Task
 from labhil.campaign.worker import Worker
 from labhil.errors import ExperimentFileError, RecordingError
@@ -180,7 +180,7 @@ def test_what_came_while_no_worker_was_there_is_studied_and_nothing_older(tmp_pa
 
 def test_in_a_folder_where_no_worker_ever_was_nothing_is_left_behind(tmp_path: Path) -> None:
     shutil.copyfile(SHIPPED, tmp_path / "old.mcap")
-    assert left_behind(tmp_path) == []
+    assert unstudied_recordings(tmp_path) == []
 
 
 @pytest.mark.extended

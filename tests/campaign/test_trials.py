@@ -16,7 +16,7 @@ from labhil.campaign.trials import run
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.card import count, reliabilities
-from labhil.campaign.trials.compose import compose, composed
+from labhil.campaign.trials.compose import compose, record_secret
 from labhil.campaign.trials.folder import read_index
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import Order, answers_beside, make_trial, make_trials
@@ -521,7 +521,7 @@ def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
     setup = bench_of("ball_beam").setup(random)
     bare = Secret(setup, setup.draw_base(random))
     sticks = Drawn("static_friction", {"static_friction.level": 0.08}, {"static_friction.level": 1}, 3.0)
-    oracle = composed(replace(bare, effects=(sticks,)), setup.noise_scale(bare)).oracle
+    oracle = record_secret(replace(bare, effects=(sticks,)), setup.noise_scale(bare)).oracle
     truth = oracle.log_likelihood(start_theta(oracle.model, oracle.values))
     baseline = rig_model("ball_beam").baseline
     assert oracle.refit([*baseline, "static_friction"]).likelihood > truth - 30.0
@@ -533,7 +533,7 @@ def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
     setup = bench_of("solenoid").setup(random)
     bare = Secret(setup, setup.draw_base(random))
     delay = Drawn("time_delay", {"time_delay.delay": 0.012}, {"time_delay.delay": 1}, 3.0)
-    oracle = composed(replace(bare, effects=(delay,)), setup.noise_scale(bare)).oracle
+    oracle = record_secret(replace(bare, effects=(delay,)), setup.noise_scale(bare)).oracle
     # what a delay holds as a recording begins is as recorded: else the first window is off by far more
     theta, windows = start_theta(oracle.model, oracle.values), fit_windows(oracle.search, oracle.horizon)
     found = estimate_states_at(oracle.model, theta, oracle.search, windows, oracle.sigma)

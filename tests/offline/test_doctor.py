@@ -26,7 +26,7 @@ from labhil.doctor.finding import Finding, State
     ],
 )
 def test_a_package_is_held_against_what_is_declared(requirement: str, state: State, said: str) -> None:
-    finding, extra = packages.checked(requirement)
+    finding, extra = packages.check_requirement(requirement)
     assert (finding.state, extra) == (state, "")
     assert said in finding.found
     assert ("pip install" in finding.advice) == (state is State.BROKEN)

@@ -13,7 +13,7 @@ import pytest
 
 import labhil as lh
 from labhil import documents
-from labhil.analysis.patch_source import read_found
+from labhil.analysis.patch_source import read_patch_source
 from labhil.analysis.schema import any_result_of
 from labhil.documents import LARGEST, DocumentError, parse_toml, read_document
 from labhil.errors import (
@@ -127,7 +127,7 @@ def test_a_term_that_is_no_name_stays_what_it_is() -> None:
 def test_json_that_is_nested_too_deeply_is_no_result_to_patch_from(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[" * 100_000, encoding="utf-8")
     with pytest.raises(ModelFileError, match="at most 64 levels"):
-        read_found(tmp_path / "a.json")
+        read_patch_source(tmp_path / "a.json")
 
 
 def test_readers_work_under_a_limit_of_memory_set_for_good(tmp_path: Path) -> None:

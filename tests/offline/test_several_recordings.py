@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labhil.analysis.results import values_of
-from labhil.analysis.schema import FitPart, checked
+from labhil.analysis.saved_model import values_of
+from labhil.analysis.schema import FitPart, validate
 from labhil_benchmarks.statistics.cases import driven, levels
 
 RIG = '[rig]\nkind = "axis"\n[metric]\nhorizon = 1.0\n'
@@ -79,7 +79,7 @@ def test_values_are_told_with_the_recording_that_they_belong_to(labhil, axis, tm
     assert "moving_mass@2" in said and f"@2  {b}" in said.replace("\n", "") and "train @2" in said
     page = (tmp_path / "fit.html").read_text(encoding="utf-8")
     assert "moving_mass@2" in page and "test @1" in page and "train @2" in page
-    assert checked(FitPart, found, "fit").parameters[1].key == "moving_mass@2"
+    assert validate(FitPart, found, "fit").parameters[1].key == "moving_mass@2"
     assert labhil("report", "fit.json", "-o", "again.html").status == 0
 
 

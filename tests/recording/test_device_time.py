@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labhil.diagnose.intake import Kind, faults_of, usable
+from labhil.diagnose.intake import Kind, assess_usability, faults_of
 from labhil.kinds import kind_named
 from labhil.physics.rigs import record_of
 from labhil.recording import RecordingWriter, read_recording
@@ -71,7 +71,7 @@ def test_a_clock_that_was_set_moves_no_sample_and_is_named(tmp_path, step):
     assert recording.clocks["bench"].stepped == pytest.approx(abs(step), abs=0.01)
     (fault,) = faults_of(record_of(recording, kind_named("ball_beam")))
     assert fault.kind is Kind.CLOCK_STEP and fault.statement.startswith("The host's stamps")
-    assert usable(record_of(recording, kind_named("ball_beam")), [fault]).fit
+    assert assess_usability(record_of(recording, kind_named("ball_beam")), [fault]).fit
 
 
 def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
@@ -82,7 +82,7 @@ def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
     record = record_of(recording, kind_named("ball_beam"))
     faults = faults_of(record)
     assert Kind.CLOCK_STEP in [fault.kind for fault in faults]
-    assert not usable(record, faults).fit
+    assert not assess_usability(record, faults).fit
 
 
 def test_what_is_cut_out_beside_a_step_has_none(tmp_path):

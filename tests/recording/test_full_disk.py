@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from labhil.errors import DiskFailedError, UsageError
-from labhil.whole import unwritten, whole
+from labhil.whole import whole, write_error
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 RIG = '[rig]\nkind = "ball_beam"\n'
@@ -79,5 +79,5 @@ def test_a_full_device_is_written_to_as_it_is_and_stays_a_device() -> None:
 
 
 def test_a_path_at_fault_is_wrong_use_and_a_disk_is_not() -> None:
-    assert isinstance(unwritten(Path("a"), PermissionError(errno.EACCES, "Permission denied")), UsageError)
-    assert isinstance(unwritten(Path("a"), OSError(errno.EDQUOT, "Quota exceeded")), DiskFailedError)
+    assert isinstance(write_error(Path("a"), PermissionError(errno.EACCES, "Permission denied")), UsageError)
+    assert isinstance(write_error(Path("a"), OSError(errno.EDQUOT, "Quota exceeded")), DiskFailedError)

@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from labhil.analysis.import_check import checked
+from labhil.analysis.import_check import check_table
 from labhil.codec import Codec, stream_from_json, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, TableError
 from labhil.physics.rigs import record_of
@@ -115,7 +115,7 @@ def test_values_that_no_model_can_calculate_with_are_refused_and_have_a_page(tmp
 def test_an_import_of_such_values_names_them_and_calculates_nothing(tmp_path, factor):
     rows = "".join(f"{k / 100},{factor * (k % 7 + 1)},{factor * (k % 5 - 9)}\n" for k in range(ROWS))
     (tmp_path / "a.csv").write_text("t,servo_angle,ball_position\n" + rows)
-    table, lines = checked(import_table(tmp_path / "a.csv", TABLE_RIG))
+    table, lines = check_table(import_table(tmp_path / "a.csv", TABLE_RIG))
     assert len(table) == ROWS
     assert len(lines) == 1 and "servo_angle: expected values" in lines[0]
 
@@ -166,7 +166,7 @@ def test_a_data_set_that_was_never_written_is_not_read(tmp_path):
 def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_path):
     pipe = tmp_path / "a.mat"
     os.mkfifo(pipe)  # its reader waits there until it is struck
-    apart._PROCESS._started()
+    apart._PROCESS._running_child()
     crash = threading.Timer(0.3, lambda: os.kill(apart._PROCESS._child.pid, signal.SIGSEGV))
     crash.start()
     with pytest.raises(TableError, match=r"its reader crashed \(SIGSEGV\)"):

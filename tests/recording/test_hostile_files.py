@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from scipy.io import savemat
 
-from labhil.analysis.results import accepted_of
+from labhil.analysis.saved_model import accepted_of
 from labhil.documents import DocumentError, parse_json, parse_toml
 from labhil.errors import LabhilError, ModelFileError
 from labhil.recording import RecordingWriter, read_recording

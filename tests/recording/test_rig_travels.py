@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.analysis.dataset import common_rig, rig_of
+from labhil.analysis.rig_choice import common_rig, rig_of
 from labhil.errors import RecordingError, RigFileError
 from labhil.physics.mapped import charted_force
 from labhil.physics.rigs import model_for

@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from labhil.analysis.dataset import rig_of
+from labhil.analysis.rig_choice import rig_of
 from labhil.codec import Codec
 from labhil.errors import RecordingError
 from labhil.recording import RecordingWriter, read_recording

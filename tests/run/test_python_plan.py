@@ -70,7 +70,7 @@ def test_a_plan_decides_by_what_was_recorded(motor: lh.Experiment, tmp_path: Pat
 def test_a_run_that_fails_raises_in_the_plan_which_may_go_on(motor: lh.Experiment, tmp_path: Path) -> None:
     def careful() -> Plan:
         try:
-            yield hold(6.0)  # beyond the limit of the speed
+            yield hold(6.0) | {"duration": 60.0}  # beyond the limit of the speed, before the time is over
         except RunError as error:
             told = str(error)
         yield [hold(1.0), hold(0.5)]

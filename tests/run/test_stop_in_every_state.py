@@ -39,8 +39,8 @@ def test_a_stop_ends_a_run_in_every_state(state: str) -> None:
     from measure_safety import twin_behind_a_relay
 
     with twin_behind_a_relay() as relay:
-        trial = measure_estop.pressed(relay, state, "file")
-    assert measure_estop.right(trial), trial
+        trial = measure_estop.press(relay, state, "file")
+    assert measure_estop.is_right(trial), trial
 
 
 @pytest.mark.extended
@@ -49,6 +49,6 @@ def test_a_stop_while_the_disk_is_full_latches_and_makes_the_device_safe() -> No
     from measure_safety import twin_behind_a_relay
 
     with twin_behind_a_relay() as relay:
-        trial = measure_estop.pressed(relay, "running, disk full", "file")
+        trial = measure_estop.press(relay, "running, disk full", "file")
     # the run may have been ended by the disk a moment before, and a full disk holds no reason
     assert (trial["latched"], trial["device_safe"], trial["exit_status"]) == (True, True, 1), trial

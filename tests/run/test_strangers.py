@@ -376,7 +376,7 @@ def test_a_thread_that_dies_ends_the_run(
     elif part == "the recorder":
         monkeypatch.setattr(Recorder, "_tick", dies)
     else:
-        monkeypatch.setattr(DeviceRun, "_own", dies)
+        monkeypatch.setattr(DeviceRun, "_decode_own", dies)
     with open_bus(run.entry.endpoint) as bus:  # which has the key: what is not signed comes to no thread
         key, event = event_key("bench"), b'{"t_ns": 9000000000000000000, "kind": "x"}'
         bus.session.put(key, event, attachment=bus.sign(key, event))

@@ -16,7 +16,7 @@ from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.arm.rigid_body import PER_LINK, upright
 from labhil.physics.arm.tree import Tree
 from labhil.simulators.arm import ArmSimulator, arm_simulator
-from labhil.simulators.inertia import at_centre, is_body, realised
+from labhil.simulators.inertia import at_centre, is_body, realise
 
 sys.path.insert(0, str(Path(__file__).parent))
 from arm_file import DAMPING, DRY, LOAD_SHARE, MJCF, ROTOR, URDF, bench, recorded, torques, truth
@@ -193,7 +193,7 @@ def test_bodies_are_found_that_load_the_joints_as_wanted(tmp_path: Path) -> None
     wanted = tree.torques(*motion, upright(), lighter)
     armature = np.array([0.4, 0.5, 0.2])
     own = np.zeros_like(tree.begin)
-    found = realised(tree, tree.begin, lighter, own, armature)
+    found = realise(tree, tree.begin, lighter, own, armature)
     links = found.inertial.reshape(3, PER_LINK)
     assert all(is_body(link) for link in links)
     loads = tree.torques(*motion, upright(), found.inertial) + motion[2] * (found.armature - armature)
@@ -206,6 +206,6 @@ def test_bodies_are_found_that_load_the_joints_as_wanted(tmp_path: Path) -> None
 def test_what_needs_no_change_is_left_alone(tmp_path: Path) -> None:
     tree, _ = tree_of(tmp_path, MJCF)
     rotors = np.array([0.4, 0.5, 0.2])
-    found = realised(tree, tree.begin, tree.begin, np.zeros_like(tree.begin), rotors)
+    found = realise(tree, tree.begin, tree.begin, np.zeros_like(tree.begin), rotors)
     assert np.array_equal(found.inertial, tree.begin)
     assert np.array_equal(found.armature, rotors)

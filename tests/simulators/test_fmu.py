@@ -6,6 +6,7 @@ import shutil
 import sys
 import zipfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import labhil as lh
 from labhil.errors import MissingExtraError, RecordingError, UsageError
 from labhil.physics.model import Windows, start_values
 from labhil.physics.rigs import model_for, record_of
+from labhil.simulators.fmu import _unit
 from labhil.simulators.model import SimulatorModel
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -50,6 +52,14 @@ def test_an_fmu_tells_what_it_is(tmp_path: Path, version: int, kinds: str) -> No
     assert {"inertia", "gravity_torque", "drag", "bearing_width"} <= set(rod.parameters)
     assert len(lh.model(rod).terms) >= 20
     assert lh.model(path).kind == "rod"
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("N.m/rad", "N·m/rad"), ("kg.m2", "kg·m²"), ("s-1", "s⁻¹"), ("m10", "m¹⁰"), ("2.m", "2·m"), ("1", "1")],
+)
+def test_exponents_of_an_fmus_units_are_raised(unit: str, shown: str) -> None:
+    assert _unit(SimpleNamespace(unit=unit)) == shown
 
 
 @pytest.mark.extended

@@ -13,9 +13,9 @@ import labhil as lh
 from labhil.analysis.patch import KEPT
 from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, UsageError
-from labhil.simulators.companion import companion, sorted_out
+from labhil.simulators.companion import companion, sort_effects
 from labhil.simulators.mjcf import describe
-from labhil.simulators.patches import patched
+from labhil.simulators.patches import patch_mjcf
 from labhil.simulators.xml_text import XmlText
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -37,7 +37,7 @@ SPRUNG = """<mujoco model="door">
 def edited(tmp_path: Path, file: str, values: dict[str, float]) -> tuple[str, dict[str, float]]:
     path = tmp_path / "file.xml"
     path.write_text(file, encoding="utf-8")
-    found = patched(describe(path), XmlText.read(path), values)
+    found = patch_mjcf(describe(path), XmlText.read(path), values)
     return found.text.changed().decode(), dict(found.left)
 
 
@@ -71,7 +71,7 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     }
     text, left = edited(tmp_path, SPRUNG, values | {"dead_zone.left": 0.1, "dead_zone.right": 0.2})
     assert "frictionloss='0.5'" in text  # it holds with both, and the function gives one of them back
-    code = companion(sorted_out(left), "new.xml", "torque", 1e-4)
+    code = companion(sort_effects(left), "new.xml", "torque", 1e-4)
     names: dict[str, object] = {}
     exec(code, names)
     force, command = names["force"], names["Command"]
@@ -94,7 +94,7 @@ def test_a_urdf_is_to_be_saved_as_mjcf_first(tmp_path: Path) -> None:
     described = describe(path, {"torque": "elbow"}, {"angle": "elbow"})
     assert described.simulator.nominal["coulomb_friction.level"] == 0.2
     with pytest.raises(UsageError, match="expected an MJCF file"):
-        patched(described, XmlText.read(path), {"viscous_friction.coefficient": 0.2})
+        patch_mjcf(described, XmlText.read(path), {"viscous_friction.coefficient": 0.2})
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.patch import KEPT
-from labhil.simulators.companion import companion, sorted_out
+from labhil.simulators.companion import companion, sort_effects
 from labhil.simulators.mjcf import describe
-from labhil.simulators.urdf_patches import patched_urdf, shorten_urdf_step
+from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -66,7 +66,7 @@ def test_only_what_was_found_is_changed(rig: Path) -> None:
         "added_inertia.inertia": 0.004,
         "cubic_viscous_friction.coefficient": 1e-3,
     }
-    found = patched_urdf(described, text, values)
+    found = patch_urdf(described, text, values)
     assert set(found.left) == {"cubic_viscous_friction.coefficient"}
     lines = list(zip(FILE.splitlines(), text.changed().decode().splitlines(), strict=False))
     assert lines[:5] == [(line, line) for line in FILE.splitlines()[:5]]
@@ -89,7 +89,7 @@ def test_a_shorter_step_is_said_where_other_readers_pass_over_it(rig: Path) -> N
 
 
 def test_firm_friction_is_told_beside_a_file_that_cannot_say_it() -> None:
-    code = companion(sorted_out({}), "new.urdf", "torque", 1e-4, firm=True)
+    code = companion(sort_effects({}), "new.urdf", "torque", 1e-4, firm=True)
     assert "model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0" in code
     compile(code, "new_effects.py", "exec")
 

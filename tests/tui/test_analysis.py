@@ -51,7 +51,7 @@ def test_the_terms_stand_there_in_the_words_of_the_catalogue(folder: Path, size:
     async def drive(pilot: Pilot[None], app: LabApp) -> None:
         dialog = await open_dialog(pilot, app)
         assert dialog.catalogue is not None
-        assert set(dialog.wanted.terms or ()) == set(dialog.catalogue.general)
+        assert set(dialog.selected_task.terms or ()) == set(dialog.catalogue.general)
         for number, effect in enumerate(dialog.catalogue.effects):
             dialog.query_one(SelectionList).highlighted = number
             await pilot.pause()
@@ -61,9 +61,12 @@ def test_the_terms_stand_there_in_the_words_of_the_catalogue(folder: Path, size:
                 f"{effect.name} is cut"
             )
         await pilot.press("w")
-        assert (dialog.wanted.kind, dialog.wanted.terms) == ("diagnose", dialog.catalogue.baseline)
+        assert (dialog.selected_task.kind, dialog.selected_task.terms) == (
+            "diagnose",
+            dialog.catalogue.baseline,
+        )
         await pilot.press("s", "t", "w", "e")
-        wanted = dialog.wanted
+        wanted = dialog.selected_task
         assert (wanted.seconds, wanted.estimator) == (10.0, dialog.catalogue.estimators[1])
         assert [path.name for path in wanted.tests] != [wanted.recordings[0].name]
         assert len(wanted.tests) == 1

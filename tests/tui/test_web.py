@@ -33,7 +33,7 @@ from browser import CHROMIUM, Page, chromium
 aiohttp = pytest.importorskip("aiohttp", reason="needs labhil's extra web")
 pytest.importorskip("textual_serve", reason="needs labhil's extra web")
 
-from labhil.tui.web_gate import user_listed, user_of  # noqa: E402 - needs the extra
+from labhil.tui.web_gate import user_in_listing, user_of  # noqa: E402 - needs the extra
 
 PATIENCE = 150.0
 MOVING = 16_384
@@ -215,10 +215,11 @@ def test_a_port_that_somebody_had_before_says_nothing_of_its_user() -> None:
    1: 0100007F:C350 0100007F:1F91 01 00000000:00000000 00:00000000 00000000     0        0 11 1 0
    2: 0100007F:C350 0100007F:1F90 01 00000000:00000000 00:00000000 00000000 65534        0 12 1 0
 """
-    assert user_listed(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90)) == 65534
-    assert user_listed(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F92)) is None
+    assert user_in_listing(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90)) == 65534
+    assert user_in_listing(listing, ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F92)) is None
     assert (
-        user_listed("\n".join(listing.splitlines()[:2]), ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90)) is None
+        user_in_listing("\n".join(listing.splitlines()[:2]), ("127.0.0.1", 0xC350), ("127.0.0.1", 0x1F90))
+        is None
     )
 
 

@@ -20,7 +20,7 @@ from textual.widgets import DataTable, OptionList, Static
 from labhil.bus.register import running
 from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
-from labhil.tui.dialogs import Choose, Tell
+from labhil.tui.dialogs import Choose, Notice
 from labhil.tui.lab import Session
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.plot import Plot
@@ -175,7 +175,7 @@ def test_v_holds_a_recording_against_a_result_of_the_folder(folder: Path, size: 
             return "\n".join(str(static.render()) for static in app.screen.query(Static))
 
         # a screen is there before what it shows
-        await until(pilot, lambda: isinstance(app.screen, Tell) and bool(told_so_far()))
+        await until(pilot, lambda: isinstance(app.screen, Notice) and bool(told_so_far()))
         told = told_so_far()
         assert "verify ball_beam_identify" in told
         assert "p = " in told or "p-value" in told, told

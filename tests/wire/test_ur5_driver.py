@@ -16,7 +16,7 @@ import pytest
 from labhil.errors import CommandRefusedError, ConnectError, MissingExtraError, ProtocolError
 from labhil.testing import DriverContract
 from labhil_ur5 import Ur5Cb3Driver, Ur5Driver
-from labhil_ur5.fault import said_of
+from labhil_ur5.fault import fault_of
 from labhil_ur5.motion import MotionState
 from labhil_ur5.rtde import Packages
 
@@ -223,8 +223,8 @@ def test_packages_are_cut_wherever_the_bytes_are_split() -> None:
 
 
 def test_what_stops_an_arm_is_named() -> None:
-    assert said_of({"safety_mode": 1.0, "robot_mode": 7.0}, commanded=True) == ""
-    assert "protective stop" in said_of({"safety_mode": 3.0, "robot_mode": 7.0}, commanded=True)
-    assert "emergency stop" in said_of({"safety_mode": 7.0, "robot_mode": 3.0}, commanded=False)
-    assert "powered off" in said_of({"safety_mode": 1.0, "robot_mode": 3.0}, commanded=True)
-    assert said_of({"safety_mode": 1.0, "robot_mode": 3.0}, commanded=False) == ""
+    assert fault_of({"safety_mode": 1.0, "robot_mode": 7.0}, commanded=True) == ""
+    assert "protective stop" in fault_of({"safety_mode": 3.0, "robot_mode": 7.0}, commanded=True)
+    assert "emergency stop" in fault_of({"safety_mode": 7.0, "robot_mode": 3.0}, commanded=False)
+    assert "powered off" in fault_of({"safety_mode": 1.0, "robot_mode": 3.0}, commanded=True)
+    assert fault_of({"safety_mode": 1.0, "robot_mode": 3.0}, commanded=False) == ""

@@ -29,7 +29,7 @@ from labhil_benchmarks.bad_files.bombs import (
     parquet_bomb,
     wide_sheet,
 )
-from labhil_benchmarks.bad_files.inside import CHANNEL, chunk, record, renamed
+from labhil_benchmarks.bad_files.inside import CHANNEL, chunk, record, rename_device
 from labhil_benchmarks.bad_files.kinds import IMPORT, RECORDING_COMMANDS, Case
 from labhil_benchmarks.bad_files.spoil import CONTROLS, TEXTS
 
@@ -47,11 +47,11 @@ Files = Mapping[str, bytes]
 def harmful_cases() -> list[Callable[[], Case]]:
     """Return the cases as functions that make them."""
     ways = (_recordings, _tables, _bags, _documents, _simulators, _names)
-    found = [one for way in ways for one in way()]
-    return [partial(_made, number, make) for number, make in enumerate(found)]
+    makers = [maker for way in ways for maker in way()]
+    return [partial(_numbered_case, number, make) for number, make in enumerate(makers)]
 
 
-def _made(number: int, make: Callable[[], Made]) -> Case:
+def _numbered_case(number: int, make: Callable[[], Made]) -> Case:
     return Case("made to harm", number, *make())
 
 
@@ -63,12 +63,16 @@ def _case(files: Mapping[str, Content], command: tuple[str, ...], bad: str) -> C
     """A case whose large files are made when it is its turn."""
 
     def make() -> Made:
-        return {name: one if isinstance(one, bytes) else one() for name, one in files.items()}, command, bad
+        return (
+            {name: content if isinstance(content, bytes) else content() for name, content in files.items()},
+            command,
+            bad,
+        )
 
     return make
 
 
-def _imported(name: str, content: Content, rig: str = samples.PLAIN_RIG) -> Callable[[], Made]:
+def _import_case(name: str, content: Content, rig: str = samples.PLAIN_RIG) -> Callable[[], Made]:
     return _case({name: content, "rig.toml": rig.encode()}, (IMPORT[0], name, *IMPORT[1:]), name)
 
 
@@ -107,20 +111,20 @@ TEXT_TABLES: tuple[Callable[[], bytes], ...] = (
 
 def _tables() -> Iterator[Callable[[], Made]]:
     for text in TEXT_TABLES:
-        yield _imported("a.csv", text)
+        yield _import_case("a.csv", text)
     workbook = samples.tables()["a.xlsx"]
     for name in ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml", "xl/styles.xml", "more.xml"):
-        yield _imported("a.xlsx", partial(packed_into, workbook, {name: ZEROS}))
-        yield _imported("a.xlsx", partial(packed_into, workbook, {name: laughs("sst")}))
-    yield _imported("a.xlsx", wide_sheet)
-    yield _imported("a.xlsx", lambda: lying_zip(workbook))
-    yield _imported("a.mat", lambda: mat(zlib.compress(struct.pack("<II", 14, len(ZEROS)) + ZEROS)))
-    yield _imported("a.mat", lambda: mat(zlib.compress(matrix(2**31 - 1, 2**31 - 1))))
-    yield _imported("a.mat", lambda: mat(zlib.compress(matrix(30_000, 1000) + ZEROS[:240_000_000])))
-    yield _imported("a.mat", lambda: mat(cells(5000)))
-    yield _imported("a.h5", hdf5_bomb)
-    yield _imported("b.h5", hdf5_links)
-    yield _imported("a.parquet", parquet_bomb)
+        yield _import_case("a.xlsx", partial(packed_into, workbook, {name: ZEROS}))
+        yield _import_case("a.xlsx", partial(packed_into, workbook, {name: laughs("sst")}))
+    yield _import_case("a.xlsx", wide_sheet)
+    yield _import_case("a.xlsx", lambda: lying_zip(workbook))
+    yield _import_case("a.mat", lambda: mat(zlib.compress(struct.pack("<II", 14, len(ZEROS)) + ZEROS)))
+    yield _import_case("a.mat", lambda: mat(zlib.compress(matrix(2**31 - 1, 2**31 - 1))))
+    yield _import_case("a.mat", lambda: mat(zlib.compress(matrix(30_000, 1000) + ZEROS[:240_000_000])))
+    yield _import_case("a.mat", lambda: mat(cells(5000)))
+    yield _import_case("a.h5", hdf5_bomb)
+    yield _import_case("b.h5", hdf5_links)
+    yield _import_case("a.parquet", parquet_bomb)
 
 
 def _bags() -> Iterator[Callable[[], Made]]:
@@ -195,13 +199,13 @@ def _documents() -> Iterator[Callable[[], Made]]:
         yield _case({"r.json": tree, "arm.xml": samples.ARM.encode()}, into, "r.json")
     for path in (text for text in TEXTS if text.startswith((".", "/"))):
         named = json.dumps(path)
-        for own in (
+        for rig_text in (
             f'[rig]\nkind = "solenoid"\n[known]\nforce_map = {named}\n',
             f'[rig]\nkind = "ur5"\n[known]\nlinks = {named}\n',
             f"[model]\nmujoco = {named}\n",
             f"[model]\nfmu = {named}\n",
         ):
-            yield _imported("rig.csv", table, own)
+            yield _import_case("rig.csv", table, rig_text)
         for old in ("rig.toml", "input.csv"):
             changed = samples.EXPERIMENT.replace(f'"{old}"', named).encode()
             files = {"e.toml": changed, "rig.toml": rig, "input.csv": b"1,2\n3,4\n"}
@@ -260,11 +264,11 @@ def _simulators() -> Iterator[Callable[[], Made]]:
     command = (IMPORT[0], "a.csv", *IMPORT[1:])
     for content in files:
         yield _case({"a.csv": table, "arm.xml": content, "rig.toml": rig.encode()}, command, "arm.xml")
-    whole = samples.fmu()
-    if whole is None:
+    fmu_file = samples.fmu()
+    if fmu_file is None:
         return
     away = {"../../../../outside": b"x", "resources/../../../x": b"x"}
-    description = zipfile.ZipFile(BytesIO(whole)).read("modelDescription.xml")
+    description = zipfile.ZipFile(BytesIO(fmu_file)).read("modelDescription.xml")
     foreign = b'<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><fmiModelDescription modelName="&b;"/>'
     parts: list[dict[str, bytes]] = [
         {"resources/zeros": ZEROS},
@@ -274,21 +278,21 @@ def _simulators() -> Iterator[Callable[[], Made]]:
         {"modelDescription.xml": description.replace(b"<ScalarVariable", b"<ScalarVariable " * 1, 1) * 2},
         *({name: content} for name, content in away.items()),
     ]
-    own = b'[model]\nfmu = "a.fmu"\n'
+    rig_of_fmu = b'[model]\nfmu = "a.fmu"\n'
     for part in parts:
-        fmu = partial(packed_into, whole, part)
-        yield _case({"a.csv": table, "a.fmu": fmu, "rig.toml": own}, command, "a.fmu")
+        fmu = partial(packed_into, fmu_file, part)
+        yield _case({"a.csv": table, "a.fmu": fmu, "rig.toml": rig_of_fmu}, command, "a.fmu")
 
 
 def _names() -> Iterator[Callable[[], Made]]:
-    whole = samples.recordings()["imported"]
+    imported = samples.recordings()["imported"]
     report = ("report", "r.json", "-o", "out.html")
     for name in NAMES:
         header = f't,servo_angle,ball_position,"{name}"\n'
         rows = "".join(f"{k / 20},{k % 7},0.{k % 3},{name}\n" for k in range(60))
-        yield _imported("a.csv", (header + rows).encode())
+        yield _import_case("a.csv", (header + rows).encode())
         for command in RECORDING_COMMANDS[:11]:
-            yield _case({"a.mcap": renamed(whole, name)}, command, "a.mcap")
+            yield _case({"a.mcap": rename_device(imported, name)}, command, "a.mcap")
         for tree in samples.results().values():
             for place in ("rig", "estimator", "verdict"):
                 yield _case({"r.json": json.dumps({**tree, place: name}).encode()}, report, "r.json")

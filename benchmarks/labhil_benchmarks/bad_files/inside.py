@@ -29,31 +29,35 @@ Records = list[tuple[int, bytes]]
 
 def spoil_mcap(data: bytes, draw: Random) -> bytes:
     """Return an MCAP file with one to three records spoilt inside; chunks get their right checksum."""
-    records = [inner for opcode, body in _records(data[len(MAGIC) :]) for inner in _opened(opcode, body)]
-    kept = [one for one in records if one[0] in (HEADER, SCHEMA, CHANNEL, MESSAGE, ATTACHMENT, METADATA)]
+    records = [inner for opcode, body in _records(data[len(MAGIC) :]) for inner in _unpack(opcode, body)]
+    kept = [
+        entry for entry in records if entry[0] in (HEADER, SCHEMA, CHANNEL, MESSAGE, ATTACHMENT, METADATA)
+    ]
     for _ in range(draw.choice((1, 1, 2, 3))):
         # by kind first: there are many messages and few descriptions
-        opcode = draw.choice(sorted({one[0] for one in kept}))
-        place = draw.choice([k for k, one in enumerate(kept) if one[0] == opcode])
+        opcode = draw.choice(sorted({entry[0] for entry in kept}))
+        place = draw.choice([k for k, entry in enumerate(kept) if entry[0] == opcode])
         what = draw.randrange(12)
         if what == 0:
             kept.insert(draw.randrange(len(kept)), kept[place])
         elif what == 1 and len(kept) > 2:
             kept.insert(draw.randrange(len(kept) - 1), kept.pop(place))
         else:
-            kept[place] = (opcode, _spoilt(opcode, kept[place][1], draw))
-    return closed(kept, draw.choice(("", "lz4", "zstd")), draw.choice((1, 4)))
+            kept[place] = (opcode, _spoil_record(opcode, kept[place][1], draw))
+    return pack_mcap(kept, draw.choice(("", "lz4", "zstd")), draw.choice((1, 4)))
 
 
-def closed(records: Records, packing: str, chunks: int) -> bytes:
-    """Return an MCAP file of these records: what may stand in chunks in as many as asked for."""
-    outside = [one for one in records if one[0] in (HEADER, ATTACHMENT, METADATA)]
-    inside = [one for one in records if one[0] not in (HEADER, ATTACHMENT, METADATA)]
+def pack_mcap(records: Records, packing: str, chunks: int) -> bytes:
+    """Return an MCAP file of these records; those that may stand in chunks are in this many."""
+    outside = [entry for entry in records if entry[0] in (HEADER, ATTACHMENT, METADATA)]
+    inside = [entry for entry in records if entry[0] not in (HEADER, ATTACHMENT, METADATA)]
     size = -(-len(inside) // chunks) or 1
-    body = b"".join(record(*one) for one in outside[:1])
+    body = b"".join(record(*entry) for entry in outside[:1])
     for first in range(0, len(inside), size):
-        body += record(CHUNK, chunk(b"".join(record(*one) for one in inside[first : first + size]), packing))
-    body += b"".join(record(*one) for one in outside[1:])
+        body += record(
+            CHUNK, chunk(b"".join(record(*entry) for entry in inside[first : first + size]), packing)
+        )
+    body += b"".join(record(*entry) for entry in outside[1:])
     return MAGIC + body + record(15, bytes(4)) + record(FOOTER, bytes(20)) + MAGIC
 
 
@@ -82,7 +86,7 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
         yield opcode, data[position - length : position]
 
 
-def _opened(opcode: int, body: bytes) -> Iterator[tuple[int, bytes]]:
+def _unpack(opcode: int, body: bytes) -> Iterator[tuple[int, bytes]]:
     """The records of a chunk; any other record by itself."""
     if opcode != CHUNK:
         yield opcode, body
@@ -93,7 +97,7 @@ def _opened(opcode: int, body: bytes) -> Iterator[tuple[int, bytes]]:
     yield from _records(unpack[name](packed))
 
 
-def _spoilt(opcode: int, body: bytes, draw: Random) -> bytes:
+def _spoil_record(opcode: int, body: bytes, draw: Random) -> bytes:
     if opcode == MESSAGE and draw.randrange(2):
         head = list(_MESSAGE.unpack_from(body))
         place = draw.randrange(4)
@@ -103,26 +107,26 @@ def _spoilt(opcode: int, body: bytes, draw: Random) -> bytes:
     if opcode == MESSAGE and len(body) > _MESSAGE.size:
         return body[: _MESSAGE.size] + spoil_bytes(body[_MESSAGE.size :], draw)
     if opcode == CHANNEL and draw.randrange(3):
-        return _spoilt_channel(body, draw)
+        return _spoil_channel(body, draw)
     if opcode == ATTACHMENT:
-        return _spoilt_attachment(body, draw)
+        return _spoil_attachment(body, draw)
     return spoil_bytes(body, draw)
 
 
 def _texts(data: bytes, position: int, count: int) -> tuple[list[bytes], int]:
-    found = []
+    texts = []
     for _ in range(count):
         (size,) = struct.unpack_from("<I", data, position)
-        found.append(data[position + 4 : position + 4 + size])
+        texts.append(data[position + 4 : position + 4 + size])
         position += 4 + size
-    return found, position
+    return texts, position
 
 
 def _text(content: bytes) -> bytes:
     return struct.pack("<I", len(content)) + content
 
 
-def _spoilt_channel(body: bytes, draw: Random) -> bytes:
+def _spoil_channel(body: bytes, draw: Random) -> bytes:
     """Topic, encoding, or the declaration of the stream in a channel's metadata."""
     names, position = _texts(body, 4, 2)
     pairs, end = [], position + 4
@@ -143,7 +147,7 @@ def _spoilt_channel(body: bytes, draw: Random) -> bytes:
     return body[:4] + b"".join(map(_text, names)) + _text(inside)
 
 
-def _spoilt_attachment(body: bytes, draw: Random) -> bytes:
+def _spoil_attachment(body: bytes, draw: Random) -> bytes:
     """Its name or its content, with its right checksum."""
     names, position = _texts(body, 16, 2)
     content = body[position + 8 : -4]
@@ -214,9 +218,9 @@ def spoil_database(data: bytes, draw: Random) -> bytes:
         return path.read_bytes()
 
 
-def renamed(data: bytes, name: str) -> bytes:
+def rename_device(data: bytes, name: str) -> bytes:
     """Return an MCAP file with a name for its device, for its signals' units, and for its attachments."""
-    records = [inner for opcode, body in _records(data[len(MAGIC) :]) for inner in _opened(opcode, body)]
+    records = [inner for opcode, body in _records(data[len(MAGIC) :]) for inner in _unpack(opcode, body)]
     kept = []
     for opcode, body in records:
         if opcode == CHANNEL:
@@ -225,15 +229,19 @@ def renamed(data: bytes, name: str) -> bytes:
             while end < len(body):
                 pair, end = _texts(body, end, 2)
                 pairs.append(pair)
-            changed = [[key, _renamed_stream(value, name)] for key, value in pairs if key != b"device"]
-            told = b"".join(_text(part) for pair in [*changed, [b"device", name.encode()]] for part in pair)
-            kept.append((opcode, body[:4] + _text(f"/{name}/state".encode()) + _text(names[1]) + _text(told)))
+            changed = [[key, _rename_stream(value, name)] for key, value in pairs if key != b"device"]
+            metadata = b"".join(
+                _text(part) for pair in [*changed, [b"device", name.encode()]] for part in pair
+            )
+            kept.append(
+                (opcode, body[:4] + _text(f"/{name}/state".encode()) + _text(names[1]) + _text(metadata))
+            )
         elif opcode in (HEADER, SCHEMA, MESSAGE, METADATA):
             kept.append((opcode, body))
-    return closed(kept, "lz4", 1)
+    return pack_mcap(kept, "lz4", 1)
 
 
-def _renamed_stream(value: bytes, name: str) -> bytes:
+def _rename_stream(value: bytes, name: str) -> bytes:
     try:
         tree = json.loads(value)
     except ValueError:

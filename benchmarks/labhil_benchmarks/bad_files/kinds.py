@@ -127,7 +127,7 @@ def _without_none(tree: Any) -> Any:
     return [_without_none(one) for one in tree if one is not None] if isinstance(tree, list) else tree
 
 
-def _parsed(text: str) -> Any:
+def _parse(text: str) -> Any:
     import tomllib
 
     return tomllib.loads(text)
@@ -138,7 +138,7 @@ def rig(draw: Random, number: int) -> Case:
     if number % 5 == 4:
         data = random_toml(draw, samples.RIG)
     else:
-        data = _document(samples.RIG, _parsed(samples.RIG), _toml, draw, number)
+        data = _document(samples.RIG, _parse(samples.RIG), _toml, draw, number)
     files = {"a.csv": samples.comma_text().encode(), "rig.toml": data}
     return Case("rig file", number, files, (IMPORT[0], "a.csv", *IMPORT[1:]), "rig.toml")
 
@@ -153,7 +153,7 @@ def experiment(draw: Random, number: int) -> Case:
     elif number % 5 == 4:
         text = random_toml(draw, samples.EXPERIMENT)
     else:
-        text = _document(samples.EXPERIMENT, _parsed(samples.EXPERIMENT), _toml, draw, number)
+        text = _document(samples.EXPERIMENT, _parse(samples.EXPERIMENT), _toml, draw, number)
     files = {"e.toml": text, "rig.toml": samples.RIG.encode(), "input.csv": table}
     return Case("experiment file", number, files, ("run", "e.toml", "--dry-run"), bad)
 
@@ -186,22 +186,22 @@ def model(draw: Random, number: int) -> Case:
     if kind <= 1:
         text = (samples.ARM, samples.URDF)[kind]
         line = '\ninputs = { servo_angle = "ball_position" }' if kind else ""
-        own = f'[model]\nmujoco = "arm.xml"{line}\n'
-        files = {"arm.xml": spoil_encoding(text, draw), "rig.toml": own.encode()}
+        rig_text = f'[model]\nmujoco = "arm.xml"{line}\n'
+        files = {"arm.xml": spoil_encoding(text, draw), "rig.toml": rig_text.encode()}
         return Case("MuJoCo or URDF file", number, {**table, **files}, command, "arm.xml")
     if kind == 2:
-        whole = samples.fmu()
-        own = '[model]\nfmu = "a.fmu"\n'
-        data = b"" if whole is None else (spoil_zip if number % 3 else _spoil_ends)(whole, draw)
-        return Case("FMU", number, {**table, "a.fmu": data, "rig.toml": own.encode()}, command, "a.fmu")
+        fmu_file = samples.fmu()
+        rig_text = '[model]\nfmu = "a.fmu"\n'
+        data = b"" if fmu_file is None else (spoil_zip if number % 3 else _spoil_ends)(fmu_file, draw)
+        return Case("FMU", number, {**table, "a.fmu": data, "rig.toml": rig_text.encode()}, command, "a.fmu")
     if kind == 3:
         files = {"map.csv": spoil_encoding(samples.FORCES, draw)}
-        return _fitted("force map", number, "solenoid", 'force_map = "map.csv"', files)
-    data = _document(samples.LINKS, _parsed(samples.LINKS), _toml, draw, number)
-    return _fitted("links of an arm", number, "ur5", 'links = "links.toml"', {"links.toml": data})
+        return _fit_case("force map", number, "solenoid", 'force_map = "map.csv"', files)
+    data = _document(samples.LINKS, _parse(samples.LINKS), _toml, draw, number)
+    return _fit_case("links of an arm", number, "ur5", 'links = "links.toml"', {"links.toml": data})
 
 
-def _fitted(kind: str, number: int, rig: str, known: str, files: dict[str, bytes]) -> Case:
+def _fit_case(kind: str, number: int, rig: str, known: str, files: dict[str, bytes]) -> Case:
     own = f'[rig]\nkind = "{rig}"\n[known]\n{known}\n'
     command = ("fit", "a.mcap", "--rig", "rig.toml", "--terms", "viscous_friction", "--estimator", "nlse")
     given = {"a.mcap": samples.fittable()[rig], "rig.toml": own.encode()}

@@ -60,19 +60,19 @@ def _run(labhil: Any, request: dict[str, Any]) -> dict[str, Any]:
     seconds = time.monotonic() - begun
     sys.stdout.flush()
     sys.stderr.flush()
-    return {"status": status, "seconds": seconds, "memory": LOADED + _grown(resting), "traceback": trace}
+    return {"status": status, "seconds": seconds, "memory": LOADED + _growth(resting), "traceback": trace}
 
 
 def _family() -> list[int]:
     """This process and those that it has started and that still run."""
-    found = [os.getpid()]
-    for number in found:
+    processes = [os.getpid()]
+    for number in processes:
         try:
             listed = Path(f"/proc/{number}/task/{number}/children").read_text(encoding="ascii")
         except OSError:
             continue
-        found += map(int, listed.split())
-    return found
+        processes += map(int, listed.split())
+    return processes
 
 
 def _forget_peaks() -> dict[int, int]:
@@ -83,7 +83,7 @@ def _forget_peaks() -> dict[int, int]:
     return {number: _bytes(number, "VmHWM") for number in _family()}
 
 
-def _grown(resting: dict[int, int]) -> int:
+def _growth(resting: dict[int, int]) -> int:
     """Bytes of memory at most since then, of all these processes together, beyond what they had then."""
     return sum(_bytes(number, "VmHWM") - resting.get(number, 0) for number in _family())
 

@@ -53,10 +53,10 @@ def _toml_value(draw: Random) -> str:
     return json.dumps(draw.choice(TEXTS)).replace("\\u0000", "\\u0001").replace("\\u007f", "")
 
 
-def random_json(draw: Random, whole: Any) -> bytes:
+def random_json(draw: Random, original: Any) -> bytes:
     """Return the keys of a tree with values at random, or a tree of random values."""
-    if isinstance(whole, dict):
-        tree = {key: value if draw.random() < 0.7 else _value(draw, 3) for key, value in whole.items()}
+    if isinstance(original, dict):
+        tree = {key: value if draw.random() < 0.7 else _value(draw, 3) for key, value in original.items()}
         return json.dumps(tree).encode()
     return json.dumps(_value(draw, 4)).encode()
 

@@ -55,7 +55,7 @@ class Reader:
 
     def run(self, command: tuple[str, ...], folder: Path) -> Outcome:
         """Run a command in a folder."""
-        child = self._started()
+        child = self._start()
         self._left -= 1
         out, err = self._folder / "stdout", self._folder / "stderr"
         request = {"command": command, "folder": str(folder), "stdout": str(out), "stderr": str(err)}
@@ -74,7 +74,7 @@ class Reader:
             answer["status"], answer["seconds"], answer["memory"], texts[0], texts[1], answer["traceback"]
         )
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _start(self) -> subprocess.Popen[bytes]:
         if self._child is not None and self._left <= 0:
             self._stop()
         if self._child is None:
@@ -103,8 +103,8 @@ class Reader:
         if not line:
             child.wait(10)
             return None
-        found: dict[str, Any] = json.loads(line)
-        return found
+        answer: dict[str, Any] = json.loads(line)
+        return answer
 
     def _stop(self) -> None:
         child, self._child = self._child, None

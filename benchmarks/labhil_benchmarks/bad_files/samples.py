@@ -199,7 +199,7 @@ def bags() -> dict[str, dict[str, bytes]]:
         store.types[kind]
         for kind in ("bench_msgs/msg/Bench", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
     )
-    found = {}
+    files = {}
     for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name) / "bag"
@@ -207,11 +207,11 @@ def bags() -> dict[str, dict[str, bytes]]:
                 connection = writer.add_connection("/bench/state", bench.__msgtype__, typestore=store)
                 for t, u, x in ROWS.tolist():
                     stamp = round((1.6e9 + t) * 1e9)
-                    told = header(stamp=time(*divmod(stamp, 10**9)), frame_id="")
-                    message = bench(told, x, np.array([u, 2.0 * u]), "x")
+                    message_header = header(stamp=time(*divmod(stamp, 10**9)), frame_id="")
+                    message = bench(message_header, x, np.array([u, 2.0 * u]), "x")
                     writer.write(connection, stamp, store.serialize_cdr(message, bench.__msgtype__))
-            found[plugin.name.lower()] = {path.name: path.read_bytes() for path in folder.iterdir()}
-    return found
+            files[plugin.name.lower()] = {path.name: path.read_bytes() for path in folder.iterdir()}
+    return files
 
 
 @cache
@@ -224,10 +224,10 @@ def recordings() -> dict[str, bytes]:
             ROWS[:, 0], {"servo_angle": ROWS[:, 1]}, {"ball_position": ROWS[:, 2]}, rig=folder / "rig.toml"
         ).save(folder / "a.mcap")
         imported = Path(path).read_bytes()
-    return {"imported": imported, "run": _shortened(ROOT / "recordings" / "ball_beam_test.mcap")}
+    return {"imported": imported, "run": _shorten(ROOT / "recordings" / "ball_beam_test.mcap")}
 
 
-def _shortened(path: Path) -> bytes:
+def _shorten(path: Path) -> bytes:
     """The descriptions, attachments and first messages of a recording, as mcap's own writer packs them."""
     from mcap.reader import make_reader
     from mcap.writer import Writer
@@ -295,8 +295,8 @@ def fittable() -> dict[str, bytes]:
     arm = lh.recording(t, {"actual_q": q, "actual_qd": qd}, {"actual_current": q + qd}, rig="ur5")
     with tempfile.TemporaryDirectory() as name:
         saved = {
-            kind: found.save(Path(name) / f"{kind}.mcap")
-            for kind, found in (("solenoid", plunger), ("ur5", arm))
+            kind: recording.save(Path(name) / f"{kind}.mcap")
+            for kind, recording in (("solenoid", plunger), ("ur5", arm))
         }
         return {kind: Path(path).read_bytes() for kind, path in saved.items()}
 
@@ -322,5 +322,5 @@ def _builder() -> Callable[..., Path]:
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    found: Callable[..., Path] = module.built
-    return found
+    builder: Callable[..., Path] = module.built
+    return builder

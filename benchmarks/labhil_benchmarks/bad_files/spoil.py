@@ -119,11 +119,11 @@ def spoil_text(text: str, draw: Random) -> str:
 
 
 def _number(text: str, draw: Random) -> str:
-    found = list(_NUMBER.finditer(text))
-    if not found:
+    matches = list(_NUMBER.finditer(text))
+    if not matches:
         return text
-    one = draw.choice(found)
-    return text[: one.start()] + draw.choice(NUMBERS) + text[one.end() :]
+    chosen = draw.choice(matches)
+    return text[: chosen.start()] + draw.choice(NUMBERS) + text[chosen.end() :]
 
 
 def _insert(text: str, draw: Random) -> str:
@@ -177,7 +177,7 @@ def spoil_encoding(text: str, draw: Random) -> bytes:
 
 def spoil_tree(tree: Any, draw: Random, values: tuple[Any, ...] = VALUES) -> Any:
     """Return a tree of dicts and lists with one to three places changed: a value, a key, one more or less."""
-    tree = _copied(tree)
+    tree = _copy(tree)
     for _ in range(draw.choice((1, 1, 2, 3))):
         places = list(_places(tree))
         if not places:
@@ -191,14 +191,14 @@ def spoil_tree(tree: Any, draw: Random, values: tuple[Any, ...] = VALUES) -> Any
         elif isinstance(holder, dict):
             holder[draw.choice(TEXTS)] = holder.pop(key)
         else:
-            holder.extend(_copied(holder[key]) for _ in range(draw.choice((1, 200))))
+            holder.extend(_copy(holder[key]) for _ in range(draw.choice((1, 200))))
     return tree
 
 
-def _copied(tree: Any) -> Any:
+def _copy(tree: Any) -> Any:
     if isinstance(tree, dict):
-        return {key: _copied(value) for key, value in tree.items()}
-    return [_copied(value) for value in tree] if isinstance(tree, list) else tree
+        return {key: _copy(value) for key, value in tree.items()}
+    return [_copy(value) for value in tree] if isinstance(tree, list) else tree
 
 
 def _places(tree: Any) -> Iterator[tuple[Any, Any]]:

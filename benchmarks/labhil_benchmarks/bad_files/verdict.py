@@ -30,7 +30,7 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
     def add(self, case: Case, outcome: Outcome, faults: list[str]) -> None:
-        """Count a case; ``faults`` says what was wrong with what came of it."""
+        """Count a case with the ``faults`` of its outcome."""
         self.cases += 1
         self.read += outcome.status in (0, 1)
         self.refused += outcome.status == 2
@@ -39,8 +39,8 @@ class Tally:
         self.faults += [f"{case.number}: labhil {' '.join(case.command)}: {fault}" for fault in faults]
 
 
-def tried(case: Case, reader: Reader, place: Path) -> tuple[Outcome, list[str]]:
-    """Run a case in a folder made anew, and say what is a fault in what came of it."""
+def try_case(case: Case, reader: Reader, place: Path) -> tuple[Outcome, list[str]]:
+    """Run a case in a new folder; return its outcome and the faults in it."""
     shutil.rmtree(place, ignore_errors=True)
     work = place / "work"
     work.mkdir(parents=True)
@@ -54,7 +54,10 @@ def tried(case: Case, reader: Reader, place: Path) -> tuple[Outcome, list[str]]:
         (work / out).write_bytes(MINE)
     before = _contents(place)
     outcome = reader.run(case.command, work)
-    return outcome, [*_said(case, outcome), *_left(before, _contents(place), outcome, case)]
+    return outcome, [
+        *_faults_of_outcome(case, outcome),
+        *_faults_of_files(before, _contents(place), outcome, case),
+    ]
 
 
 def _output(case: Case) -> str | None:
@@ -63,51 +66,57 @@ def _output(case: Case) -> str | None:
     return case.command[flags[0] + 1] if flags else None
 
 
-def _said(case: Case, outcome: Outcome) -> list[str]:
-    found = []
+def _faults_of_outcome(case: Case, outcome: Outcome) -> list[str]:
+    faults = []
     if outcome.traceback or "Traceback (most recent" in outcome.err:
         lines = (outcome.traceback or outcome.err).strip().splitlines()
         where = [line.strip() for line in lines if line.lstrip().startswith("File ")][-1:]
-        found.append(f"traceback: {lines[-1][:200]} {''.join(where)}")
+        faults.append(f"traceback: {lines[-1][:200]} {''.join(where)}")
     elif outcome.status < 0:
-        found.append(f"ended by signal {-outcome.status}")
+        faults.append(f"ended by signal {-outcome.status}")
     elif outcome.status not in ((0, 1, 2) if case.gate else (0, 2)):
-        found.append(f"exit status {outcome.status}: {outcome.err[-200:]}")
+        faults.append(f"exit status {outcome.status}: {outcome.err[-200:]}")
     elif outcome.status == 2 and not any(name in outcome.err for name in (*case.files, case.bad, "out.")):
-        found.append(f"the message does not name a file: {outcome.err[-200:]!r}")
+        faults.append(f"the message does not name a file: {outcome.err[-200:]!r}")
     if outcome.seconds > SECONDS:
-        found.append(f"took {outcome.seconds:.1f} s")
+        faults.append(f"took {outcome.seconds:.1f} s")
     if outcome.memory > BYTES:
-        found.append(f"took {outcome.memory / 1e6:.0f} MB")
+        faults.append(f"took {outcome.memory / 1e6:.0f} MB")
     if any(printable(text) != text for text in (outcome.out, outcome.err)):
-        found.append("printed characters that steer a terminal")
-    return found
+        faults.append("printed characters that steer a terminal")
+    return faults
 
 
 def _contents(place: Path) -> Mapping[str, bytes]:
-    found = {}
+    contents = {}
     for folder, _, names in os.walk(place):
         for name in names:
             path = Path(folder) / name
-            found[str(path.relative_to(place))] = path.read_bytes()
-    return found
+            contents[str(path.relative_to(place))] = path.read_bytes()
+    return contents
 
 
-def _left(before: Mapping[str, bytes], after: Mapping[str, bytes], outcome: Outcome, case: Case) -> list[str]:
-    """What was overwritten, taken away, or left where nothing was asked for."""
+def _faults_of_files(
+    before: Mapping[str, bytes], after: Mapping[str, bytes], outcome: Outcome, case: Case
+) -> list[str]:
+    """Files that were overwritten, deleted, or left beside the requested output."""
     out = _output(case)
-    asked = "" if out is None else f"work/{out}"
+    target = "" if out is None else f"work/{out}"
     may_write = outcome.status in (0, 1)
-    found = []
+    faults = []
     for name, content in before.items():
-        if after.get(name) != content and not (name == asked and may_write):
-            found.append(f"changed {name}")
+        if after.get(name) != content and not (name == target and may_write):
+            faults.append(f"changed {name}")
     for name in after:
-        wanted = may_write and bool(asked) and (name == asked or name.startswith(f"{asked}/"))
+        wanted = may_write and bool(target) and (name == target or name.startswith(f"{target}/"))
         if name not in before and not wanted:
-            found.append(f"left {name!r}")
+            faults.append(f"left {name!r}")
     if b"<script>alert" in after.get("work/out.html", b""):
-        found.append("a page with a script of others")
-    if asked in after and case.command[0] == "recover" and before.get(asked, after[asked]) != after[asked]:
-        found.append("recover has overwritten a file")
-    return found
+        faults.append("a page with a script of others")
+    if (
+        target in after
+        and case.command[0] == "recover"
+        and before.get(target, after[target]) != after[target]
+    ):
+        faults.append("recover has overwritten a file")
+    return faults

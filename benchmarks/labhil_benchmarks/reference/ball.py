@@ -86,8 +86,8 @@ def _run(
     y[0] = plant.sensor.position(np.array([plant.count()]))[0]
     kept, reach = np.exp(-plant.period / mechanism.filter_time), FASTEST * plant.period
     for i in range(1, n):
-        asked = wanted[i - 1] - mechanism.kp * y[i - 1] - mechanism.kd * slope
-        u[i] = np.clip(asked, max(u[i - 1] - reach, -LARGEST), min(u[i - 1] + reach, LARGEST))
+        command = wanted[i - 1] - mechanism.kp * y[i - 1] - mechanism.kd * slope
+        u[i] = np.clip(command, max(u[i - 1] - reach, -LARGEST), min(u[i - 1] + reach, LARGEST))
         y[i] = plant.sensor.position(np.array([plant.step(u[i])]))[0]
         slope = kept * slope + (1.0 - kept) * (y[i] - y[i - 1]) / plant.period
     return Record(t, u[:, None], y[:, None], ("servo_angle",), ("ball_position",), ("m",))

@@ -33,13 +33,13 @@ ROUNDING = 0.6
 
 def findings(all_computed: Sequence[Computed]) -> tuple[str, ...]:
     """Every finding that these studies support, the text's own arithmetic last."""
-    found = [text for computed in all_computed if (text := below_the_bound(computed))]
+    texts = [text for computed in all_computed if (text := below_the_bound(computed))]
     over_all = (swarm_against_least_squares, default_against_bounds, intervals)
-    found += [text for finding in over_all if (text := finding(all_computed))]
-    found += [text for computed in all_computed if (text := at_the_edge(computed))]
-    found += [text for computed in all_computed if (text := ceiling(computed))]
-    found += [text for computed in all_computed if (text := noise_of_the_arm(computed))]
-    return (*found, *own_arithmetic())
+    texts += [text for finding in over_all if (text := finding(all_computed))]
+    texts += [text for computed in all_computed if (text := at_the_edge(computed))]
+    texts += [text for computed in all_computed if (text := ceiling(computed))]
+    texts += [text for computed in all_computed if (text := noise_of_the_arm(computed))]
+    return (*texts, *own_arithmetic())
 
 
 def below_the_bound(computed: Computed) -> str:
@@ -147,9 +147,11 @@ def ceiling(computed: Computed) -> str:
     if len(printed) != len(limits.scores):
         return ""
     parts = []
-    for row, truth, own in zip(printed, limits.scores, limits.text_pso, strict=True):
-        told = f"joint {row.joint}: " if row.joint is not None else ""
-        parts.append(f"{told}printed {row.r2:g}, its values {100 * own.r2:.4g}, ceiling {100 * truth.r2:.4g}")
+    for row, truth, of_text in zip(printed, limits.scores, limits.text_pso, strict=True):
+        prefix = f"joint {row.joint}: " if row.joint is not None else ""
+        parts.append(
+            f"{prefix}printed {row.r2:g}, its values {100 * of_text.r2:.4g}, ceiling {100 * truth.r2:.4g}"
+        )
     return (
         f"Table {study.quality.number}: R² (%) of the PSO column on our test run: {'; '.join(parts)}. A "
         "printed R² below that of the printed values means more noise, or other data, than the text states."
@@ -208,7 +210,7 @@ def own_arithmetic() -> tuple[str, ...]:
 
 def wrong_errors() -> list[str]:
     """Rows whose printed error is not that of the printed value."""
-    found = []
+    rows = []
     for table in PARAMETER_TABLES:
         for row in table.rows:
             if not row.errors or not row.real:
@@ -218,8 +220,8 @@ def wrong_errors() -> list[str]:
                 if text[0] in "<≈":
                     continue
                 if abs(error - float(text)) > ROUNDING:
-                    found.append(f"{table.number} {row.symbol} {name} {text}, its value {error:.3g}")
-    return found
+                    rows.append(f"{table.number} {row.symbol} {name} {text}, its value {error:.3g}")
+    return rows
 
 
 def outside_of_interval() -> list[str]:
@@ -235,25 +237,25 @@ def outside_of_interval() -> list[str]:
 
 def upside_down() -> list[str]:
     """Tables, or their joints, whose static level is below the Coulomb level."""
-    found = []
+    tables = []
     for table in PARAMETER_TABLES:
         levels = [row for row in table.rows if row.symbol in ("T_s", "F_s", "τ_s")]
         for row in levels:
             coulomb = next(r for r in table.rows if r.symbol == f"{row.symbol[0]}_c" and r.joint == row.joint)
             if row.pso < coulomb.pso:
                 where = "" if row.joint is None else f" joint {row.joint}"
-                found.append(f"{table.number}{where} {row.pso:g} < {coulomb.pso:g}")
-    return found
+                tables.append(f"{table.number}{where} {row.pso:g} < {coulomb.pso:g}")
+    return tables
 
 
 def implied_variances() -> list[str]:
     """Smallest and largest variance of the output that each table's rows imply."""
-    found = []
+    ranges = []
     for table in QUALITY_TABLES:
         joints = dict.fromkeys(row.joint for row in table.rows)
         for joint in joints:
             implied = [row.mse / (1.0 - row.r2 / 100.0) for row in table.rows if row.joint == joint]
             where = "" if joint is None else f" joint {joint}"
             if max(implied) > 1.2 * min(implied):
-                found.append(f"{table.number}{where} {min(implied):.2g} to {max(implied):.2g}")
-    return found
+                ranges.append(f"{table.number}{where} {min(implied):.2g} to {max(implied):.2g}")
+    return ranges

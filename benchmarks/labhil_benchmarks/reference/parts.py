@@ -83,15 +83,15 @@ def swarm(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Estima
         problem = bench.whole_run(bench.record, boxed=True, joint=joint)
         rows = slice(None) if joint is None else slice(joint, None, len(bench.sigma))
         box = Box(problem.lower, problem.upper)
-        ledger = Ledger(_mean_square(problem, rows), box, Budget(10**9), _telling(progress, joint))
-        found = text_swarm(ledger, seed, None, effort.iterations(study))
+        ledger = Ledger(_mean_square(problem, rows), box, Budget(10**9), _reporter(progress, joint))
+        best = text_swarm(ledger, seed, None, effort.iterations(study))
         keys = [problem.model.parameters[i].key for i in problem.free]
-        ours |= dict(zip(keys, (found.z * problem.scale).tolist(), strict=True))
-        evaluations += found.evaluations
-    return _estimated(bench, ours, evaluations, began)
+        ours |= dict(zip(keys, (best.z * problem.scale).tolist(), strict=True))
+        evaluations += best.evaluations
+    return _estimate(bench, ours, evaluations, began)
 
 
-def _telling(progress: Progress, joint: int | None) -> Progress:
+def _reporter(progress: Progress, joint: int | None) -> Progress:
     if joint is None:
         return progress
     return lambda text: progress(f"joint {joint}: {text}")
@@ -110,33 +110,33 @@ def rough(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Estima
     """One Levenberg-Marquardt of a whole run from a rough start, and how many other such starts come home."""
     began, random = time.perf_counter(), np.random.default_rng([seed, 1])
     first: Estimated | None = None
-    best = _descended(bench, bench.study.levels.to_ours(bench.study.truth))[1]
+    best = _descend(bench, bench.study.levels.to_ours(bench.study.truth))[1]
     costs = []
     for k in range(effort.starts):
         progress(f"rough start {k + 1} of {effort.starts}")
-        ours, cost, evaluations = _descended(bench, bench.study.rough(random))
+        ours, cost, evaluations = _descend(bench, bench.study.rough(random))
         costs.append(cost)
         if first is None:
-            first = _estimated(bench, ours, evaluations, began)
+            first = _estimate(bench, ours, evaluations, began)
     assert first is not None
     lowest = min(best, *costs)
     reached = sum(cost < lowest + REACHED for cost in costs)
     return replace(first, starts=effort.starts, reached=reached)
 
 
-def _descended(bench: Bench, begin: Mapping[str, float]) -> tuple[dict[str, float], float, int]:
+def _descend(bench: Bench, begin: Mapping[str, float]) -> tuple[dict[str, float], float, int]:
     """Where least squares end that begin at these values by key, at what cost, after how many evaluations."""
     problem = bench.whole_run(bench.record)
     z = bench.theta(begin)[problem.free] / problem.scale
     start = Point(z, problem.start().states)
-    found = least_squares(problem, start, iterations=MOST_STEPS, settled=True, thorough=False)
+    solution = least_squares(problem, start, iterations=MOST_STEPS, settled=True, thorough=False)
     keys = [problem.model.parameters[i].key for i in problem.free]
-    ours = dict(zip(keys, (found.point.z * problem.scale).tolist(), strict=True))
-    return ours, found.cost, problem.evaluations
+    ours = dict(zip(keys, (solution.point.z * problem.scale).tolist(), strict=True))
+    return ours, solution.cost, problem.evaluations
 
 
 def default(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Estimated:
-    """The project's own fit, told nothing of truth, box or state, with what it says of its errors."""
+    """The project's own fit without truth, box or initial state, with the errors that it states."""
     began = time.perf_counter()
     # profiles along what the data do not know are long, and their ends would not be shown
     method = Intervals.WALD if bench.study.held else Intervals.AUTO
@@ -145,8 +145,8 @@ def default(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Esti
     keys = bench.study.levels.keys
     places = index_of(bench.model.parameters)
     ours = {key: float(result.theta[places[key]]) for key in keys}
-    found = _estimated(bench, ours, result.evaluations, began)
-    return replace(found, belief=_belief(bench, result, np.array(found.values)))
+    estimated = _estimate(bench, ours, result.evaluations, began)
+    return replace(estimated, belief=_belief(bench, result, np.array(estimated.values)))
 
 
 def _belief(bench: Bench, result: Fit, values: FloatArray) -> Belief:
@@ -161,9 +161,9 @@ def _belief(bench: Bench, result: Fit, values: FloatArray) -> Belief:
     at_truth = Problem(bench.model, bench.record, problem.windows, problem.free, truth, bench.sigma)
     z = truth[problem.free] / problem.scale
     states = fit_states(at_truth, z, at_truth.guess) if at_truth.guess.shape[1] else at_truth.guess
-    told = {keyed(row.name, row.joint): row.ci99 for row in result.estimates}
+    stated = {keyed(row.name, row.joint): row.ci99 for row in result.estimates}
     ends = [
-        told[row.keys[0]] if len(row.keys) == 1 else (v - QUANTILE * e, v + QUANTILE * e)
+        stated[row.keys[0]] if len(row.keys) == 1 else (v - QUANTILE * e, v + QUANTILE * e)
         for row, v, e in zip(bench.study.parameters.rows, values.tolist(), errors.tolist(), strict=True)
     ]
     return Belief(
@@ -228,7 +228,7 @@ def _covariance(jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse_information(jacobian / unit) / np.outer(unit, unit))
 
 
-def _estimated(bench: Bench, ours: Mapping[str, float], evaluations: int, began: float) -> Estimated:
+def _estimate(bench: Bench, ours: Mapping[str, float], evaluations: int, began: float) -> Estimated:
     """Values, residual of the training run and errors of the test run of these values by key."""
     theta = bench.theta(ours)
     problem = bench.whole_run(bench.record)

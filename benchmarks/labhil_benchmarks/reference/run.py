@@ -41,8 +41,8 @@ WORKERS = 2
 PATIENCE = 2.0
 """Seconds between two lines of progress of one worker."""
 
-_told: Any = None
-"""The queue on which a worker process tells how far it is."""
+_messages: Any = None
+"""The queue on which a worker process reports its progress."""
 
 _parent = 0
 """The process that a worker works for."""
@@ -60,9 +60,9 @@ def run_reference(
 ) -> Reference:
     """Fill these tables of the text's chapter 5; everything follows from ``seed``.
 
-    ``quick`` spends a twentieth of the swarm's iterations and few rough starts (``effort`` says exactly how
-    much). Parts that are found in the folder ``cache`` are not computed again, and what is finished
-    stays there when the run is interrupted. With one worker nothing runs in another process.
+    ``quick`` spends a twentieth of the swarm's iterations and few rough starts (``effort`` sets the numbers).
+    Parts in the folder ``cache`` are not computed again, and finished parts stay there when the run is
+    interrupted. With one worker nothing runs in another process.
     Raises UnknownNameError for a table that does not exist, UsageError for a negative seed.
     """
     if seed < 0:
@@ -81,11 +81,11 @@ def run_reference(
         for job in missing:
             progress(f"{job[0]}: {job[1]}")
             kept.write(job, compute(job, seed, spent, progress))
-    computed = [_collected(study, kept) for study in studies]
+    computed = [_collect(study, kept) for study in studies]
     filled = [table for study in computed for table in tables_of(study) if table.number in tables]
     filled.sort(key=lambda table: NUMBERS.index(table.number))
-    told = budget_text(spent)
-    return Reference(tuple(filled), findings(computed), quick, seed, told, time.perf_counter() - began)
+    budget = budget_text(spent)
+    return Reference(tuple(filled), findings(computed), quick, seed, budget, time.perf_counter() - began)
 
 
 def budget_text(effort: Effort) -> str:
@@ -140,7 +140,7 @@ def _part_from(name: str, data: Mapping[str, Any]) -> Part:
     return linear_from(data) if name == "linear" else estimated_from(data)
 
 
-def _collected(study: Study, kept: Kept) -> Computed:
+def _collect(study: Study, kept: Kept) -> Computed:
     parts = {name: kept.read((study.name, name)) for name in parts_of(study)}
     limits, linear = parts["limits"], parts.get("linear")
     assert isinstance(limits, Limits)
@@ -151,19 +151,21 @@ def _collected(study: Study, kept: Kept) -> Computed:
 def _in_processes(
     missing: Sequence[Job], seed: int, effort: Effort, kept: Kept, progress: Progress, workers: int
 ) -> None:
-    """Compute parts in worker processes, keep each as it comes, tell how far they are."""
+    """Compute parts in worker processes, keep each as it comes, report progress."""
     context = multiprocessing.get_context("spawn")
-    told = context.Queue()
+    messages = context.Queue()
     before = set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(workers, context, _begin, (told,))
-    futures: dict[Future[Part], Job] = {executor.submit(_one, job, seed, effort): job for job in missing}
+    executor = ProcessPoolExecutor(workers, context, _begin, (messages,))
+    futures: dict[Future[Part], Job] = {
+        executor.submit(_compute_in_worker, job, seed, effort): job for job in missing
+    }
     try:
-        for count, (job, part) in enumerate(_as_they_come(futures, told, progress), 1):
+        for count, (job, part) in enumerate(_as_they_come(futures, messages, progress), 1):
             kept.write(job, part)
             progress(f"{count} of {len(missing)} parts done: {job[0]}, {job[1]}")
         executor.shutdown()
     except BaseException:
-        # what a worker is at is lost, what is finished is kept; it may be minutes from its end
+        # the part in work is lost, finished ones are kept; it may be minutes from its end
         executor.shutdown(wait=False, cancel_futures=True)
         for child in set(multiprocessing.active_children()) - before:
             child.terminate()
@@ -171,34 +173,34 @@ def _in_processes(
 
 
 def _as_they_come(
-    futures: Mapping[Future[Part], Job], told: Any, progress: Progress
+    futures: Mapping[Future[Part], Job], messages: Any, progress: Progress
 ) -> Iterator[tuple[Job, Part]]:
     waiting = set(futures)
     while waiting:
         done, waiting = wait(waiting, timeout=0.5, return_when=FIRST_COMPLETED)
-        with _nothing_left():
+        with _until_empty():
             while True:
-                progress(told.get_nowait())
+                progress(messages.get_nowait())
         for future in done:
             yield futures[future], future.result()
 
 
 @contextmanager
-def _nothing_left() -> Iterator[None]:
+def _until_empty() -> Iterator[None]:
     try:
         yield
     except queue.Empty:
         return
 
 
-def _begin(told: Any) -> None:
+def _begin(messages: Any) -> None:
     """Set a worker process up: Ctrl+C is the parent's to handle."""
-    global _told, _parent
+    global _messages, _parent
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _told, _parent = told, os.getppid()
+    _messages, _parent = messages, os.getppid()
 
 
-def _one(job: Job, seed: int, effort: Effort) -> Part:
+def _compute_in_worker(job: Job, seed: int, effort: Effort) -> Part:
     last = [0.0]
 
     def wanted() -> None:
@@ -211,7 +213,7 @@ def _one(job: Job, seed: int, effort: Effort) -> Part:
         wanted()
         if now - last[0] >= PATIENCE:
             last[0] = now
-            _told.put(text)
+            _messages.put(text)
 
     wanted()
     return compute(job, seed, effort, tell)

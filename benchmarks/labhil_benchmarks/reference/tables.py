@@ -39,7 +39,7 @@ class Computed:
         """Values of the rows by way, the text's included."""
         rows = self.study.parameters.rows
         text = {Way.TEXT_PSO: [row.pso for row in rows], Way.TEXT_NLSE: [row.nlse for row in rows]}
-        return {**text, **{way: found.values for way, found in self.ways.items()}}
+        return {**text, **{way: estimated.values for way, estimated in self.ways.items()}}
 
 
 def tables_of(computed: Computed) -> tuple[Table, ...]:
@@ -60,9 +60,9 @@ def parameter_table(computed: Computed) -> Table:
         bound = limits.bounds[i]
         belief = computed.ways[Way.DEFAULT].belief
         assert belief is not None
-        own = belief.bounds[i]
+        window_bound = belief.bounds[i]
         figures = {
-            str(way): Figure.of(values[i], truth, own if way is Way.DEFAULT else bound)
+            str(way): Figure.of(values[i], truth, window_bound if way is Way.DEFAULT else bound)
             for way, values in computed.values.items()
         }
         value, reach = computed.values[Way.DEFAULT][i], belief.text_reach[i]
@@ -75,7 +75,7 @@ def parameter_table(computed: Computed) -> Table:
                 truth=truth,
                 bound=bound,
                 figures=figures,
-                default_bound=own,
+                default_bound=window_bound,
                 std_error=belief.std_errors[i] if known else None,
                 interval=(belief.low[i], belief.high[i]) if known else None,
                 text_formula=(value - reach, value + reach) if known else None,
@@ -170,7 +170,7 @@ def _score_rows(
     rows = []
     for j, (score, (channel, unit)) in enumerate(zip(scores, channels_of(study, len(scores)), strict=True)):
         joint = j if study.torque_constant else None
-        there = [row for row in printed if row.model == key and row.joint == joint]
+        matching = [row for row in printed if row.model == key and row.joint == joint]
         rows.append(
             ScoreRow(
                 model=name,
@@ -181,8 +181,8 @@ def _score_rows(
                 rmse=score.rmse,
                 r2=100.0 * score.r2,
                 max_abs_error=score.max_abs_error,
-                printed_mse=there[0].mse if there else None,
-                printed_r2=there[0].r2 if there else None,
+                printed_mse=matching[0].mse if matching else None,
+                printed_r2=matching[0].r2 if matching else None,
             )
         )
     return rows
@@ -200,10 +200,12 @@ def channels_of(study: Study, count: int) -> list[tuple[str, str]]:
 def effort_notes(computed: Computed) -> tuple[str, ...]:
     """How well each way fits the training run, and how many rough starts come home."""
     rough, default = computed.ways[Way.ROUGH], computed.ways[Way.DEFAULT]
-    left = ", ".join(f"{NAMES[way].removeprefix('ours: ')} {computed.ways[way].residual:.4g}" for way in OURS)
+    residuals = ", ".join(
+        f"{NAMES[way].removeprefix('ours: ')} {computed.ways[way].residual:.4g}" for way in OURS
+    )
     window = default.belief.window if default.belief is not None else 0.0
     return (
-        f"Residual of one run over the training recording in units of the noise (1 is perfect): {left}.",
+        f"Residual of one run over the training recording in units of the noise (1 is perfect): {residuals}.",
         f"Of {rough.starts} rough starts, every value off by a factor between 1/3 and 3, least squares led "
         f"{rough.reached} to the lowest minimum; the column shows the first.",
         f"The default fits windows of {window:.3g} s with initial states of their own; its errors are in "

@@ -1,4 +1,4 @@
-"""The benchmark's arm: a UR5 with known links and torque constants, its friction to be found."""
+"""The benchmark's arm: a UR5 with known links and torque constants, its friction to be estimated."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def each_once(
 ) -> list[Result]:
     """What ``work`` makes of every job, in their order; results (data classes) are lines of ``path``.
 
-    Those that stand there already are read by ``parse`` and not made again; ``job_of`` tells which they
+    Those that stand there already are read by ``parse`` and not made again; ``job_of`` gives which they
     are. ``work`` must be a function that another process can import.
     """
     lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []

@@ -29,7 +29,7 @@ def run_benchmark(
     for case in cases:
         seeds = range(first_seed, first_seed + recordings)
         wanted = [(case.name, seed, coloured) for seed in seeds for coloured in (False, True)]
-        done = each_once(wanted, _one, out / f"{case.name}.jsonl", _trial, _job_of, progress)
+        done = each_once(wanted, _run_one, out / f"{case.name}.jsonl", _trial, _job_of, progress)
         kinds = ([trial for trial in done if trial.coloured is coloured] for coloured in (False, True))
         summaries.extend(summarise(case, trials) for trials in kinds)
     _write([s.to_json() for s in summaries], out / "summary.json")
@@ -38,15 +38,15 @@ def run_benchmark(
 
 def run_starts(names: Sequence[str], starts: int, out: Path, progress: Progress) -> list[Arrivals]:
     """Fit one recording of each case from so many random starts within the bounds, kept likewise."""
-    found = []
+    arrivals = []
     for case in _cases(names, "--starts", starts, out):
         # number 0 begins at the truth: where it ends is the optimum, unless a start ends lower
         wanted = [(case.name, number) for number in range(starts + 1)]
         path = out / f"{case.name}.starts.jsonl"
         done = each_once(wanted, _from_start, path, lambda d: Arrival(**numbers(d)), _start_of, progress)
-        found.append(Arrivals(case.name, tuple(done)))
-    _write([each.to_json() for each in found], out / "starts.json")
-    return found
+        arrivals.append(Arrivals(case.name, tuple(done)))
+    _write([arrived.to_json() for arrived in arrivals], out / "starts.json")
+    return arrivals
 
 
 def _cases(names: Sequence[str], option: str, count: int, out: Path) -> list[Case]:
@@ -65,7 +65,7 @@ def _write(data: list[dict[str, Any]], path: Path) -> None:
         draft.write_text(text + "\n", encoding="utf-8")
 
 
-def _one(name: str, seed: int, coloured: bool) -> Trial:
+def _run_one(name: str, seed: int, coloured: bool) -> Trial:
     return run_trial(CASES[name], seed, coloured)
 
 

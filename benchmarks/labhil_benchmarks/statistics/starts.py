@@ -78,7 +78,7 @@ def arrive(case: Case, number: int) -> Arrival:
         model, record, fit_windows(record, model.horizon), free_of(model, case.terms),
         start_theta(model), simulated.noise,
     )  # fmt: skip
-    begin = _drawn(problem, number) if number else truth_of(model, case)
+    begin = _draw(problem, number) if number else truth_of(model, case)
     began = time.perf_counter()
     result = fit(model, record, case.terms, start=_by_key(model, begin), options=Options(seed=number))
     seconds = time.perf_counter() - began
@@ -86,7 +86,7 @@ def arrive(case: Case, number: int) -> Arrival:
     return Arrival(case.name, number, costs[0], costs[1], seconds)
 
 
-def _drawn(problem: Problem, number: int) -> FloatArray:
+def _draw(problem: Problem, number: int) -> FloatArray:
     """A vector drawn uniformly from the bounds, sizes that cannot be zero by their logarithm.
 
     Where a bound is infinite, or so far away that it says nothing, the box of a global search ends the range.
@@ -110,14 +110,16 @@ def _cost(problem: Problem, record: Record, theta: FloatArray) -> float:
 
 def show(arrivals: Arrivals) -> RenderableType:
     """A few lines."""
-    random = [each for each in arrivals.arrivals if each.number]
-    begun = np.array([each.begun for each in random])
+    random = [arrival for arrival in arrivals.arrivals if arrival.number]
+    begun = np.array([arrival.begun for arrival in random])
     lines = [
         f"{arrivals.case}: at the lowest known cost ({arrivals.lowest:.1f}) from {arrivals.reached}",
         f"  random starts cost {begun.min():.3g} to {begun.max():.3g} (median {np.median(begun):.3g})",
-        f"  a fit takes {np.median([each.seconds for each in random]):.1f} s (median)",
+        f"  a fit takes {np.median([arrival.seconds for arrival in random]):.1f} s (median)",
     ]
-    worse = sorted(each.cost - arrivals.lowest for each in random if each.cost > arrivals.lowest + SAME)
+    worse = sorted(
+        arrival.cost - arrivals.lowest for arrival in random if arrival.cost > arrivals.lowest + SAME
+    )
     if worse:
         lines.append("  the others end above it by " + ", ".join(f"{cost:.3g}" for cost in worse))
     return Group(*(Text(line) for line in lines), Text(""))

@@ -63,7 +63,7 @@ def summarise(case: Case, trials: Sequence[Trial]) -> Summary:
         for row in trial.rows:
             if row.key in rows:
                 rows[row.key].append(row)
-    summaries = tuple(_parameter(key, found) for key, found in rows.items() if found)
+    summaries = tuple(_parameter(key, entries) for key, entries in rows.items() if entries)
     unknown = [row for trial in trials for row in trial.rows if row.key in case.unknown]
     return Summary(
         case=case.name,
@@ -74,7 +74,7 @@ def summarise(case: Case, trials: Sequence[Trial]) -> Summary:
         absent_kept=_absent_kept(trials),
         present_kept=_present_kept(trials, case),
         declared=Share(sum(not row.identifiable for row in unknown), len(unknown)),
-        never_narrow=Share(sum(not row.identifiable or _covered(row) for row in unknown), len(unknown)),
+        never_narrow=Share(sum(not row.identifiable or _covers(row) for row in unknown), len(unknown)),
         r2_gap=float(np.median([trial.r2_truth - trial.r2 for trial in trials])),
         seconds=float(np.median([trial.seconds for trial in trials])),
     )
@@ -88,11 +88,11 @@ def _parameter(key: str, rows: Sequence[Row]) -> ParameterSummary:
         ratio=float(np.median(np.abs(errors)) / NORMAL_MEDIAN),
         bias=float(errors.mean()),
         bias_error=float(errors.std() / np.sqrt(len(errors))),
-        coverage=Share(sum(_covered(row) for row in rows), len(rows)),
+        coverage=Share(sum(_covers(row) for row in rows), len(rows)),
     )
 
 
-def _covered(row: Row) -> bool:
+def _covers(row: Row) -> bool:
     return row.low <= row.truth <= row.high
 
 

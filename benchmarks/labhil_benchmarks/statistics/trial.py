@@ -1,4 +1,4 @@
-"""One simulated recording of a case, fitted as a user would, and what its numbers say beside the truth."""
+"""One simulated recording of a case, fitted as a user would, and its numbers beside the truth."""
 
 from __future__ import annotations
 

@@ -64,8 +64,8 @@ def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
         say = partial(_tell, progress, name)
         make_trials(order, plan.jobs, say)
         run_trials(folder, plan.jobs, say, plan.method)
-        found = judge_trials(folder, order.answers, say, plan.method, plan.jobs)
-        judged += [replace(one, trial=f"{name}/{one.trial}") for one in found]
+        trials = judge_trials(folder, order.answers, say, plan.method, plan.jobs)
+        judged += [replace(trial, trial=f"{name}/{trial.trial}") for trial in trials]
     return count(judged, plan.kind, plan.seed is not None)
 
 

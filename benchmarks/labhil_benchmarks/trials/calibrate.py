@@ -18,7 +18,7 @@ from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import Results, read_index, read_object
 from labhil.campaign.trials.judge import NULL_GAIN, fits
 from labhil.campaign.trials.make import answers_beside
-from labhil.campaign.trials.score import opened
+from labhil.campaign.trials.score import open_answer
 from labhil.campaign.trials.stated_answer import SCHEMA, read_stated_answer
 from labhil.diagnose.claim_probability import WEIGHTS, features
 from labhil.errors import UsageError
@@ -57,32 +57,32 @@ def claimed_in(folder: Path) -> list[Claimed]:
         raise UsageError(f"{folder}: expected another rig, found an arm: of it only the evidence counts")
     claims: list[Claimed] = []
     for listed in index.trials:
-        claims += _claims(opened(listed, answers_beside(folder)), results.of(listed.name))
+        claims += _claims(open_answer(listed, answers_beside(folder)), results.of(listed.name))
     return claims
 
 
 def _claims(answer: Answer, path: Path) -> list[Claimed]:
-    said, stated = read_stated_answer(path), read_object(path, SCHEMA)
-    if not said.named:
+    stated, result = read_stated_answer(path), read_object(path, SCHEMA)
+    if not stated.named:
         return []
     real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
     rows = [
         row
-        for row in stated["improvement"]["per_channel"]
+        for row in result["improvement"]["per_channel"]
         if row["metric"] == Metric.WINDOWED_SIMULATION.value
     ]
     excess = max((row["rmse_after"] / row["noise_floor"] for row in rows), default=1.0)
     return [
         Claimed(
-            features(entry["evidence"]["delta_bic"], excess, len(said.named)),
+            features(entry["evidence"]["delta_bic"], excess, len(stated.named)),
             any(fits(effect, name) for effect in real for name in named.names),
         )
-        for named, entry in zip(said.named, stated["missing"], strict=True)
+        for named, entry in zip(stated.named, result["missing"], strict=True)
     ]
 
 
-def calibrated(claims: Sequence[Claimed]) -> Fitted:
-    """The weights that make what was right likeliest; UsageError where nothing was claimed."""
+def calibrate(claims: Sequence[Claimed]) -> Fitted:
+    """The weights of maximum likelihood; UsageError where nothing was claimed."""
     if not claims:
         raise UsageError("expected trials in which something was named, found none")
     table = np.array([claim.features for claim in claims])

@@ -41,10 +41,10 @@ ROWS: Mapping[str, Callable[[Card], str]] = {
     "right regime": lambda card: _share(card["regime_overlap"]),
     "seconds for a diagnosis, median of all trials": lambda card: f"{card['seconds_median']:.1f}",
 }
-"""What stands in a row of the table, and how it is told of a card."""
+"""The rows of the table, and how each is read from a card."""
 
 
-def compared(paths: Sequence[Path]) -> str:
+def compare_cards(paths: Sequence[Path]) -> str:
     """A Markdown table of score cards, a column each by the file's name.
 
     Shares with what was counted and two-sided 95 % limits. UsageError for a file that is no score card.

@@ -71,6 +71,6 @@ def _columns(data: Data, unexplained: Unexplained, group: Sequence[str]) -> list
                 for name in shapes:
                     theta[places[name]] = values[name]
                 theta[places[parameter.key]] = values[parameter.key] or 1e-2 * parameter.scale
-                columns.append(unexplained.changed(theta))
+                columns.append(unexplained.residual_change(theta))
         sets.append(np.column_stack(columns))
     return sets

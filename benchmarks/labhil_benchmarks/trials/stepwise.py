@@ -38,12 +38,12 @@ MOST = 8
 
 
 def stepwise_study(material: Dataset) -> dict[str, Any]:
-    """What the method says of a trial, as JSON data in the form of a diagnosis, as far as it goes."""
+    """The method's answer to a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
     model = material.model
     data = data_of(model, material.learn, material.judge)
     baseline = fit_baseline(data, rig_model(model.kind).baseline)
-    final = selected(data, baseline)
+    final = select(data, baseline)
     added = [key for key in final.terms if key not in baseline.terms]
     horizon = scored_horizon(model, final.theta, data.test)
     before, after = (score(model, f.theta, data.test, data.test_sigma, horizon) for f in (baseline, final))
@@ -70,7 +70,7 @@ def stepwise_study(material: Dataset) -> dict[str, Any]:
     }
 
 
-def selected(data: Data, baseline: Fitted) -> Fitted:
+def select(data: Data, baseline: Fitted) -> Fitted:
     """The model at which no further term lowers the extended BIC."""
     current = baseline
     while len(current.terms) < len(baseline.terms) + MOST:

@@ -1,7 +1,7 @@
 """Results as they stand in JSON files: read, checked, and with names that a type checker knows.
 
-Only what is shown is asked for; keys that are not known here pass unseen, so that a page can be made of a
-result with more in it.
+Only the fields that are shown are required; unknown keys are ignored, so that a page can be made of a result
+with more in it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,16 @@ from labhil.analysis.schema.comparison import (
 )
 from labhil.analysis.schema.diagnosis import (
     ChangedParameter,
-    ChannelImprovement,
     CollapsedSize,
     DiagnosisPart,
     Evidence,
     ExcludedEffect,
     FittedModel,
-    Improvement,
     Location,
     MissingEffect,
-    RecordingImprovement,
     Regime,
     Remainder,
     Rival,
-    ShorterWindows,
     UndecidedEffect,
     Verdict,
 )
@@ -43,6 +39,12 @@ from labhil.analysis.schema.fit import (
     Intervals,
     ResidualTests,
     WindowEstimate,
+)
+from labhil.analysis.schema.improvement import (
+    ChannelImprovement,
+    Improvement,
+    RecordingImprovement,
+    ShorterWindows,
 )
 from labhil.analysis.schema.parts import (
     ChannelErrors,
@@ -112,9 +114,9 @@ __all__ = [
     "WindowEstimate",
     "WorstWindow",
     "any_result_of",
-    "checked",
     "json_of",
     "result_of",
+    "validate",
 ]
 
 Result = TypeVar("Result", bound=Part)
@@ -124,24 +126,26 @@ COMPARISON = "labhil.comparison/1"
 
 
 def any_result_of(data: Any, origin: str) -> FitPart | DiagnosisPart | VerificationPart:
-    """The same, or a verification."""
+    """A fit, a diagnosis or a verification of plain JSON data; see :func:`result_of`."""
     if isinstance(data, dict) and data.get("schema") == VERIFICATION:
-        return checked(VerificationPart, data, origin)
+        return validate(VerificationPart, data, origin)
     return result_of(data, origin)
 
 
 def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
-    """A result of plain JSON data; ModelFileError names ``origin``, the field and what was expected."""
+    """A fit or a diagnosis of plain JSON data; ModelFileError names ``origin``, the field and the fault."""
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema == FIT:
-        return checked(FitPart, data, origin)
+        return validate(FitPart, data, origin)
     if schema == DIAGNOSIS:
-        return checked(DiagnosisPart, data, origin)
-    found = repr(schema) if schema else "no schema"
-    raise ModelFileError(f"{origin}: expected a result of schema {FIT} or {DIAGNOSIS}, found {found:.80}")
+        return validate(DiagnosisPart, data, origin)
+    schema_text = repr(schema) if schema else "no schema"
+    raise ModelFileError(
+        f"{origin}: expected a result of schema {FIT} or {DIAGNOSIS}, found {schema_text:.80}"
+    )
 
 
-def checked(kind: type[Result], data: Any, origin: str) -> Result:
+def validate(kind: type[Result], data: Any, origin: str) -> Result:
     """A result of this kind; ModelFileError names ``origin``, the field and what was expected."""
     try:
         return kind.model_validate(data)

@@ -1,6 +1,6 @@
-"""What a fit or a diagnosis of a rig kind may be asked for, in a process of its own.
+"""The terms and estimators of a rig kind for fits and diagnoses, in a process of its own.
 
-Reading models takes seconds. ``python -m labhil.campaign.studies.catalogue`` is told a rig kind in one line
+Reading models takes seconds. ``python -m labhil.campaign.studies.catalogue`` takes a rig kind in one line
 and answers in one.
 """
 
@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.campaign.studies.process import on_further_lines, read_request, say
 from labhil.errors import LabhilError
 
 MODULE = "labhil.campaign.studies.catalogue"
@@ -31,7 +31,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """The terms of a rig kind, those that are taken where nobody says otherwise, and the estimators."""
+    """The terms of a rig kind, those that are taken by default, and the estimators."""
 
     baseline: tuple[str, ...]
     general: tuple[str, ...]
@@ -61,18 +61,18 @@ class Catalogue:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    rig = str(told_first()["rig"])
+    rig = str(read_request()["rig"])
     on_further_lines(lambda _line: None, lambda: os._exit(0))
     from labhil.identify.estimators import DEFAULT, ESTIMATORS
     from labhil.report.catalogue import catalogue_json
 
     try:
-        (found,) = catalogue_json(rig)["rigs"].values()
+        (entry,) = catalogue_json(rig)["rigs"].values()
     except LabhilError as error:
         say({"failed": str(error)})
         return error.exit_status
-    others = [name for name in ESTIMATORS if name != DEFAULT]
-    say({"done": {**found, "estimators": [DEFAULT, *others]}})
+    alternatives = [name for name in ESTIMATORS if name != DEFAULT]
+    say({"done": {**entry, "estimators": [DEFAULT, *alternatives]}})
     return 0
 
 

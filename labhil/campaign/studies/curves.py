@@ -1,7 +1,7 @@
 """What the pictures of a result are made of: numbers small enough to keep beside its JSON.
 
 An entry ``CHANNEL/NAME`` per output channel: ``t`` (s), ``measured``, and ``before`` / ``after`` (simulated
-windows, NaN where a new window begins); ``missing/TERM`` for what a found term contributes, over
+windows, NaN where a new window begins); ``missing/TERM`` for what a missing term contributes, over
 ``missing/TERM/x``. A fit has ``after`` alone.
 """
 
@@ -40,7 +40,7 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
     curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
     for key in diagnosis.named:
         share = locate.contribution(diagnosis.final_fit, key)
-        over = share.revealed_over(share.regimes())
+        over = share.abscissa(share.regimes())
         x, y = over.x, np.asarray(share.values)
         step = max(1, len(x) // MOST_DOTS)
         curves[f"missing/{key}"] = y[::step].astype(np.float32)

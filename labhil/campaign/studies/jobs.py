@@ -57,7 +57,7 @@ class Jobs:
         return [job for job in self.all if job.state == "at work"]
 
     def take(self, number: int, line: dict[str, Any]) -> Job:
-        """Follow what a job says; called in one thread."""
+        """Follow the lines of a job; called in one thread."""
         job = self.all[number]
         if "ended" in line:
             job.helper.close(CANCEL_PATIENCE)  # its pipes would stay open, and a service lives for months

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.campaign.studies.process import on_further_lines, read_request, say
 from labhil.errors import LabhilError, ModelFileError
 from labhil.signals import FloatArray
 
@@ -33,14 +33,14 @@ MOST_POINTS = 4_000
 
 
 def recording_of(result: Path, stated: str) -> Path:
-    """Return the recording that a result names: where it says, or beside the result.
+    """Return the recording that a result names: at the stated path, or beside the result.
 
     Raises ModelFileError where it is in neither place.
     """
-    found = [path for path in (Path(stated), result.parent / Path(stated).name) if path.is_file()]
-    if not found:
+    paths = [path for path in (Path(stated), result.parent / Path(stated).name) if path.is_file()]
+    if not paths:
         raise ModelFileError(f"{result}: expected its recording {stated}, found none there nor beside it")
-    return found[0]
+    return paths[0]
 
 
 def simulated_without(result: Fit | Diagnosis, recording: Path, without: tuple[str, ...]) -> dict[str, Any]:
@@ -74,34 +74,34 @@ def simulated_models(paths: Sequence[Path]) -> dict[str, Any]:
 
     A model that has no such output, or none that is measured there, leaves it out.
     """
-    results = [_loaded(path) for path in paths]
-    recording = _judged_on(paths[0], results[0])
+    results = [_load(path) for path in paths]
+    recording = _test_recording(paths[0], results[0])
     channels: dict[str, dict[str, Any]] = {}
     for number, result in enumerate(results):
         for channel in simulated_without(result, recording, ())["channels"]:
-            there = channels.setdefault(
+            curves = channels.setdefault(
                 channel["name"],
                 {"name": channel["name"], "unit": channel["unit"], "t": channel["t"],
                  "measured": channel["measured"], "models": []},
             )  # fmt: skip
-            there["models"].append({"number": number, **{k: channel[k] for k in ("t", "simulated", "rmse")}})
+            curves["models"].append({"number": number, **{k: channel[k] for k in ("t", "simulated", "rmse")}})
     names = [path.name for path in paths]
     return {"recording": recording.name, "models": names, "channels": list(channels.values())}
 
 
-def _loaded(path: Path) -> Fit | Diagnosis:
+def _load(path: Path) -> Fit | Diagnosis:
     from labhil.api.diagnosis import Diagnosis
     from labhil.api.fit import Fit
     from labhil.api.saved import load
 
     result = load(path)
     if not isinstance(result, (Fit, Diagnosis)):
-        found = type(result).__name__.lower()
-        raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a {found}")
+        kind = type(result).__name__.lower()
+        raise ModelFileError(f"{path}: expected a fit or a diagnosis, found a {kind}")
     return result
 
 
-def _judged_on(path: Path, result: Fit | Diagnosis) -> Path:
+def _test_recording(path: Path, result: Fit | Diagnosis) -> Path:
     """The recording that a result was tested on, or the one that it was fitted to."""
     tests = [source for source in result.recordings if source.role == "test"]
     return recording_of(path, (tests or list(result.recordings))[0].path)
@@ -109,7 +109,7 @@ def _judged_on(path: Path, result: Fit | Diagnosis) -> Path:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    request = told_first()
+    request = read_request()
     wanted: Queue[tuple[str, ...]] = Queue()
     on_further_lines(lambda line: wanted.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0))
     try:
@@ -124,10 +124,10 @@ def main() -> int:
 
 def _answer_each(path: Path, wanted: Queue[tuple[str, ...]]) -> NoReturn:
     """Say the curves under all terms, then those without the terms of each line, until the process ends."""
-    from labhil.analysis.results import terms_of
+    from labhil.analysis.saved_model import terms_of
 
-    result = _loaded(path)
-    recording = _judged_on(path, result)
+    result = _load(path)
+    recording = _test_recording(path, result)
     say({"terms": list(terms_of(result.saved)), **simulated_without(result, recording, ())})
     while True:
         without = wanted.get()

@@ -1,7 +1,7 @@
 """A process that works for another one: lines of JSON out, lines of JSON in, gone when it is not needed.
 
 What takes long or must not be disturbed (a run, a fit) never happens in the process of a screen or of a
-service. Where that dies, however that comes about, the end of its standard input tells such a process to end.
+service. Where that dies, for whatever reason, the end of its standard input makes such a process end.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from labhil.terminal import show
 OnLine = Callable[[dict[str, Any]], object]
 LISTEN = 1.0
 PATIENCE = 30.0
-"""How long a process that was told to end in order may take before it is made to, s."""
+"""How long a process may take to end in order before it is ended by force, s."""
 
 
 class Helper:
-    """``python -m module`` with what it is told in its first line.
+    """``python -m module`` with a request in its first line.
 
-    ``on_line`` gets each line that it says, in a thread of its own; the last is ``{"ended": status}``
+    ``on_line`` gets each line that it writes, in a thread of its own; the last is ``{"ended": status}``
     with ``complaint``, the end of what it wrote to stderr.
     """
 
-    def __init__(self, name: str, module: str, told: Mapping[str, Any], on_line: OnLine) -> None:
+    def __init__(self, name: str, module: str, request: Mapping[str, Any], on_line: OnLine) -> None:
         self._on_line = on_line
         self._child = Child(name, [sys.executable, "-P", "-m", module])
-        self.tell(told)
+        self.tell(request)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=f"listen to {name}")
         self._thread.start()
@@ -45,8 +45,8 @@ class Helper:
         return not self._ended.is_set()
 
     def tell(self, line: Mapping[str, Any]) -> None:
-        """Send a line; one that is gone does not hear it."""
-        with contextlib.suppress(ValueError):  # it was told to end before
+        """Send a line; a process that has ended does not get it."""
+        with contextlib.suppress(ValueError):  # its input was closed before
             self._child.send(json.dumps(line) + "\n")
 
     def close(self, patience: float = PATIENCE) -> None:
@@ -60,13 +60,13 @@ class Helper:
         while True:
             try:
                 line = self._child.line(LISTEN)
-            except BusError:  # it has nothing to say for the moment
+            except BusError:  # no line for the moment
                 continue
             if line is None:
                 break
-            said = _parsed(line)
-            if said is not None:
-                self._on_line(said)
+            message = _parse(line)
+            if message is not None:
+                self._on_line(message)
         # its output has ended, which it does a moment before the process itself
         deadline = time.monotonic() + LISTEN
         while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
@@ -77,15 +77,15 @@ class Helper:
 
 
 def say(line: Mapping[str, Any]) -> None:
-    """Write a line, from within a helper; nobody reads it where whoever asked is gone."""
+    """Write a line, from within a helper; it is dropped where the parent process is gone."""
     try:
         show(json.dumps(line, allow_nan=False))
     except OSError:
         return
 
 
-def told_first() -> dict[str, Any]:
-    """What a helper is told in its first line."""
+def read_request() -> dict[str, Any]:
+    """The request in a helper's first line."""
     return dict(json.loads(sys.stdin.readline()))
 
 
@@ -95,18 +95,18 @@ def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
     def listen() -> None:
         try:
             for line in sys.stdin:
-                said = _parsed(line)
-                if said is not None:
-                    take(said)
-        finally:  # one that can listen no more must not go on by itself
+                message = _parse(line)
+                if message is not None:
+                    take(message)
+        finally:  # a helper without input must not go on by itself
             end()
 
     threading.Thread(target=listen, name="listen to who asked", daemon=True).start()
 
 
-def _parsed(line: str) -> dict[str, Any] | None:
+def _parse(line: str) -> dict[str, Any] | None:
     try:
-        said = json.loads(line)
+        message = json.loads(line)
     except ValueError:
         return None
-    return said if isinstance(said, dict) else None
+    return message if isinstance(message, dict) else None

@@ -1,7 +1,7 @@
 """A fit, a diagnosis, a verification, a comparison or an export in a process of its own.
 
-``python -m labhil.campaign.studies.study`` is told what to do in one line, says what it is doing
-(``{"progress": …}``) and at the end what came of it (``{"done": …}`` or ``{"failed": …}``). Results appear
+``python -m labhil.campaign.studies.study`` takes its task in one line, reports what it is doing
+(``{"progress": …}``) and at the end the outcome (``{"done": …}`` or ``{"failed": …}``). Results appear
 under their names only when they are complete, so it may be ended at any moment: files are as they were
 before, or whole.
 """
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.campaign.studies.process import on_further_lines, say, told_first
+from labhil.campaign.studies.process import on_further_lines, read_request, say
 from labhil.errors import LabhilError
 
 CANCELLED = 130
@@ -27,7 +27,7 @@ CANCELLED = 130
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is asked for: ``kind`` is "fit", "diagnose", "verify", "compare" or "export".
+    """A study to be done: ``kind`` is "fit", "diagnose", "verify", "compare" or "export".
 
     The ``recordings`` of a comparison are the results whose models are compared.
 
@@ -81,12 +81,12 @@ class Task:
 
 
 def progress(text: str) -> None:
-    """Tell whoever listens what is being done."""
+    """Report what is being done."""
     say({"progress": text})
 
 
 def do(task: Task) -> dict[str, Any]:
-    """Do it; return what is told at the end. Raises LabhilError."""
+    """Do it; return its last line. Raises LabhilError."""
     first = task.recordings[0]
     stem = stem_of(task)
     if task.kind == "export":
@@ -101,14 +101,14 @@ def do(task: Task) -> dict[str, Any]:
         from labhil.campaign.studies.curves import curves_of_fit
 
         estimator = task.estimator or "hybrid"
-        fitted = fit(task.recordings, terms=task.terms, estimator=estimator, **_given(task, "start"))
+        fitted = fit(task.recordings, terms=task.terms, estimator=estimator, **_arguments(task, "start"))
         path = _write(first.parent, stem, "fit", fitted.to_dict(), curves_of_fit(fitted.study))
         return {"done": str(path), "verdict": fitted.statement}
     from labhil.api.diagnosis import diagnose
     from labhil.campaign.studies.curves import curves_of_diagnosis
 
-    found = diagnose(task.recordings, baseline=task.terms, **_given(task, "reference"))
-    path = _write(first.parent, stem, "diagnosis", found.to_dict(), curves_of_diagnosis(found.study))
+    diagnosis = diagnose(task.recordings, baseline=task.terms, **_arguments(task, "reference"))
+    path = _write(first.parent, stem, "diagnosis", diagnosis.to_dict(), curves_of_diagnosis(diagnosis.study))
     return {"done": str(path)}
 
 
@@ -118,7 +118,7 @@ def stem_of(task: Task) -> str:
     return stem if task.device is None else f"{stem}.{task.device}"
 
 
-def _given(task: Task, model: str) -> dict[str, Any]:
+def _arguments(task: Task, model: str) -> dict[str, Any]:
     """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
     return {
         "test": task.tests or None,
@@ -185,15 +185,15 @@ def _compare(task: Task) -> dict[str, Any]:
     from labhil.api.comparison import compare
 
     first = task.recordings[0]
-    on = task.tests or _moved(first) or None
-    found = compare(*task.recordings, recording=on, progress=progress, warn=_warn)
+    on = task.tests or _relocated_recordings(first) or None
+    comparison = compare(*task.recordings, recording=on, progress=progress, warn=_warn)
     stem = first.name.removesuffix(".json").removesuffix(".fit").removesuffix(".diagnosis")
-    path = _write_json(free_name(first.parent, stem, "comparison.json"), found.to_dict())
-    return {"done": str(path), "verdict": found.statement}
+    path = _write_json(free_name(first.parent, stem, "comparison.json"), comparison.to_dict())
+    return {"done": str(path), "verdict": comparison.statement}
 
 
-def _moved(result: Path) -> tuple[Path, ...]:
-    """The recordings that a result was judged on, where they lie beside it and not where it says."""
+def _relocated_recordings(result: Path) -> tuple[Path, ...]:
+    """The recordings that a result was judged on, where they moved beside it; empty if all are in place."""
     from labhil.analysis.schema import json_of, result_of
     from labhil.campaign.studies.overlay import recording_of
 
@@ -206,11 +206,11 @@ def _moved(result: Path) -> tuple[Path, ...]:
 
 def main() -> int:
     """Run the process; returns its exit status."""
-    told = told_first()
-    # nothing is half done where a name is taken only by what is whole, so there is nothing to tidy up
+    request = read_request()
+    # files get their names only when they are complete, so there is nothing to tidy up
     on_further_lines(_end_early, lambda: os._exit(CANCELLED))
     try:
-        say(do(Task.from_json(told)))
+        say(do(Task.from_json(request)))
     except LabhilError as error:
         say({"failed": str(error)})
         return error.exit_status

@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.secret import Drawn, Secret, Walk
-from labhil.campaign.trials.sizes import drawn_size, power_of, spread
+from labhil.campaign.trials.sizes import draw_size, power_of, spread
 from labhil.errors import UsageError
 from labhil.experiment.excitation import fourier, motion
 from labhil.kinds import JOINTS, KINDS
@@ -105,7 +105,7 @@ class ArmBench:
 
     def setup(self, random: np.random.Generator) -> ArmSetup:
         """The rig under random conditions."""
-        made = ArmConditions(
+        conditions = ArmConditions(
             duration=float(random.choice(self.durations)),
             period=float(random.choice(PERIODS)),
             harmonics=int(random.integers(*HARMONICS)),
@@ -117,7 +117,7 @@ class ArmBench:
             temperatures=bool(random.integers(2)),
             seeds=(int(random.integers(2**31)), int(random.integers(2**31))),
         )
-        return ArmSetup(self, made)
+        return ArmSetup(self, conditions)
 
     def lasting(self, seconds: float) -> ArmBench:
         """The same with recordings that are so long, s."""
@@ -152,10 +152,10 @@ class ArmSetup:
     @property
     def signals(self) -> tuple[Signal, ...]:
         """Angles, velocities, currents and, where they are recorded, temperatures."""
-        names = ("actual_q", "actual_qd", "actual_current", *self._others)
+        names = ("actual_q", "actual_qd", "actual_current", *self._auxiliary)
         return tuple(signal for signal in KINDS[self.kind].signals() if signal.name in names)
 
-    def told(self) -> dict[str, Any]:
+    def conditions_to_json(self) -> dict[str, Any]:
         """The conditions as an answer lists them."""
         return asdict(self.conditions)
 
@@ -175,13 +175,13 @@ class ArmSetup:
         self, model: Model, outside: bool, others: Sequence[Drawn], random: np.random.Generator
     ) -> Drawn:
         """One effect of random kind, joint and size, with the strength that it is to be scaled to."""
-        there = {*rig_model(model.kind).baseline, *(effect.key for effect in others)}
-        found: dict[str, list[int | None]] = {}
-        for term, joint in _outside() if outside else _named(model):
-            if term not in there and keyed(term, joint) not in there:
-                found.setdefault(term, []).append(joint)
-        term = str(random.choice(list(found)))
-        joint = found[term][int(random.integers(len(found[term])))]
+        taken = {*rig_model(model.kind).baseline, *(effect.key for effect in others)}
+        choices: dict[str, list[int | None]] = {}
+        for term, joint in _hidden_effects() if outside else _nameable_effects(model):
+            if term not in taken and keyed(term, joint) not in taken:
+                choices.setdefault(term, []).append(joint)
+        term = str(random.choice(list(choices)))
+        joint = choices[term][int(random.integers(len(choices[term])))]
         name = PLANTS_NAME.get(term, term)
         shapes = {f"{name}.{short}" for short in EVERY[name].shapes}
         drawn, powers = {}, {}
@@ -202,19 +202,19 @@ class ArmSetup:
 
     def noise_scale(self, secret: Secret) -> TrueNoise:
         """Noise and steps of the currents."""
-        made = self.conditions
-        return TrueNoise(made.level, (made.resolution,) * JOINTS, made.correlation)
+        conditions = self.conditions
+        return TrueNoise(conditions.level, (conditions.resolution,) * JOINTS, conditions.correlation)
 
     def walk(self, secret: Secret, noise: TrueNoise, which: int) -> Walk:
         """Record the search (0) or the test (1).
 
-        UsageError where dry friction would drive a joint, which no law of the model says.
+        UsageError where dry friction would drive a joint, which no law of the model does.
         """
         measured = {keyed("current_noise", j): level for j, level in enumerate(noise.level)}
         memory = {"current_noise_memory": noise.correlation, "current_resolution": noise.step[0]}
-        found = self._walk(secret, which, measured | memory)
-        self._refuse_drive(secret, found)
-        return found
+        walk = self._walk(secret, which, measured | memory)
+        self._refuse_drive(secret, walk)
+        return walk
 
     def silent(self, secret: Secret, walk: Walk, which: int) -> Walk:
         """The same motion again, with currents measured without noise and steps."""
@@ -234,30 +234,37 @@ class ArmSetup:
             input_holds=(Hold.LINEAR,) * (2 * JOINTS),
             auxiliary={
                 column: np.ascontiguousarray(values)
-                for name in self._others
+                for name in self._auxiliary
                 for column, values in zip(kinds[name].columns(), walk.signals[name].T, strict=True)
             },
             output_joints=tuple(range(JOINTS)),
         )
 
     @property
-    def _others(self) -> tuple[str, ...]:
+    def _auxiliary(self) -> tuple[str, ...]:
         return ("joint_temperatures",) if self.conditions.temperatures else ()
 
     def _plant(self, secret: Secret, measured: Mapping[str, float], which: int) -> ArmPlant:
-        made = self.conditions
+        conditions = self.conditions
         terms = [keyed(PLANTS_NAME.get(name, name), joint) for name, joint in map(unkeyed, secret.terms)]
-        given = {**secret.parameters, **ENCODERS, **measured, "stamp_jitter": made.jitter * made.period}
-        return ArmPlant(given, terms, made.seeds[which], made.period)
+        given = {
+            **secret.parameters,
+            **ENCODERS,
+            **measured,
+            "stamp_jitter": conditions.jitter * conditions.period,
+        }
+        return ArmPlant(given, terms, conditions.seeds[which], conditions.period)
 
     def _walk(self, secret: Secret, which: int, measured: Mapping[str, float]) -> Walk:
-        made = self.conditions
+        conditions = self.conditions
         series = fourier(
-            tuple(CENTRE - REACH), tuple(CENTRE + REACH), tuple(SPEED * made.briskness),
-            tuple(ACCELERATION * made.briskness**2), 1.0 / made.duration, made.duration,
-            harmonics=made.harmonics, centre=tuple(CENTRE), seed=made.seeds[which],
+            tuple(CENTRE - REACH), tuple(CENTRE + REACH), tuple(SPEED * conditions.briskness),
+            tuple(ACCELERATION * conditions.briskness**2), 1.0 / conditions.duration, conditions.duration,
+            harmonics=conditions.harmonics, centre=tuple(CENTRE), seed=conditions.seeds[which],
         )  # fmt: skip
-        t: FloatArray = made.period * np.arange(round(made.duration / made.period), dtype=np.float64)
+        t: FloatArray = conditions.period * np.arange(
+            round(conditions.duration / conditions.period), dtype=np.float64
+        )
         plan = motion(series, t)
         seen = self._plant(secret, measured, which).follow(*plan)
         signals = {signal.name: getattr(seen, signal.name) for signal in self.signals}
@@ -282,19 +289,19 @@ def _six(name: str) -> tuple[float, ...]:
     return default
 
 
-def _named(model: Model) -> list[tuple[str, int | None]]:
+def _nameable_effects(model: Model) -> list[tuple[str, int | None]]:
     """Names and joints of effects that both the plant can have and the model can name."""
     terms = [(term.name, term.joint) for term in model.terms.values()]
     return [(name, joint) for name, joint in terms if PLANTS_NAME.get(name, name) in EFFECTS]
 
 
-def _outside() -> list[tuple[str, int | None]]:
+def _hidden_effects() -> list[tuple[str, int | None]]:
     """Names and joints of effects that stand in no list."""
-    found: list[tuple[str, int | None]] = []
+    effects: list[tuple[str, int | None]] = []
     for name, effect in HIDDEN.items():
         per_joint = any(isinstance(value, tuple) for value in effect.strengths.values())
-        found += [(name, joint) for joint in range(JOINTS)] if per_joint else [(name, None)]
-    return found
+        effects += [(name, joint) for joint in range(JOINTS)] if per_joint else [(name, None)]
+    return effects
 
 
 def _size(name: str, default: float | Six, joint: int | None, random: np.random.Generator) -> float:
@@ -308,6 +315,6 @@ def _size(name: str, default: float | Six, joint: int | None, random: np.random.
         return float(random.uniform(-np.pi, np.pi))
     if name in ("payload.centre_x", "payload.centre_y"):
         return float(random.uniform(-OFF_CENTRE, OFF_CENTRE))
-    size = drawn_size(name, value, random)
+    size = draw_size(name, value, random)
     # a UR5's own falls at rest in some joints and rises in others
     return -size if name == "stribeck_friction.level" and random.integers(2) else size

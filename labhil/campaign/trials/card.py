@@ -42,7 +42,7 @@ class Card:
     without a rival beside them; ``detection`` maps a range of the strongest effect's strength to the share
     detected, ``named`` to the share of exact answers to one effect; ``undecided`` is the share of "cannot
     tell" where an oracle can; ``confusion`` counts pairs of true and named term; ``joints`` is the share of
-    effects in a joint that were looked for there, of those that were found at all. ``after_over_floor`` are
+    effects in a joint that were named in it, of all that were named. ``after_over_floor`` are
     median and 90th percentile of RMSE after over the noise floor, None without any; ``each`` are the trials.
     """
 
@@ -104,7 +104,7 @@ class Card:
             "interval_coverage": self.covered.to_json(),
             "interval_coverage_other": self.covered_apart.to_json(),
             "seconds_median": self.seconds,
-            "each": [_each(judged) for judged in self.each],
+            "each": [_trial_row(judged) for judged in self.each],
         }
 
 
@@ -114,7 +114,7 @@ def _grades_to_json(naming: Mapping[str, Mapping[str, Share]]) -> dict[str, Any]
     }
 
 
-def _each(judged: Judged) -> dict[str, Any]:
+def _trial_row(judged: Judged) -> dict[str, Any]:
     """One trial as a line of a table."""
     return {
         "trial": judged.trial,
@@ -130,7 +130,7 @@ def _each(judged: Judged) -> dict[str, Any]:
 
 def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
     """Count trials that were judged one by one."""
-    told = [j for j in judged if j.sure]
+    with_effects = [j for j in judged if j.sure]
     ratios = [j.after_over_floor for j in judged if j.after_over_floor is not None]
     claims = [claim for j in judged for claim in j.claims]
     overlaps = [j.overlap for j in judged if j.overlap is not None]
@@ -143,11 +143,11 @@ def count(judged: Sequence[Judged], rig: str, fixed_seed: bool) -> Card:
         false_alarms=_share([j.alarm for j in judged if j.null]),
         with_nothing=_share([j.alarm for j in judged if j.nothing]),
         detection=_by_strength([(j.strongest, j.detected) for j in judged if j.strongest is not None]),
-        named=_by_strength([(j.sure[0].strength, j.exact) for j in told if len(j.sure) == 1]),
-        undecided=Share(sum(j.verdict == "not_decidable" for j in told), len(told)),
-        naming=_by_number(told, attrgetter("exact")),
-        alone=_by_number(told, attrgetter("single")),
-        single=Share(sum(j.single for j in told), len(told)),
+        named=_by_strength([(j.sure[0].strength, j.exact) for j in with_effects if len(j.sure) == 1]),
+        undecided=Share(sum(j.verdict == "not_decidable" for j in with_effects), len(with_effects)),
+        naming=_by_number(with_effects, attrgetter("exact")),
+        alone=_by_number(with_effects, attrgetter("single")),
+        single=Share(sum(j.single for j in with_effects), len(with_effects)),
         confusion=Counter(pair for j in judged for pair in j.confused),
         reliability=reliability,
         calibration_error=_calibration_error(reliability),
@@ -189,10 +189,10 @@ def _by_strength(hits: Sequence[tuple[float, bool]]) -> dict[str, Share]:
     }
 
 
-def _by_number(told: Sequence[Judged], right: Callable[[Judged], bool]) -> dict[str, dict[str, Share]]:
+def _by_number(trials: Sequence[Judged], right: Callable[[Judged], bool]) -> dict[str, dict[str, Share]]:
     """What is right of answers, by the number of effects and the least strength of any."""
     groups: dict[str, list[Judged]] = {name: [] for name in (*COUNTED.values(), "outside the catalogue")}
-    for j in told:
+    for j in trials:
         known = all(effect.catalogue for effect in j.sure)
         group = COUNTED.get(len(j.sure)) if known else "outside the catalogue"
         if group is not None:

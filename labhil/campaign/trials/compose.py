@@ -68,14 +68,14 @@ def compose(
             noise = setup.noise_scale(bare)
             secret = replace(bare, effects=tuple(_effects(bare, noise, sort, random)))
             if disturbed is not None:
-                secret = _disturbed(secret, noise, disturbed, random)
-            return composed(secret, noise)
+                secret = _add_disturbance(secret, noise, disturbed, random)
+            return record_secret(secret, noise)
         except (UsageError, RecordingError):
             continue  # a plant that hits its stops or runs away makes no trial
     raise RunError(f"no trial of {kind} with {sort} effects could be drawn in {DRAWS} attempts")
 
 
-def composed(secret: Secret, noise: TrueNoise) -> Composed:
+def record_secret(secret: Secret, noise: TrueNoise) -> Composed:
     """Record a secret, search and test; UsageError where the plant cannot be run."""
     setup = secret.setup
     walks = setup.walk(secret, noise, 0), setup.walk(secret, noise, 1)
@@ -85,11 +85,11 @@ def composed(secret: Secret, noise: TrueNoise) -> Composed:
     return Composed(secret, noise, walks, Oracle.of(model, search, test, noise, values))
 
 
-def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
+def answer_of(trial: Composed, name: str, recordings: dict[str, str]) -> Answer:
     """Refit with and without every effect and write down what each is worth."""
-    oracle, secret = found.oracle, found.secret
+    oracle, secret = trial.oracle, trial.secret
     baseline = rig_model(secret.kind).baseline
-    known = _known(found)
+    known = _known_terms(trial)
     full = [*baseline, *known]
     without = {name: oracle.refit([term for term in full if term != name]) for name in known}
     best = oracle.refit(full).or_better(*without.values())
@@ -101,9 +101,9 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
         rig=secret.kind,
         recordings=recordings,
         baseline=tuple(baseline),
-        effects=tuple(_effect(found, drawn, without.get(drawn.key), best) for drawn in secret.effects),
+        effects=tuple(_effect(trial, drawn, without.get(drawn.key), best) for drawn in secret.effects),
         truth=oracle.values,
-        noise=found.noise,
+        noise=trial.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
         baseline_strength=oracle.strength(plain),
         conditions=_conditions(secret),
@@ -112,19 +112,23 @@ def answer_of(found: Composed, name: str, recordings: dict[str, str]) -> Answer:
 
 
 def _conditions(secret: Secret) -> dict[str, Any]:
-    """Under which conditions it was recorded, with what disturbed."""
-    told = secret.setup.told()
-    return told if secret.disturbance is None else {**told, "disturbance": asdict(secret.disturbance)}
+    """The conditions of the recordings, with the disturbance."""
+    conditions = secret.setup.conditions_to_json()
+    return (
+        conditions
+        if secret.disturbance is None
+        else {**conditions, "disturbance": asdict(secret.disturbance)}
+    )
 
 
-def _effect(found: Composed, drawn: Drawn, without: Refit | None, full: Refit) -> TrueEffect:
+def _effect(trial: Composed, drawn: Drawn, without: Refit | None, full: Refit) -> TrueEffect:
     """What an effect is worth: ``without`` is the model less it, None where no model has it anyway."""
-    oracle = found.oracle
+    oracle = trial.oracle
     if without is not None:
         less, gain = without, full.likelihood - without.likelihood
     else:
-        setup = found.secret.setup
-        silent = setup.record(setup.silent(found.secret, found.walks[1], 1))
+        setup = trial.secret.setup
+        silent = setup.record(setup.silent(trial.secret, trial.walks[1], 1))
         less, gain = full, oracle.log_likelihood_of_truth(full.theta, silent) - full.likelihood
     return TrueEffect(
         term=drawn.term,
@@ -141,30 +145,30 @@ def _effect(found: Composed, drawn: Drawn, without: Refit | None, full: Refit) -
     )
 
 
-def _known(found: Composed) -> list[str]:
+def _known_terms(trial: Composed) -> list[str]:
     """The effects that the model has a term for."""
-    return [effect.key for effect in found.secret.effects if effect.key in found.oracle.model.terms]
+    return [effect.key for effect in trial.secret.effects if effect.key in trial.oracle.model.terms]
 
 
 def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Generator) -> list[Drawn]:
-    """As many effects as the sort asks for, each of the strength drawn for it."""
+    """As many effects as the sort has, each of the strength drawn for it."""
     effects: list[Drawn] = []
     if not COUNTS[sort][0]:
         return effects
-    model = composed(bare, noise).oracle.model
+    model = record_secret(bare, noise).oracle.model
     for _ in range(DRAWS if sort != BRISTLES else 10 * DRAWS):
         if len(effects) == COUNTS[sort][0]:
             return [*effects, bare.setup.draw_carrier(effects[0], random)] if sort == BRISTLES else effects
         drawn = bare.setup.draw_effect(model, sort == "hidden", effects, random)
         if sort == BRISTLES and not drawn.dry:
             continue
-        fitting = _scaled(replace(bare, effects=tuple(effects)), drawn, noise)
+        fitting = _scale_to_target(replace(bare, effects=tuple(effects)), drawn, noise)
         if fitting is not None:
             effects.append(fitting)
     raise UsageError(f"no {sort} effects of {bare.kind} could be scaled")
 
 
-def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
+def _scale_to_target(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     """The effect with its target's strength beside those that are there, or None where it cannot have it.
 
     What counts is how much the squared RMSE exceeds that of the same bench without the effect.
@@ -179,23 +183,23 @@ def _scaled(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
     return None if factor is None else drawn.scaled(factor)
 
 
-def _disturbed(secret: Secret, noise: TrueNoise, kind: Kind, random: np.random.Generator) -> Secret:
+def _add_disturbance(secret: Secret, noise: TrueNoise, kind: Kind, random: np.random.Generator) -> Secret:
     """The secret with a disturbance that leaves so many noise levels beside a model of everything else."""
-    unit = Disturbance.drawn(kind, random)
+    unit = Disturbance.draw(kind, random)
     by_noise = float(random.uniform(*SIZES))
 
     def sized(factor: float) -> Secret:
         return replace(secret, disturbance=replace(unit, size=factor))
 
-    found = _factor(
+    size = _factor(
         lambda factor: _strength(sized(factor), None, noise, None),
         _strength(secret, None, noise, None),
         math.hypot(1.0, by_noise),
         FIRST_DISTURBANCE,
     )
-    if found is None:
+    if size is None:
         raise UsageError(f"no {kind} at the drive of {secret.kind} could be scaled")
-    return sized(found)
+    return sized(size)
 
 
 def _factor(
@@ -232,9 +236,9 @@ def _factor(
 
 
 def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise, joint: int | None) -> float:
-    """How strong an effect is beside those that are there, in its joint's outputs: all but it refitted."""
+    """How strong an effect is beside the others, in its joint's outputs: all but it refitted."""
     extra = () if drawn is None else (drawn,)
-    found = composed(replace(bare, effects=(*bare.effects, *extra)), noise)
-    others = [key for key in _known(found) if drawn is None or key != drawn.key]
-    theta = found.oracle.rough([*rig_model(bare.kind).baseline, *others])
-    return found.oracle.strength(theta, joint)
+    trial = record_secret(replace(bare, effects=(*bare.effects, *extra)), noise)
+    others = [key for key in _known_terms(trial) if drawn is None or key != drawn.key]
+    theta = trial.oracle.rough([*rig_model(bare.kind).baseline, *others])
+    return trial.oracle.strength(theta, joint)

@@ -45,12 +45,12 @@ class Disturbance:
     phase: float
 
     @classmethod
-    def drawn(cls, kind: Kind, random: np.random.Generator) -> Disturbance:
+    def draw(cls, kind: Kind, random: np.random.Generator) -> Disturbance:
         """One of unit size."""
         lasts = float(np.exp(random.uniform(*np.log(LASTS))))
         return cls(kind, 1.0, lasts, float(random.uniform(-np.pi, np.pi)))
 
-    def acting(self, count: int, period: float, seed: int) -> tuple[FloatArray, FloatArray]:
+    def sample(self, count: int, period: float, seed: int) -> tuple[FloatArray, FloatArray]:
         """Factor and summand (count,) by which what acts differs from the commands."""
         if self.kind is Kind.DRIFT:
             swing = 2.0 * np.pi * np.arange(count) / max(count - 1, 1) + self.phase

@@ -18,7 +18,7 @@ MIXTURES: Mapping[str, Mapping[str, float]] = {
     "mixed": {"0": 0.25, "1": 0.35, "2": 0.2, "3": 0.08, "hidden": 0.12},
     "some": {"1": 0.48, "2": 0.24, "3": 0.12, "hidden": 0.16},
 }
-"""How often each sort of trial is drawn where nobody asks for one sort; "some" are all but nulls."""
+"""How often each sort of trial is drawn from a mixture; "some" are all but nulls."""
 
 SORTS = (*COUNTS, *MIXTURES)
 

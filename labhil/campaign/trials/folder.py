@@ -1,4 +1,4 @@
-"""The folder of a set of trials: recordings, seals, and what a diagnosis said of each."""
+"""The folder of a set of trials: recordings, seals, and the diagnosis of each."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def read_index(folder: Path) -> Index:
 
 
 def read_object(path: Path, schema: str) -> dict[str, Any]:
-    """JSON of a schema; UsageError says what was expected and what was found."""
+    """JSON of a schema; UsageError with what was expected and what was found."""
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
         raise UsageError(f"{path}: expected JSON of schema {schema}: {error}") from error
-    found = data.get("schema") if isinstance(data, dict) else None
-    if found != schema:
-        raise UsageError(f"{path}: expected schema {schema}, found {found or 'none'}")
+    actual = data.get("schema") if isinstance(data, dict) else None
+    if actual != schema:
+        raise UsageError(f"{path}: expected schema {schema}, found {actual or 'none'}")
     return dict(data)
 
 
@@ -116,13 +116,13 @@ class Results:
         """SHA-256 of each answer by the trial's name; UsageError for a line that is not ``hash  path``."""
         if not self.hashes.exists():
             return {}
-        found = {}
+        hashes = {}
         for line in self.hashes.read_text(encoding="utf-8").splitlines():
             digest, _, place = line.partition("  ")
             if len(digest) != 64 or not place:
                 raise UsageError(f"{self.hashes}: expected lines of a SHA-256 and a path, found {line!r}")
-            found[Path(place).stem] = digest
-        return found
+            hashes[Path(place).stem] = digest
+        return hashes
 
     def write_hashes(self, hashes: Mapping[str, str]) -> None:
         """Write them as ``sha256sum -c`` reads them, sorted."""

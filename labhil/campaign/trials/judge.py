@@ -1,4 +1,4 @@
-"""One trial judged: what was said against what is true, by the contract's rules."""
+"""One trial judged: the stated answer against the truth, by the contract's rules."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labhil.physics.terms import keyed, unkeyed
 NULL_GAIN = 3.0
 """Oracle's gain (nats) below which an effect does not count as a difference."""
 SURE_GAIN = 10.0
-"""Oracle's gain (nats) from which an effect has to be found."""
+"""Oracle's gain (nats) from which an effect has to be named."""
 RIVAL_LOSS = 5.0
 """Nats by which a rival, refitted, may fall short of the truth and still be an honest one."""
 MODELLED = 0.8
@@ -32,13 +32,13 @@ class Judged:
     """What counts of one trial.
 
     ``nothing`` says that nothing was concealed; ``real`` effects make a difference to the oracle (none is a
-    ``null``), ``sure`` ones have to be found (10 nats or more); ``exact`` says that they were named and
+    ``null``), ``sure`` ones have to be named (10 nats or more); ``exact`` says that they were named and
     nothing else was, ``single`` that no name of the answer had a rival beside it.
     ``confused`` holds pairs of true and named terms, ``claims`` pairs of a stated probability and whether it
     was right, ``covered`` for each interval whether it holds the truth, ``complete`` whether the final model
     holds every listed effect. ``modelled`` and ``after_over_floor`` are None where there is nothing
-    to compare. ``joints`` tells of each effect that has to be found and is in a joint whether anything was
-    said to be in that joint. ``disturbed`` says that more acted on the rig than any model has.
+    to compare. ``joints`` holds for each sure effect in a joint whether the answer names that joint.
+    ``disturbed`` says that more acted on the rig than any model has.
     """
 
     trial: str
@@ -64,7 +64,7 @@ class Judged:
 
     @property
     def alarm(self) -> bool:
-        """Whether anything was said to be wrong that is not; what disturbs a rig may be left unexplained."""
+        """Whether the answer reports a mismatch; a disturbed rig's may be left unexplained."""
         return self.verdict != "no_mismatch" and not (self.disturbed and self.verdict in UNNAMED)
 
 
@@ -77,53 +77,53 @@ class Matched:
 
     def of(self, effect: TrueEffect) -> Named | None:
         """The claim for this effect."""
-        return next((named for found, named in self.pairs if found is effect), None)
+        return next((named for true, named in self.pairs if true is effect), None)
 
 
-def judge(answer: Answer, said: StatedAnswer, loss: Loss, overlap: float | None = None) -> Judged:
-    """Judge a trial; ``loss`` says how many nats a rival, refitted in the place of an effect, loses to it."""
+def judge(answer: Answer, stated: StatedAnswer, loss: Loss, overlap: float | None = None) -> Judged:
+    """Judge a trial; ``loss`` is how many nats a rival, refitted in the place of an effect, loses to it."""
     real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
     sure = sorted(
         (effect for effect in real if effect.oracle_gain >= SURE_GAIN), key=lambda effect: -effect.oracle_gain
     )
     optional = [effect for effect in real if effect not in sure]
-    claims = claims_of(said)
+    claims = claims_of(stated)
     matched = match([*sure, *optional], claims)
-    found = [matched.of(effect) for effect in sure]
+    matching = [matched.of(effect) for effect in sure]
     honest = all(
         named is not None and is_honest(effect, named, loss)
-        for effect, named in zip(sure, found, strict=True)
+        for effect, named in zip(sure, matching, strict=True)
     )
     exact = bool(sure) and honest and not matched.over
     return Judged(
         trial=answer.trial,
-        verdict=said.verdict,
+        verdict=stated.verdict,
         nothing=not answer.effects,
         null=not real,
         real=tuple(real),
         sure=tuple(sure),
         strongest=max((effect.strength for effect in real), default=None),
-        detected=said.verdict in {"missing_physics", "unexplained_mismatch"},
+        detected=stated.verdict in {"missing_physics", "unexplained_mismatch"},
         exact=exact,
-        single=exact and all(named is not None and not named.rivals for named in found),
-        confused=confusions(sure, bool(real), matched, said),
-        claims=_claims(real, said),
-        covered=_covered(answer, said),
-        complete=_holds_all(real, said),
-        modelled=_modelled(answer, said) if sure else None,
-        after_over_floor=_after_over_floor(answer, said),
+        single=exact and all(named is not None and not named.rivals for named in matching),
+        confused=confusions(sure, bool(real), matched, stated),
+        claims=_claims(real, stated),
+        covered=_coverage(answer, stated),
+        complete=_holds_all(real, stated),
+        modelled=_is_modelled(answer, stated) if sure else None,
+        after_over_floor=_after_over_floor(answer, stated),
         overlap=overlap,
-        seconds=said.seconds,
-        joints=_joints(sure, said),
+        seconds=stated.seconds,
+        joints=_joints(sure, stated),
         disturbed="disturbance" in answer.conditions,
     )
 
 
-def claims_of(said: StatedAnswer) -> tuple[Named, ...]:
-    """What was claimed; a mismatch that is left unexplained claims something without a name."""
-    if said.verdict == "unexplained_mismatch" and not said.named:
+def claims_of(stated: StatedAnswer) -> tuple[Named, ...]:
+    """The claims of an answer; an unexplained mismatch claims an effect without a name."""
+    if stated.verdict == "unexplained_mismatch" and not stated.named:
         return (Named(UNMODELLED, None),)
-    return said.named
+    return stated.named
 
 
 def fits(effect: TrueEffect, name: str) -> bool:
@@ -143,19 +143,21 @@ def match(effects: Sequence[TrueEffect], claims: Sequence[Named]) -> Matched:
 
     What is outside the catalogue and acts on several joints may have a curve on each of them.
     """
-    left = list(claims)
+    unmatched = list(claims)
     pairs: list[tuple[TrueEffect, Named]] = []
     for first_only in (True, False):
         for effect in effects:
-            if any(found is effect for found, _ in pairs):
+            if any(paired is effect for paired, _ in pairs):
                 continue
-            names = [(claim, claim.names[:1] if first_only else claim.names) for claim in left]
-            claim = next((c for c, own in names if any(fits(effect, name) for name in own)), None)
+            names = [(claim, claim.names[:1] if first_only else claim.names) for claim in unmatched]
+            claim = next(
+                (c for c, candidates in names if any(fits(effect, name) for name in candidates)), None
+            )
             if claim is not None:
                 pairs.append((effect, claim))
-                left.remove(claim)
+                unmatched.remove(claim)
     shared = [effect for effect, _ in pairs if not effect.catalogue and effect.joint is None]
-    over = [claim for claim in left if not any(fits(effect, claim.term) for effect in shared)]
+    over = [claim for claim in unmatched if not any(fits(effect, claim.term) for effect in shared)]
     return Matched(tuple(pairs), tuple(over))
 
 
@@ -166,11 +168,11 @@ def is_honest(effect: TrueEffect, named: Named, loss: Loss) -> bool:
 
 
 def confusions(
-    sure: Sequence[TrueEffect], differs: bool, matched: Matched, said: StatedAnswer
+    sure: Sequence[TrueEffect], differs: bool, matched: Matched, stated: StatedAnswer
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs of true and named term: effects that were not found stand beside what was named in their place.
+    """Pairs of true and named term: an effect that was not named stands beside what was named in its place.
 
-    A trial without anything to be found enters where it is a null, with what was said of it.
+    A trial without sure effects enters where it is a null, with its verdict.
     """
     over = [named.term for named in matched.over]
     pairs = []
@@ -180,67 +182,67 @@ def confusions(
         if named is not None:
             pairs.append((label, UNMODELLED if named.term.startswith(UNMODELLED) else named.term))
         else:
-            pairs.append((label, over.pop(0) if over else _silence(said)))
+            pairs.append((label, over.pop(0) if over else _label_without_name(stated)))
     if not sure and not differs and not over:
-        pairs.append((NONE, _silence(said)))
+        pairs.append((NONE, _label_without_name(stated)))
     return (*pairs, *((NONE, name) for name in over))
 
 
-def _silence(said: StatedAnswer) -> str:
+def _label_without_name(stated: StatedAnswer) -> str:
     """What stands in the place of a name where there is none."""
-    if said.verdict is None:
+    if stated.verdict is None:
         return "failed"
-    return NONE if said.verdict in {"no_mismatch", "missing_physics"} else said.verdict
+    return NONE if stated.verdict in {"no_mismatch", "missing_physics"} else stated.verdict
 
 
-def _claims(real: Sequence[TrueEffect], said: StatedAnswer) -> tuple[tuple[float, bool], ...]:
-    stated = [pair for named in said.named for pair in ((named.term, named.probability), *named.rivals)]
+def _claims(real: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[tuple[float, bool], ...]:
+    claims = [pair for named in stated.named for pair in ((named.term, named.probability), *named.rivals)]
     return tuple(
-        (float(p), any(fits(effect, name) for effect in real)) for name, p in stated if p is not None
+        (float(p), any(fits(effect, name) for effect in real)) for name, p in claims if p is not None
     )
 
 
-def _joints(sure: Sequence[TrueEffect], said: StatedAnswer) -> tuple[bool, ...]:
-    """Whether each effect that is in a joint was found in the right one; nothing where none was named."""
-    if said.verdict != "missing_physics":
+def _joints(sure: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[bool, ...]:
+    """Whether each effect in a joint was named in the right one; empty where no effect was named."""
+    if stated.verdict != "missing_physics":
         return ()
-    named = {unkeyed(named.term)[1] for named in said.named} - {None} or {said.joint}
+    named = {unkeyed(named.term)[1] for named in stated.named} - {None} or {stated.joint}
     return tuple(effect.joint in named for effect in sure if effect.joint is not None)
 
 
-def _covered(answer: Answer, said: StatedAnswer) -> tuple[bool, ...]:
+def _coverage(answer: Answer, stated: StatedAnswer) -> tuple[bool, ...]:
     return tuple(
-        row.low <= answer.truth[row.key] <= row.high for row in said.intervals if row.key in answer.truth
+        row.low <= answer.truth[row.key] <= row.high for row in stated.intervals if row.key in answer.truth
     )
 
 
-def _holds_all(real: Sequence[TrueEffect], said: StatedAnswer) -> bool:
-    held = set(said.final_terms)
+def _holds_all(real: Sequence[TrueEffect], stated: StatedAnswer) -> bool:
+    held = set(stated.final_terms)
     return all(
         effect.catalogue and bool({effect.term, keyed(effect.term, effect.joint)} & held) for effect in real
     )
 
 
-def _modelled(answer: Answer, said: StatedAnswer) -> bool:
+def _is_modelled(answer: Answer, stated: StatedAnswer) -> bool:
     """Whether the excess over the true noise floor has gone, in squares of the floor."""
-    marks = _against_floors(answer, said)
+    marks = _errors_over_floors(answer, stated)
     if not marks:
         return False
     before, after = (float(np.mean([mark[k] ** 2 for mark in marks])) for k in (0, 1))
     return before > 1.0 and (before - after) / (before - 1.0) >= MODELLED
 
 
-def _after_over_floor(answer: Answer, said: StatedAnswer) -> float | None:
-    marks = _against_floors(answer, said)
+def _after_over_floor(answer: Answer, stated: StatedAnswer) -> float | None:
+    marks = _errors_over_floors(answer, stated)
     return float(np.mean([after for _, after in marks])) if marks else None
 
 
-def _against_floors(answer: Answer, said: StatedAnswer) -> list[tuple[float, float]]:
+def _errors_over_floors(answer: Answer, stated: StatedAnswer) -> list[tuple[float, float]]:
     """RMSE before and after of every output over its true noise floor; nothing where an output is missing."""
-    told = {f.channel: f for f in said.figures}
-    if not set(answer.noise_floors) <= set(told):
+    figures = {f.channel: f for f in stated.figures}
+    if not set(answer.noise_floors) <= set(figures):
         return []
     return [
-        (told[name].rmse_before / floor, told[name].rmse_after / floor)
+        (figures[name].rmse_before / floor, figures[name].rmse_after / floor)
         for name, floor in answer.noise_floors.items()
     ]

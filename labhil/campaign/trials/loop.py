@@ -16,7 +16,7 @@ SLOPE_LAG = 0.03
 FADED_IN = 0.02
 """Share of a recording in which an excitation grows from its centre to its full size.
 
-No recording says what stood in a limiter or a lag before it began.
+No recording holds what stood in a limiter or a lag before it began.
 """
 
 

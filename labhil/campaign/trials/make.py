@@ -32,7 +32,7 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What is asked for: a kind of rig, how many trials of which sort, and where they go.
+    """Trials to be made: a kind of rig, how many trials of which sort, and where they go.
 
     ``seed`` None draws from the system's randomness; with ``resume`` trials of the same order that are there
     stay. The ``first`` has that number: of a seed whose earlier trials somebody has looked at. Recordings
@@ -59,7 +59,7 @@ class Order:
 
 
 def answers_beside(folder: Path) -> Path:
-    """The folder of the answers where nobody names one."""
+    """The folder of the answers by default."""
     return folder.with_name(f"{folder.name}-answers")
 
 
@@ -68,12 +68,12 @@ def make_trials(order: Order, jobs: int, progress: Progress) -> Index:
 
     UsageError for a kind or sort that there is not, and where trials or answers are in the way.
     """
-    bench = _checked(order, jobs)
+    bench = _check_order(order, jobs)
     order.out.mkdir(parents=True, exist_ok=True)
     order.answers.mkdir(parents=True, exist_ok=True)
     (order.out / RIG).write_text(bench.rig, encoding="utf-8")
     names = order.names
-    done = _made(order, names)
+    done = _existing_trials(order, names)
     with ProcessPoolExecutor(jobs) as executor:
         futures = [
             executor.submit(make_trial, order, name, _entropy(order.seed, i))
@@ -97,8 +97,8 @@ def _index(order: Order, names: Collection[str], done: Mapping[str, Listed]) -> 
     return Index(order.kind, order.seed is not None, tuple(done[name] for name in names if name in done))
 
 
-def _made(order: Order, names: Collection[str]) -> dict[str, Listed]:
-    """Trials that are there already; what an interruption left half is taken away."""
+def _existing_trials(order: Order, names: Collection[str]) -> dict[str, Listed]:
+    """Trials that exist already; those that an interruption left incomplete are deleted."""
     if not (order.resume and (order.out / INDEX).exists()):
         return {}
     index = read_index(order.out)
@@ -119,15 +119,15 @@ def make_trial(order: Order, name: str, entropy: tuple[int, ...]) -> Listed:
     """Draw and write one trial; only its seal is returned."""
     random = np.random.default_rng(entropy)
     sort = draw_sort(order.sort, random)
-    found = compose(order.kind, sort, random, order.seconds, kind_of(order.disturbed))
-    paths = [_write(found, walk, order.out, name, i) for i, walk in enumerate(found.walks)]
+    trial = compose(order.kind, sort, random, order.seconds, kind_of(order.disturbed))
+    paths = [_write(trial, walk, order.out, name, i) for i, walk in enumerate(trial.walks)]
     hashes = {path.stem: sha256_of(path) for path in paths}
-    answer = answer_of(found, name, hashes).to_json()
+    answer = answer_of(trial, name, hashes).to_json()
     nonce = random.bytes(32) if order.seed is not None else None
     return Listed(name, write_envelope(answer, order.answers / f"{name}.json", nonce), hashes)
 
 
-def _checked(order: Order, jobs: int) -> Bench:
+def _check_order(order: Order, jobs: int) -> Bench:
     if order.trials < 1:
         raise UsageError(f"--trials: expected at least 1, found {order.trials}")
     if order.first < 1:
@@ -145,11 +145,11 @@ def _checked(order: Order, jobs: int) -> Bench:
         )
     for folder in () if order.resume else (order.out, order.answers):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UsageError(f"{folder}: expected a new or an empty folder, found {_in(folder)}")
+            raise UsageError(f"{folder}: expected a new or an empty folder, found {_content_of(folder)}")
     return bench_of(order.kind)
 
 
-def _in(folder: Path) -> str:
+def _content_of(folder: Path) -> str:
     if not folder.is_dir():
         return "a file"
     return "trials" if (folder / INDEX).exists() else "other files in it"
@@ -160,9 +160,9 @@ def _entropy(seed: int | None, trial: int) -> tuple[int, ...]:
     return (secrets.randbits(SEED_BITS),) if seed is None else (seed, trial)
 
 
-def _write(found: Composed, walk: Walk, out: Path, name: str, which: int) -> Path:
+def _write(trial: Composed, walk: Walk, out: Path, name: str, which: int) -> Path:
     """One recording with the rig file, and nothing of the secret."""
-    setup = found.secret.setup
+    setup = trial.secret.setup
     path = recording(out, name, ("search", "test")[which])
     path.parent.mkdir(exist_ok=True)
     t_ns = np.rint(walk.t * 1e9).astype(np.int64)

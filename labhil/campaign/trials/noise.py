@@ -30,8 +30,8 @@ class TrueNoise:
         """Standard deviation of each output's noise (c,), rounding included."""
         return np.hypot(np.array(self.level), np.array(self.step) / np.sqrt(12.0))
 
-    def left_in(self, record: Record) -> LeftNoise:
-        """What of it is left in a record that a model has prepared."""
+    def residual_in(self, record: Record) -> ResidualNoise:
+        """The noise that remains in a record that a model has prepared."""
         rounded = (np.array(self.step) ** 2 / 12.0) / np.maximum(self.sigma**2, 1e-300)
         motion = record.motion if isinstance(record, PreparedRecord) else None
         if not isinstance(record, PreparedRecord) or motion is None or motion.low_pass is None:
@@ -43,7 +43,7 @@ class TrueNoise:
             places, judged = record.places, motion.judged[record.places]
             coloured = motion.low_pass.autocovariance(int(places[-1] - places[0]) + 1, self.correlation)
             white = motion.low_pass.autocovariance(len(coloured))
-        return LeftNoise(self.sigma, rounded, coloured, white, places, judged)
+        return ResidualNoise(self.sigma, rounded, coloured, white, places, judged)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON data."""
@@ -56,7 +56,7 @@ class TrueNoise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LeftNoise:
+class ResidualNoise:
     """Noise in the rows of a prepared record.
 
     ``measured`` (c,) is the standard deviation before that and ``rounded`` (c,) the share of rounding in
@@ -79,7 +79,7 @@ class LeftNoise:
 
     @property
     def _variance(self) -> FloatArray:
-        """What is left (c,) of unit noise, rounding and all."""
+        """Variance (c,) that remains of unit noise, rounding included."""
         return np.asarray(self.coloured[0] + self.rounded * (self.white[0] - self.coloured[0]))
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from labhil.campaign.trials.loop import EXCITATIONS, Law, Loop, Range, excitation_of
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.secret import Drawn, Secret, Walk
-from labhil.campaign.trials.sizes import drawn_size, power_of, spread
+from labhil.campaign.trials.sizes import draw_size, power_of, spread
 from labhil.errors import UsageError
 from labhil.kinds import KINDS
 from labhil.physics.model import Model, Record
@@ -35,7 +35,7 @@ FINEST_BITS = 16.0
 BEFORE = 100
 """Samples before a recording, in which the rig stands at the centre of its excitation.
 
-No recording says what was under way in a delay, a lag or a coil before it began.
+No recording holds what was under way in a delay, a lag or a coil before it began.
 """
 HEADROOM = 1.25
 """Full scale of a converter over the largest value it was expected to see."""
@@ -138,10 +138,10 @@ class OneInputSetup:
     def signals(self) -> tuple[Signal, ...]:
         """The input, the outputs and, where they are recorded, the further channels."""
         kind = KINDS[self.kind]
-        names = (kind.inputs[0].name, *self.bench.outputs, *self._others)
+        names = (kind.inputs[0].name, *self.bench.outputs, *self._auxiliary)
         return tuple(signal for signal in kind.signals() if signal.name in names)
 
-    def told(self) -> dict[str, Any]:
+    def conditions_to_json(self) -> dict[str, Any]:
         """The conditions as an answer lists them."""
         return asdict(self.conditions)
 
@@ -159,7 +159,7 @@ class OneInputSetup:
         term = str(random.choice(list(_candidates(model, outside, [effect.term for effect in others]))))
         low, high = np.log(STRENGTHS)
         defaults = self._world.parameters_of(term)
-        drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
+        drawn = {name: draw_size(name, value, random) for name, value in defaults.items()}
         powers = {name: power_of(name) for name in drawn}
         return Drawn(term, drawn, powers, float(np.exp(random.uniform(low, high))))
 
@@ -167,9 +167,10 @@ class OneInputSetup:
         """Bristles or slipping elements that carry a dry friction, as stiff for its level as by default."""
         term = str(random.choice([name for name in CARRIERS if name in effects_of(self.kind)]))
         defaults = self._world.parameters_of(term)
-        drawn = {name: drawn_size(name, value, random) for name, value in defaults.items()}
+        drawn = {name: draw_size(name, value, random) for name, value in defaults.items()}
         level, usual = (
-            abs(each[f"{dry.term}.level"]) for each in (dry.parameters, self._world.parameters_of(dry.term))
+            abs(parameters[f"{dry.term}.level"])
+            for parameters in (dry.parameters, self._world.parameters_of(dry.term))
         )
         by_level = {
             name: value * level / usual for name, value in drawn.items() if not name.endswith(".spread")
@@ -182,31 +183,31 @@ class OneInputSetup:
 
     def noise_scale(self, secret: Secret) -> TrueNoise:
         """Noise and steps of the outputs for these conditions, from a silent rehearsal."""
-        bench, made = self.bench, self.conditions
-        rehearsed = self._walk(secret, 0, self._silence())
+        bench, conditions = self.bench, self.conditions
+        rehearsed = self._walk(secret, 0, self._silent_parameters())
         measured = [rehearsed.signals[name] for name in bench.outputs]
-        level = [float(x.std()) * 10.0 ** (-made.decibels / 20.0) for x in measured]
+        level = [float(x.std()) * 10.0 ** (-conditions.decibels / 20.0) for x in measured]
         reach = [2.0 * HEADROOM * float(np.abs(x).max()) for x in measured]
         if bench.kind == "ball_beam":
             reach = [0.5]
-        step = [full / 2**made.bits if made.bits else 0.0 for full in reach]
-        return TrueNoise(tuple(level), tuple(step), made.correlation)
+        step = [full / 2**conditions.bits if conditions.bits else 0.0 for full in reach]
+        return TrueNoise(tuple(level), tuple(step), conditions.correlation)
 
     def walk(self, secret: Secret, noise: TrueNoise, which: int) -> Walk:
         """Record the search (0) or the test (1).
 
         UsageError where the plant runs away or leaves its travel.
         """
-        found = self._walk(secret, which, self._measured(noise))
+        walk = self._walk(secret, which, self._noise_parameters(noise))
         first, travel = self.bench.outputs[0], self.bench.travel
-        reached = float(np.abs(found.signals[first]).max())
+        reached = float(np.abs(walk.signals[first]).max())
         if reached > travel:
             raise UsageError(f"{first} reached {reached:g}, at most {travel:g} is allowed")
-        return found
+        return walk
 
     def silent(self, secret: Secret, walk: Walk, which: int) -> Walk:
         """The same commands again, measured without noise and steps."""
-        return self._walk(secret, which, self._silence(), walk.commands)
+        return self._walk(secret, which, self._silent_parameters(), walk.commands)
 
     def record(self, walk: Walk) -> Record:
         """The walk as a model sees it."""
@@ -220,7 +221,7 @@ class OneInputSetup:
             output_names=outputs,
             output_units=tuple(kinds[name].unit for name in outputs),
             input_holds=(source.hold,),
-            auxiliary={name: walk.signals[name] for name in self._others},
+            auxiliary={name: walk.signals[name] for name in self._auxiliary},
             output_joints=(None,) * len(outputs),
         )
 
@@ -229,14 +230,14 @@ class OneInputSetup:
         return WORLDS[self.kind]
 
     @property
-    def _others(self) -> tuple[str, ...]:
+    def _auxiliary(self) -> tuple[str, ...]:
         return self.bench.auxiliary if self.conditions.auxiliary else ()
 
-    def _silence(self) -> dict[str, float]:
+    def _silent_parameters(self) -> dict[str, float]:
         fine = {"adc_bits": FINEST_BITS} if self.kind == "ball_beam" else {}
         return {self.bench.noise_name(name): 0.0 for name in self.bench.outputs} | fine
 
-    def _measured(self, noise: TrueNoise) -> dict[str, float]:
+    def _noise_parameters(self, noise: TrueNoise) -> dict[str, float]:
         """Parameters of the plant that make this noise."""
         bench = self.bench
         given = {bench.noise_name(n): level for n, level in zip(bench.outputs, noise.level, strict=True)}
@@ -249,23 +250,23 @@ class OneInputSetup:
         self, secret: Secret, which: int, measured: Mapping[str, float], commands: FloatArray | None = None
     ) -> Walk:
         """Step through one recording; ``commands`` (BEFORE + n + 1,) replace excitation and controller."""
-        bench, made, n = self.bench, self.conditions, self.bench.samples[which]
-        seed = made.seeds[which]
-        jitter = 0.0 if _counts_samples(secret) else made.jitter * bench.period
+        bench, conditions, n = self.bench, self.conditions, self.bench.samples[which]
+        seed = conditions.seeds[which]
+        jitter = 0.0 if _counts_samples(secret) else conditions.jitter * bench.period
         given = {**secret.parameters, **measured, "stamp_jitter": jitter}
         plant = plant_of(bench.kind, given, secret.terms, seed, bench.period)
-        loop = bench.loops[made.loop]
+        loop = bench.loops[conditions.loop]
         t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
-        excitation = excitation_of(made.excitation, t, loop, np.random.default_rng([seed, 1]))
+        excitation = excitation_of(conditions.excitation, t, loop, np.random.default_rng([seed, 1]))
         excitation = np.r_[np.full(BEFORE, excitation[0]), excitation]
         law = Law(loop.controller, bench.period)
         factor, added = np.ones(len(excitation)), np.zeros(len(excitation))
         if secret.disturbance is not None:
-            factor, added = secret.disturbance.acting(len(excitation), bench.period, seed)
+            factor, added = secret.disturbance.sample(len(excitation), bench.period, seed)
         if commands is None and not loop.closed:
             commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
         if commands is not None:
-            return _followed(plant, commands, factor * commands + added, KINDS[bench.kind].inputs[0])
+            return _follow(plant, commands, factor * commands + added, KINDS[bench.kind].inputs[0])
         rows: list[Mapping[str, float]] = []
         sent, stamps, seen = np.empty(len(excitation)), np.empty(len(excitation)), 0.0
         for k, wanted in enumerate(excitation.tolist()):
@@ -275,18 +276,18 @@ class OneInputSetup:
             seen = rows[-1][bench.outputs[0]]
         source, rows, stamps = KINDS[bench.kind].inputs[0], rows[BEFORE:-1], stamps[BEFORE:-1]
         signals = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        return Walk(stamps - stamps[0], sent, {source.name: _acting(sent, source)} | signals)
+        return Walk(stamps - stamps[0], sent, {source.name: _acting_input(sent, source)} | signals)
 
 
-def _followed(plant: Plant, sent: FloatArray, done: FloatArray, source: Signal) -> Walk:
+def _follow(plant: Plant, sent: FloatArray, done: FloatArray, source: Signal) -> Walk:
     """What a plant does at commands (BEFORE + n + 1,) that are known beforehand: as sent, and as they act."""
     for value in done[: BEFORE + 1].tolist():
         plant.step(value)
-    run = plant.simulate(_acting(done, source))
-    return Walk(run.t, sent, {source.name: _acting(sent, source), **run.measured})
+    run = plant.simulate(_acting_input(done, source))
+    return Walk(run.t, sent, {source.name: _acting_input(sent, source), **run.measured})
 
 
-def _acting(sent: FloatArray, source: Signal) -> FloatArray:
+def _acting_input(sent: FloatArray, source: Signal) -> FloatArray:
     """The input (n,) beside each sample, of the commands (BEFORE + n + 1,).
 
     A command that is held acts after the sample beside which it stands, another has just been reached.
@@ -302,9 +303,9 @@ def _counts_samples(secret: Secret) -> bool:
 def _candidates(model: Model, outside: bool, others: Sequence[str]) -> tuple[str, ...]:
     """Effects of the plant that the model can name, or those that it cannot, to join ``others``."""
     known = {term.name for term in model.terms.values()}
-    there = {*rig_model(model.kind).baseline, *others}
-    fitting = [name for name in effects_of(model.kind) if name not in NEED_DRY or there & set(DRY)]
-    effects = [name for name in fitting if name not in there]
+    taken = {*rig_model(model.kind).baseline, *others}
+    fitting = [name for name in effects_of(model.kind) if name not in NEED_DRY or taken & set(DRY)]
+    effects = [name for name in fitting if name not in taken]
     if not outside:
         return tuple(name for name in effects if name in known)
     strange = [name for name in effects if name not in known and name not in MEASUREMENT]

@@ -1,4 +1,4 @@
-"""The oracle: it knows the true terms and the true noise, and says how much of an effect data can tell."""
+"""The oracle: it knows the true terms and the true noise, and computes how identifiable an effect is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from labhil.campaign.trials.noise import LeftNoise, TrueNoise
+from labhil.campaign.trials.noise import ResidualNoise, TrueNoise
 from labhil.identify.fitted import WORST_GROWTH, Fitted, fit_by_continuation, fit_terms, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
@@ -52,7 +52,7 @@ class Oracle:
     """Refits and judges with the true noise; ``values`` are the truth by key of the model's parameters.
 
     ``search`` and ``test`` are prepared by the model; ``sigma`` (c,) is what that leaves of the noise in the
-    search, ``left`` in the test. ``horizon`` (s) is that of the truth, the same for all models compared.
+    search, ``residual_noise`` in the test. ``horizon`` (s) is that of the truth, the same for all models.
     """
 
     model: Model
@@ -62,7 +62,7 @@ class Oracle:
     values: Mapping[str, float]
     horizon: float
     sigma: FloatArray
-    left: LeftNoise
+    residual_noise: ResidualNoise
 
     @classmethod
     def of(
@@ -71,19 +71,19 @@ class Oracle:
         """An oracle whose horizon is that of the true values."""
         theta = start_theta(model, values)
         learnt, judged = model.prepare(search), model.prepare(test)
-        sigma, left = noise.left_in(learnt).sigma, noise.left_in(judged)
-        return cls(model, learnt, judged, noise, values, model.horizon_at(theta), sigma, left)
+        sigma, residual_noise = noise.residual_in(learnt).sigma, noise.residual_in(judged)
+        return cls(model, learnt, judged, noise, values, model.horizon_at(theta), sigma, residual_noise)
 
     def refit(self, terms: Sequence[str], fresh: Sequence[str] = ()) -> Refit:
         """These terms fitted to the search data from the truth on.
 
         Terms in ``fresh``, which are not in the truth, begin at each of their own starts. Of several minima
-        that explain the search data about as well the test data tell which is the right one.
+        that explain the search data about as well the test data select the right one.
         """
-        known = self._own(terms)
+        known = self._true_values(terms)
         minima = self._minima(terms, known, fresh)
         if self._states:
-            minima.append(self._as_one(min(minima, key=_cost), terms, known))
+            minima.append(self._fit_whole(min(minima, key=_cost), terms, known))
         allowed = WORST_GROWTH * min(fitted.noise for fitted in minima)
         refits = [
             Refit(fitted.theta, self.log_likelihood(fitted.theta))
@@ -93,14 +93,14 @@ class Oracle:
         return refits[0].or_better(*refits[1:])
 
     def rough(self, terms: Sequence[str]) -> FloatArray:
-        """The vector (P,) of a refit on windows only: near enough to tell how strong an effect is."""
-        return min(self._minima(terms, self._own(terms), ()), key=_cost).theta
+        """The vector (P,) of a refit on windows only: near enough to measure how strong an effect is."""
+        return min(self._minima(terms, self._true_values(terms), ()), key=_cost).theta
 
-    def _own(self, terms: Sequence[str]) -> dict[str, float]:
+    def _true_values(self, terms: Sequence[str]) -> dict[str, float]:
         """The true values of these terms, and of the rig's own sizes."""
-        own = {p.key for p in self.model.parameters if p.term is None}
-        own |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
-        return {k: v for k, v in self.values.items() if k in own}
+        keys = {p.key for p in self.model.parameters if p.term is None}
+        keys |= {p.key for term in terms_named(self.model, terms) for p in term.parameters}
+        return {k: v for k, v in self.values.items() if k in keys}
 
     def _minima(self, terms: Sequence[str], known: Mapping[str, float], fresh: Sequence[str]) -> list[Fitted]:
         """Where fits from the values ``known`` end on windows: by way of short ones, and at once."""
@@ -122,7 +122,7 @@ class Oracle:
         )
         return [climbed, at_once]
 
-    def _as_one(self, best: Fitted, terms: Sequence[str], known: Mapping[str, float]) -> Fitted:
+    def _fit_whole(self, best: Fitted, terms: Sequence[str], known: Mapping[str, float]) -> Fitted:
         """The fit to whole recordings, from the best on windows or from the values ``known``."""
         starts: list[Mapping[str, float]] = [{}, known]
         longest = self.search.longest
@@ -130,7 +130,7 @@ class Oracle:
 
     def marks(self, theta: FloatArray) -> Score:
         """A vector's score on the test data."""
-        return score(self.model, theta, self.test, self.left.sigma, self.horizon)
+        return score(self.model, theta, self.test, self.residual_noise.sigma, self.horizon)
 
     def strength(self, theta: FloatArray, joint: int | None = None) -> float:
         """RMSE of a vector on the test data over the noise floor, of all outputs, or a joint's own."""
@@ -149,22 +149,22 @@ class Oracle:
     def floors(self, theta: FloatArray, marks: Score) -> FloatArray:
         """RMSE of a perfect model (c,), initial-state error under the true noise included."""
         if not self._states:
-            return self.left.rms
+            return self.residual_noise.rms
         problem = _problem(self, theta, marks.windows.whole)
         point = Point(np.empty(0), marks.states)
         slopes = problem.state_slopes(point, problem.residuals(point))
-        c = len(self.left.sigma)
+        c = len(self.residual_noise.sigma)
         slopes = slopes.reshape(-1, c, slopes.shape[1])
         carried = []
         for w in range(len(marks.windows.whole)):
             inside = marks.windows.whole.owner == w
-            carried.append(self._carried(slopes[inside], marks.windows.scored[inside]))
-        return np.asarray(self.left.sigma * np.sqrt(np.concatenate(carried).mean(axis=0)))
+            carried.append(self._carried_variance(slopes[inside], marks.windows.scored[inside]))
+        return np.asarray(self.residual_noise.sigma * np.sqrt(np.concatenate(carried).mean(axis=0)))
 
-    def _carried(self, slopes: FloatArray, scored: np.ndarray) -> FloatArray:
+    def _carried_variance(self, slopes: FloatArray, scored: np.ndarray) -> FloatArray:
         """Variance (scored samples, c) of a perfect model's errors in one window, in those of the noise."""
         n, c, states = slopes.shape
-        every = [self.left.correlation(j, np.arange(n)) for j in range(c)]
+        every = [self.residual_noise.correlation(j, np.arange(n)) for j in range(c)]
         lead = slopes[~scored].reshape(-1, states)
         gram = lead.T @ lead
         damped = gram + (1e-9 * np.diag(gram).max(initial=0.0) + 1e-12) * np.eye(states)
@@ -179,27 +179,29 @@ class Oracle:
         return out
 
     def log_likelihood(self, theta: FloatArray) -> float:
-        """That of the test data, in windows whose initial states maximise it; nats, up to a constant."""
-        problem, whiten = self._whitened(theta)
-        return -0.5 * float(np.sum(_settled(problem, whiten)[0] ** 2))
+        """Of the test data, in windows whose initial states maximise it; nats, up to a constant."""
+        problem, whiten = self._test_problem(theta)
+        return -0.5 * float(np.sum(_settle_states(problem, whiten)[0] ** 2))
 
     def log_likelihood_of_truth(self, theta: FloatArray, silent: Record) -> float:
-        """The same of the plant itself, whose outputs without noise are those of the record ``silent``.
+        """The log likelihood of the plant itself; its outputs without noise are those of ``silent``.
 
         What initial states could explain of the noise, with slopes taken along ``theta``, is taken out:
         the plant then has as many of them as a model has.
         """
-        problem, whiten = self._whitened(theta)
-        _, point = _settled(problem, whiten)
+        problem, whiten = self._test_problem(theta)
+        _, point = _settle_states(problem, whiten)
         rows = problem.windows.rows
         true = self.model.prepare(silent).outputs
-        noise = ((self.test.outputs[rows] - true[rows]) / self.left.sigma).ravel()
+        noise = ((self.test.outputs[rows] - true[rows]) / self.residual_noise.sigma).ravel()
         slopes = problem.state_slopes(point, problem.residuals(point))
-        return -0.5 * float(np.sum(_left(problem, whiten(noise[:, None])[:, 0], whiten(slopes)) ** 2))
+        return -0.5 * float(
+            np.sum(_without_states(problem, whiten(noise[:, None])[:, 0], whiten(slopes)) ** 2)
+        )
 
-    def _whitened(self, theta: FloatArray) -> tuple[Problem, Whiten]:
+    def _test_problem(self, theta: FloatArray) -> tuple[Problem, Whiten]:
         windows = fit_windows(self.test, JUDGED * self.horizon) if self._states else all_of(self.test).whole
-        return _problem(self, theta, windows), _whitening(windows, self.left)
+        return _problem(self, theta, windows), _whitening(windows, self.residual_noise)
 
     @property
     def _states(self) -> bool:
@@ -216,10 +218,10 @@ Whiten = Callable[[FloatArray], FloatArray]
 
 def _problem(oracle: Oracle, theta: FloatArray, windows: Windows) -> Problem:
     nothing = np.empty(0, dtype=np.int64)
-    return Problem(oracle.model, oracle.test, windows, nothing, theta, oracle.left.sigma)
+    return Problem(oracle.model, oracle.test, windows, nothing, theta, oracle.residual_noise.sigma)
 
 
-def _whitening(windows: Windows, noise: LeftNoise) -> Whiten:
+def _whitening(windows: Windows, noise: ResidualNoise) -> Whiten:
     """A map that makes rows (N·c, k), window after window, as independent as white noise of variance 1.
 
     Rows that are not judged, which have no noise, become zero.
@@ -248,11 +250,11 @@ def _whitening(windows: Windows, noise: LeftNoise) -> Whiten:
     return whiten
 
 
-def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
+def _settle_states(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     """White residuals (N·c,) with each window's state where its likelihood is highest (Gauss-Newton)."""
     none = np.empty(0)
-    found = estimate_states(problem, none)
-    point, residuals = Point(none, found.states), found.residuals
+    estimate = estimate_states(problem, none)
+    point, residuals = Point(none, estimate.states), estimate.residuals
     white = whiten(residuals[:, None])[:, 0]
     if not problem.model.state_names:
         return white, point
@@ -276,8 +278,8 @@ def _settled(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]:
     return white, point
 
 
-def _left(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray:
-    """What each window's own states leave of white rows (N·c,)."""
+def _without_states(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray:
+    """White rows (N·c,) without what each window's own states explain."""
     if not problem.model.state_names:
         return white
     mixed = problem.per_window(slopes * white[:, None])[:, :, None]

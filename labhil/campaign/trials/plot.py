@@ -39,14 +39,14 @@ def _draw_confusion(axes: Axes, card: Card) -> None:
     """Counts, each row by its own total; joints are left out but for a name in the wrong one."""
     pairs = Counter[tuple[str, str]]()
     for (true, named), n in card.confusion.items():
-        pairs[unkeyed(true)[0], _named(true, named)] += n
+        pairs[unkeyed(true)[0], _drawn_name(true, named)] += n
     rows, columns = (sorted({pair[k] for pair in pairs}, key=last) or [NONE] for k in (0, 1))
     counts = np.array([[pairs[row, column] for column in columns] for row in rows])
     axes.imshow(
         counts / np.maximum(counts.sum(axis=1, keepdims=True), 1), cmap="Greens", vmax=1.6, aspect="auto"
     )
     for i, j in zip(*np.nonzero(counts), strict=True):
-        right = _right(rows[i], columns[j])
+        right = _is_right(rows[i], columns[j])
         axes.text(
             j, i, str(counts[i, j]), ha="center", va="center", color="k" if right else BEFORE, fontsize=8
         )
@@ -56,7 +56,7 @@ def _draw_confusion(axes: Axes, card: Card) -> None:
     axes.grid(visible=False)
 
 
-def _named(true: str, named: str) -> str:
+def _drawn_name(true: str, named: str) -> str:
     """What is drawn for a name beside the truth."""
     if named.startswith(UNMODELLED):
         return UNMODELLED
@@ -64,7 +64,7 @@ def _named(true: str, named: str) -> str:
     return OTHER_JOINT if same and true != named else unkeyed(named)[0]
 
 
-def _right(true: str, named: str) -> bool:
+def _is_right(true: str, named: str) -> bool:
     """What is outside the catalogue has no name of its own."""
     return true == named or (true == OUTSIDE and named == UNMODELLED)
 
@@ -100,15 +100,15 @@ def _draw_shares(
     axes: Axes, shares: Mapping[float, Share], colour: str, label: str | None, side: int = 1
 ) -> None:
     """Shares over their places with 95 % limits and the number of cases, on their left (-1) or right (1)."""
-    there = {x: share for x, share in shares.items() if share.of}
-    values = np.array([share.value for share in there.values()])
-    limits = np.array([share.limits for share in there.values()]).reshape(-1, 2).T
+    drawn = {x: share for x, share in shares.items() if share.of}
+    values = np.array([share.value for share in drawn.values()])
+    limits = np.array([share.limits for share in drawn.values()]).reshape(-1, 2).T
     reach = np.maximum(np.abs(limits - values), 0.0)
     axes.errorbar(
-        list(there), values, yerr=reach, fmt="o-", color=colour, ms=4, lw=1.0, capsize=2, label=label
+        list(drawn), values, yerr=reach, fmt="o-", color=colour, ms=4, lw=1.0, capsize=2, label=label
     )
     towards = "left" if side > 0 else "right"
     number = partial(axes.annotate, textcoords="offset points", ha=towards, fontsize=7, color=colour)
-    for x, share in there.items():
+    for x, share in drawn.items():
         number(str(share.of), (x, share.value), (4 * side, -9))
     axes.set_ylim(-0.03, 1.05)

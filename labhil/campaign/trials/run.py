@@ -1,4 +1,4 @@
-"""``labhil trial run``: diagnose every trial blind, keep each result at once, and hash what was said.
+"""``labhil trial run``: diagnose every trial blind, keep each result at once, and hash it.
 
 Diagnoses run in processes of their own that are given the trials' folder and nothing else; there, opening
 any envelope (JSON, which no diagnosis has a reason to read) is refused by an audit hook that Python code
@@ -51,15 +51,15 @@ def run_trials(folder: Path, jobs: int, progress: Progress, method: str = DIAGNO
     for listed in index.trials:
         _check_recordings(folder, listed)
     (folder / results.name).mkdir(exist_ok=True)
-    hashes = _kept(results)
+    hashes = _kept_hashes(results)
     missing = [listed.name for listed in index.trials if listed.name not in hashes]
     if missing:
         _diagnose_all(results, missing, hashes, jobs, progress)
     return sha256_of(results.hashes)
 
 
-def _kept(results: Results) -> dict[str, str]:
-    """The hashes of results that are there; what was written but not hashed is diagnosed again."""
+def _kept_hashes(results: Results) -> dict[str, str]:
+    """The hashes of existing results; a result without a hash is diagnosed again."""
     hashes = results.read_hashes()
     for name, expected in hashes.items():
         path = results.of(name)
@@ -73,9 +73,9 @@ def _kept(results: Results) -> dict[str, str]:
 def _check_recordings(folder: Path, listed: Listed) -> None:
     for role, expected in listed.recordings.items():
         path = recording(folder, listed.name, role)
-        found = sha256_of(path)
-        if found != expected:
-            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {found}")
+        actual = sha256_of(path)
+        if actual != expected:
+            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {actual}")
 
 
 def _diagnose_all(
@@ -98,8 +98,8 @@ def _diagnose_all(
                 replace_text(path, text + "\n")
                 hashes[name] = sha256_of(path)
                 results.write_hashes(hashes)
-                said = result["verdict"] or f"failed: {result['error']}"
-                progress(f"{count} of {len(names)} trials diagnosed; {name}: {said}")
+                verdict = result["verdict"] or f"failed: {result['error']}"
+                progress(f"{count} of {len(names)} trials diagnosed; {name}: {verdict}")
         except BaseException:
             executor.shutdown(cancel_futures=True)
             raise
@@ -123,7 +123,7 @@ def _refuse_envelopes(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str, Any]:
-    """The diagnosis of one trial as JSON data; one that fails has the verdict null and says why."""
+    """The diagnosis of one trial as JSON data; one that fails has the verdict null and its error."""
     began = time.perf_counter()
     try:
         search, test = (recording(folder, name, role) for role in ("search", "test"))

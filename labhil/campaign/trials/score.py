@@ -41,13 +41,13 @@ def judge_trials(
     """
     index, results = read_index(folder), Results(folder, method)
     _check_results(results, [listed.name for listed in index.trials])
-    truths = [opened(listed, answers) for listed in index.trials]
+    truths = [open_answer(listed, answers) for listed in index.trials]
     for listed in index.trials:
         _check_recordings(folder, listed)
     judged: list[Judged] = []
     with ProcessPoolExecutor(jobs) as executor:
-        for one in executor.map(_judge, repeat(results), truths):
-            judged.append(one)
+        for trial in executor.map(_judge, repeat(results), truths):
+            judged.append(trial)
             progress(f"{len(judged)} of {len(truths)} trials scored")
     return judged
 
@@ -63,22 +63,22 @@ def _check_results(results: Results, names: list[str]) -> None:
         )
     for name in names:
         path = results.of(name)
-        found = sha256_of(path)
-        if found != hashes[name]:
+        actual = sha256_of(path)
+        if actual != hashes[name]:
             raise UsageError(
-                f"{path}: not the result that was hashed: expected SHA-256 {hashes[name]}, found {found}"
+                f"{path}: not the result that was hashed: expected SHA-256 {hashes[name]}, found {actual}"
             )
 
 
 def _check_recordings(folder: Path, listed: Listed) -> None:
     for role, expected in listed.recordings.items():
         path = recording(folder, listed.name, role)
-        found = sha256_of(path)
-        if found != expected:
-            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {found}")
+        actual = sha256_of(path)
+        if actual != expected:
+            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {actual}")
 
 
-def opened(listed: Listed, answers: Path) -> Answer:
+def open_answer(listed: Listed, answers: Path) -> Answer:
     """The answer in a trial's envelope; UsageError where it is not the sealed one."""
     path = answers / f"{listed.name}.json"
     answer = Answer.from_json(open_envelope(path, listed.seal))
@@ -90,14 +90,14 @@ def opened(listed: Listed, answers: Path) -> Answer:
 
 
 def _judge(results: Results, answer: Answer) -> Judged:
-    said = read_stated_answer(results.of(answer.trial))
+    stated = read_stated_answer(results.of(answer.trial))
     oracle = Bystander(results.folder, answer)
-    return judge(answer, said, oracle.loss, oracle.overlap(said))
+    return judge(answer, stated, oracle.loss, oracle.overlap(stated))
 
 
 @dataclass
 class Bystander:
-    """The oracle once more, for what only the answer given calls for; wakes when it is asked."""
+    """The oracle for what only the given answer calls for; built when it is first used."""
 
     folder: Path
     answer: Answer
@@ -116,13 +116,13 @@ class Bystander:
         best = oracle.refit([*others, *new], new).or_better(without)
         return effect.oracle_gain - (best.likelihood - without.likelihood)
 
-    def overlap(self, said: StatedAnswer) -> float | None:
+    def overlap(self, stated: StatedAnswer) -> float | None:
         """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
         real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
-        if said.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
+        if stated.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
             return None
         others = [name for name in self.full if name != real[0].key]
-        return overlap(self.oracle, real[0].key, others, said)
+        return overlap(self.oracle, real[0].key, others, stated)
 
     @property
     def full(self) -> list[str]:

@@ -35,9 +35,9 @@ def open_envelope(path: Path, expected: str) -> Any:
         nonce, answer = bytes.fromhex(data["nonce"]), data["answer"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{path}: expected a sealed answer (JSON with nonce and answer): {error}") from error
-    found = seal(answer, nonce)
-    if found != expected:
-        raise UsageError(f"{path}: the seal does not match: expected SHA-256 {expected}, found {found}")
+    actual = seal(answer, nonce)
+    if actual != expected:
+        raise UsageError(f"{path}: the seal does not match: expected SHA-256 {expected}, found {actual}")
     return answer
 
 

@@ -1,4 +1,4 @@
-"""What a trial conceals, and what any rig has to say of itself to be recorded in one."""
+"""What a trial conceals, and the interface of a rig that is recorded in one."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Setup(Protocol):
         """What is recorded."""
         ...
 
-    def told(self) -> dict[str, Any]:
+    def conditions_to_json(self) -> dict[str, Any]:
         """The conditions as an answer lists them."""
         ...
 

@@ -13,7 +13,7 @@ from labhil.campaign.trials.judge import NONE, UNMODELLED
 from labhil.physics.terms import unkeyed
 
 SIDE_BY_SIDE = 6
-"""Names that fit beside each other; more are told one pair a line, and drawn."""
+"""Names that fit beside each other; more are listed one pair a line, and drawn."""
 
 
 def show(card: Card, console: Console) -> None:

@@ -23,7 +23,7 @@ SPREAD = 1.6
 """Largest factor by which a number differs from its default."""
 
 
-def drawn_size(name: str, default: float, random: np.random.Generator) -> float:
+def draw_size(name: str, default: float, random: np.random.Generator) -> float:
     """A value about the default; what has no counterpart in a model stays away."""
     if name == "friction_asymmetry.level":
         return 0.0

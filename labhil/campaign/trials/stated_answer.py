@@ -1,4 +1,4 @@
-"""What a diagnosis said, as far as it is scored."""
+"""The answer of a diagnosis, as far as it is scored."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Named:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Everything that this answer says it might be, the first choice first."""
+        """All names that this answer considers possible, the first choice first."""
         return (self.term, *(name for name, _ in self.rivals))
 
 
@@ -48,7 +48,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """A range of a coordinate in which the mismatch is said to live."""
+    """A range of a coordinate in which the mismatch is reported."""
 
     coordinate: str
     low: float
@@ -57,7 +57,7 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class StatedAnswer:
-    """A diagnosis; ``verdict`` is None where it failed, ``joint`` that whose output is off the most."""
+    """A diagnosis; ``verdict`` is None where it failed, ``joint`` has the largest mismatch."""
 
     verdict: str | None
     named: tuple[Named, ...] = ()
@@ -82,13 +82,13 @@ def read_stated_answer(path: Path) -> StatedAnswer:
 
 
 def stated_answer_in(data: Mapping[str, Any]) -> StatedAnswer:
-    """What a diagnosis as JSON data said."""
+    """The answer in the JSON data of a diagnosis."""
     if data["verdict"] is None:
         return StatedAnswer(None, seconds=float(data["seconds"]), error=str(data.get("error", "")))
     rivals = data["rivals"]
     return StatedAnswer(
         verdict=str(data["verdict"]),
-        named=tuple(_named(item, rivals) for item in data["missing"]),
+        named=tuple(_named_effect(item, rivals) for item in data["missing"]),
         final_terms=tuple(data["final"]["terms"]),
         intervals=tuple(_interval(row) for row in data["final"]["parameters"]),
         figures=_figures(data["improvement"]),
@@ -98,7 +98,7 @@ def stated_answer_in(data: Mapping[str, Any]) -> StatedAnswer:
     )
 
 
-def _named(item: Mapping[str, Any], rivals: list[Mapping[str, Any]]) -> Named:
+def _named_effect(item: Mapping[str, Any], rivals: list[Mapping[str, Any]]) -> Named:
     same = [r for r in rivals if r["instead_of"] == item["term"] and r.get("joint") == item.get("joint")]
     return Named(
         keyed(item["term"], item.get("joint")),
@@ -118,16 +118,16 @@ def _interval(row: Mapping[str, Any]) -> Interval:
 
 def _figures(data: Mapping[str, Any] | None) -> tuple[Figures, ...]:
     """The outputs' figures; of an output with several metrics the first, which is the headline's."""
-    found: dict[str, Figures] = {}
+    figures: dict[str, Figures] = {}
     for row in (data or {}).get("per_channel") or []:
         channel, before, after = row["channel"], row["rmse_before"], row["rmse_after"]
         if row.get("joint") is not None:
             channel = f"{channel}_{row['joint']}"
         if before is not None and after is not None:
-            found.setdefault(channel, Figures(channel, float(before), float(after)))
-    return tuple(found.values())
+            figures.setdefault(channel, Figures(channel, float(before), float(after)))
+    return tuple(figures.values())
 
 
 def _regimes(location: Mapping[str, Any] | None) -> tuple[Regime, ...]:
-    found = (location or {}).get("regimes") or []
-    return tuple(Regime(r["coordinate"], float(r["low"]), float(r["high"])) for r in found)
+    rows = (location or {}).get("regimes") or []
+    return tuple(Regime(r["coordinate"], float(r["low"]), float(r["high"])) for r in rows)

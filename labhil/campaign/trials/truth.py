@@ -1,4 +1,4 @@
-"""A plant's numbers in a model's terms, where the two say the same thing in different words."""
+"""A plant's numbers as values of a model's parameters, where the two correspond."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def _value(name: str, joint: int | None, plant: Mapping[str, float]) -> float | 
     if name == "viscous_friction.coefficient" and joint is not None and of(RATE):
         return None  # an arm's model has it at the first temperature
     if name in INVERSES:
-        found = of(INVERSES[name])
-        return None if found is None else 1.0 / found
+        plain = of(INVERSES[name])
+        return None if plain is None else 1.0 / plain
     if name == "presliding_friction.length":
         level, stiffness = of("coulomb_friction.level"), of("presliding_friction.stiffness")
         return level / stiffness if level and stiffness else None

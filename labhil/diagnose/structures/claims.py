@@ -1,4 +1,4 @@
-"""What may be claimed of what a search visited: by odds on its data, borne out by held-out data."""
+"""The claims that a search allows: by odds on its data, borne out by held-out data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.diagnose.structures.enumerate import Structure, closed
+from labhil.diagnose.structures.enumerate import Structure, closure
 from labhil.diagnose.structures.state import (
     SearchState,
     alternatives,
@@ -47,8 +47,8 @@ class Stage:
         return [self.state.refitted[structure].fitted for structure in chosen]
 
 
-def concluded(stage: Stage, claim: float, looks: int) -> SearchResult:
-    """The best structure with its rivals; nothing where the data do not speak for it."""
+def conclude_search(stage: Stage, claim: float, looks: int) -> SearchResult:
+    """State the best structure with its rivals; no terms where the data do not speak for them."""
     state, model = stage.state, stage.data.model
     base = state.refitted[frozenset()].fitted
     best = state.best
@@ -56,10 +56,10 @@ def concluded(stage: Stage, claim: float, looks: int) -> SearchResult:
     shares = inclusion(state)
     steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > claim]
     steps.sort(key=lambda s: s.evidence.delta_bic)
-    known = state.log_evidence()
-    p_value = float(np.exp(min(known[frozenset()] - known[best], 0.0)))
-    claimed = closed(model, (step.terms[0] for step in steps), frozenset(base.terms))
-    found = SearchResult(
+    log_evidence = state.log_evidence()
+    p_value = float(np.exp(min(log_evidence[frozenset()] - log_evidence[best], 0.0)))
+    claimed = closure(model, (step.terms[0] for step in steps), frozenset(base.terms))
+    result = SearchResult(
         base,
         _with_only(stage, claimed),
         tuple(steps),
@@ -70,7 +70,7 @@ def concluded(stage: Stage, claim: float, looks: int) -> SearchResult:
         disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > claim,
         alternatives=alternatives(state),
     )
-    return found.ending(found.final, found.missing)
+    return result.ending(result.final, result.missing)
 
 
 def _with_only(stage: Stage, structure: Structure) -> Fitted:
@@ -88,50 +88,50 @@ def _with_only(stage: Stage, structure: Structure) -> Fitted:
 
 
 def _step(term: str, odds: float, probability: float) -> Step:
-    """A claim as the searched data make it; held-out data are asked later."""
-    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), True, probability)
+    """A claim as the searched data make it; held-out data validate it later."""
+    return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), probability)
 
 
-def borne_out(stage: Stage, found: SearchResult) -> SearchResult:
-    """Only what held-out data bear out, too, so that chance makes a tenth of the claims at most.
+def validate_claims(stage: Stage, result: SearchResult) -> SearchResult:
+    """Keep the claims that held-out data bear out, so that chance makes a tenth of them at most.
 
-    The one that they bear out least goes first (Benjamini and Hochberg 1995: of m claims the largest p value
-    has to be below α); without it the other doubtful ones are asked anew, and in the end all.
+    The claim that they bear out least goes first (Benjamini and Hochberg 1995: of m claims the largest p
+    value has to be below α); without it the other doubtful ones are tested anew, and in the end all.
     """
-    baseline = frozenset(found.baseline.terms)
-    asked = _terms(found.missing)
-    while found.missing:
-        found = replace(found, missing=_validated(stage, found, asked))
-        doubtful = [step for step in found.missing if step.evidence.p_value >= ALPHA]
+    baseline = frozenset(result.baseline.terms)
+    tested = _terms(result.missing)
+    while result.missing:
+        result = replace(result, missing=_validate(stage, result, tested))
+        doubtful = [step for step in result.missing if step.evidence.p_value >= ALPHA]
         if doubtful:
             least = max(doubtful, key=lambda step: step.evidence.p_value)
-            kept = frozenset(without(stage.data.model, found.final.terms, least.terms[0])) - baseline
-            steps = tuple(step for step in found.missing if step.terms[0] in kept)
-            found = found.ending(_with_only(stage, kept), steps)
-            asked = _terms(doubtful) & kept or _terms(found.missing)
-        elif asked == _terms(found.missing):
+            kept = frozenset(without(stage.data.model, result.final.terms, least.terms[0])) - baseline
+            steps = tuple(step for step in result.missing if step.terms[0] in kept)
+            result = result.ending(_with_only(stage, kept), steps)
+            tested = _terms(doubtful) & kept or _terms(result.missing)
+        elif tested == _terms(result.missing):
             break
         else:
-            asked = _terms(found.missing)
-    return found
+            tested = _terms(result.missing)
+    return result
 
 
 def _terms(steps: Sequence[Step]) -> Structure:
     return frozenset(step.terms[0] for step in steps)
 
 
-def _validated(stage: Stage, found: SearchResult, asked: Structure) -> tuple[Step, ...]:
-    """The steps, with what held-out data gain by each of ``asked``: against the final model without it."""
-    data, final = stage.data, found.final
+def _validate(stage: Stage, result: SearchResult, tested: Structure) -> tuple[Step, ...]:
+    """The steps, with what held-out data gain by each of ``tested``: against the final model without it."""
+    data, final = stage.data, result.final
     after = data.judge(final.theta)
 
-    def validated(step: Step) -> Step:
+    def validate(step: Step) -> Step:
         terms = without(data.model, final.terms, step.terms[0])
-        reduced = _with_only(stage, frozenset(terms) - frozenset(found.baseline.terms))
+        reduced = _with_only(stage, frozenset(terms) - frozenset(result.baseline.terms))
         gain, p_value = best_heldout_gain(data.judge(reduced.theta), after)
         return replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain))
 
-    return tuple(validated(step) if step.terms[0] in asked else step for step in found.missing)
+    return tuple(validate(step) if step.terms[0] in tested else step for step in result.missing)
 
 
 def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import begun, deepened, gauged, glance, refined, with_spline
+from labhil.diagnose.curve import deepen, fix_gauge, glance, refine, restart, with_spline
 from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, with_placed
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
@@ -82,7 +82,7 @@ class CurveSearch:
                     best = trial
         if best is None:
             return None
-        return replace(best, curved=gauged(deepened(best.curved, self.options.finished)))
+        return replace(best, curved=fix_gauge(deepen(best.curved, self.options.finished)))
 
     def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         best: FittedCurve | None = None
@@ -102,16 +102,16 @@ class CurveSearch:
         columns = _columns(fitted, [*motion_coordinates(model, part), *given_coordinates(fitted, part)])
         curves = [curve for _, curve in columns]
         view = self._view(fitted, curves, len(curves))
-        named = {term: view.responses.variants[term][0] for term in self._named(fitted, view)}
+        named = {term: view.responses.variants[term][0] for term in self._named_terms(fitted, view)}
         log_named = view.evaluate([tuple(named.values())])[0].log_evidence
         tried: list[tuple[Coordinate, Structure, Choice]] = [
             (coordinate, structure, (*(v for t, v in named.items() if t in structure), variant))
             for coordinate, curve in columns
-            for structure in _kept(self.data, list(named))
+            for structure in _kept_terms(self.data, list(named))
             for variant in view.responses.variants[curve.name]
         ]
-        tried = [each for each in tried if self._matters(view, each[2])]
-        logs = [each.log_evidence for each in view.evaluate([choice for _, _, choice in tried])]
+        tried = [trial for trial in tried if self._matters(view, trial[2])]
+        logs = [trial.log_evidence for trial in view.evaluate([choice for _, _, choice in tried])]
         best = dict[tuple[Coordinate, Structure], float]()
         for (coordinate, structure, _), value in zip(tried, logs, strict=True):
             best[coordinate, structure] = max(best.get((coordinate, structure), -np.inf), value)
@@ -123,39 +123,41 @@ class CurveSearch:
         return view.relevance(choice)[choice[-1].term] >= self.options.relevance
 
     def _fewest_names(self, choices: Sequence[CurveChoice]) -> list[CurveChoice]:
-        """Of each coordinate's choices the one with the fewest names of those that no claim tells apart."""
-        found = []
+        """Of each coordinate's choices within the odds of a claim the one with the fewest terms."""
+        fewest = []
         for coordinate in dict.fromkeys(choice.coordinate for choice in choices):
-            own = [choice for choice in choices if choice.coordinate == coordinate]
-            enough = max(choice.log_odds for choice in own) - self.options.claim
-            likely = [choice for choice in own if choice.log_odds > enough]
-            found.append(min(likely, key=lambda choice: (len(choice.beside), -choice.log_odds)))
-        return found
+            of_coordinate = [choice for choice in choices if choice.coordinate == coordinate]
+            enough = max(choice.log_odds for choice in of_coordinate) - self.options.claim
+            likely = [choice for choice in of_coordinate if choice.log_odds > enough]
+            fewest.append(min(likely, key=lambda choice: (len(choice.beside), -choice.log_odds)))
+        return fewest
 
     def _view(self, fitted: Fitted, curves: Sequence[CurveColumns], coordinates: int) -> Enumeration:
-        """What may be compared where a fit stands, a curve over one of so many coordinates among it."""
-        seen = responses(self.data, fitted, self.baseline, self.correlation, absent=(), curves=curves)
+        """The structures to compare where a fit stands, with a curve over one of so many coordinates."""
+        term_responses = responses(
+            self.data, fitted, self.baseline, self.correlation, absent=(), curves=curves
+        )
         candidates = len(self.data.model.terms) - len(self.baseline) + coordinates
-        return Enumeration(self.data.model, seen, frozenset(self.baseline), candidates)
+        return Enumeration(self.data.model, term_responses, frozenset(self.baseline), candidates)
 
-    def _named(self, fitted: Fitted, view: Enumeration) -> list[str]:
+    def _named_terms(self, fitted: Fitted, view: Enumeration) -> list[str]:
         return [t for t in fitted.terms if t not in self.baseline and t in view.responses.variants]
 
     def _refit(self, fitted: Fitted, choice: CurveChoice, log_named: float) -> FittedCurve:
         """Refit a structure with a curve, and weigh it where that stands."""
-        beside = self._without(fitted, choice.beside)
-        problem, states = beside.problem, beside.solution.point.states
-        along = problem.model.coordinates(beside.theta, problem.record, problem.windows, states)
-        first = glance(beside, choice.coordinate, choice.coordinate.of(along))
-        curved = refined(begun(first), self.options.iterations)
+        named_fit = self._without(fitted, choice.beside)
+        problem, states = named_fit.problem, named_fit.solution.point.states
+        along = problem.model.coordinates(named_fit.theta, problem.record, problem.windows, states)
+        first = glance(named_fit, choice.coordinate, choice.coordinate.of(along))
+        curved = refine(restart(first), self.options.iterations)
         coordinates = len(problem.model.coordinate_units)
         view = self._view(curved.fitted, (), coordinates)
-        names = tuple(view.responses.variants[t][0] for t in self._named(beside, view))
+        names = tuple(view.responses.variants[t][0] for t in self._named_terms(named_fit, view))
         key = curved.model.coefficients[0].term or NAME
         ways = view.evaluate([(*names, way) for way in view.responses.variants[key]])
-        likeliest = max(ways, key=lambda each: each.log_evidence)
+        likeliest = max(ways, key=lambda prediction: prediction.log_evidence)
         odds = likeliest.log_evidence - log_named if self._matters(view, likeliest.choice) else -np.inf
-        return FittedCurve(curved, beside, odds)
+        return FittedCurve(curved, named_fit, odds)
 
     def _without(self, fitted: Fitted, kept: Structure) -> Fitted:
         """The fit with only some of its named terms, on the same windows."""
@@ -169,22 +171,22 @@ class CurveSearch:
         )  # fmt: skip
 
 
-def _kept(data: Data, named: list[str]) -> Iterable[Structure]:
+def _kept_terms(data: Data, named: list[str]) -> Iterable[Structure]:
     """Named terms that stay beside a curve: all, and all but some of the forces."""
     terms = data.model.terms
     forces = [t for t in named if terms[t].enters is Enters.FORCE][:MOST_SWAPPED]
     for count in range(len(forces) + 1):
         for gone in combinations(forces, count):
-            left = frozenset(named) - set(gone)
-            if not any(t in gone for term in left for t in terms[term].with_terms):
-                yield left
+            kept = frozenset(named) - set(gone)
+            if not any(t in gone for term in kept for t in terms[term].with_terms):
+                yield kept
 
 
 def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Coordinate, CurveColumns]]:
-    """What a force over each coordinate that varies changes in the residuals."""
+    """Change of the residuals by a force over each coordinate that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
-    found = []
+    columns = []
     for coordinate in coordinates:
         values = coordinate.of(along)
         if np.ptp(values) > 0.0:
@@ -192,5 +194,5 @@ def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Co
             lin = spline_problem.linearise(point, fitted.solution.residuals)
             slopes = lin.by_parameters[:, -extended.spline.count :]
             name = f"force over {coordinate.name}, {coordinate.acts.name}"
-            found.append((coordinate, CurveColumns(name, slopes, extended.spline.roughness)))
-    return found
+            columns.append((coordinate, CurveColumns(name, slopes, extended.spline.roughness)))
+    return columns

@@ -48,8 +48,8 @@ class Disturbance:
     weight: FloatArray
 
     @classmethod
-    def estimated(cls, candidates: int) -> Disturbance:
-        """None, or about the size that was estimated, by factors."""
+    def near_estimate(cls, candidates: int) -> Disturbance:
+        """No disturbance, or one about as large as estimated, by factors."""
         return cls.grid(candidates, (0.3, 1.0, 3.0))
 
     @classmethod
@@ -73,17 +73,17 @@ def inner_products(
     rho = np.tile(correlation, len(problem.windows.owner))
     worth = np.minimum(1.0, problem.effective_fraction * (1.0 + rho) / (1.0 - rho))
     weight = np.sqrt(worth)[:, None]
-    states = spectra(problem, weight * whitened(problem, lin.by_states, correlation))
-    columns = spectra(problem, weight * whitened(problem, matrix, correlation))
+    states = spectra(problem, weight * whiten(problem, lin.by_states, correlation))
+    columns = spectra(problem, weight * whiten(problem, matrix, correlation))
     if problem.model.state_names:
-        strength = response_to_a_force(problem)
+        strength = force_response(problem)
     else:
-        strength = torque_that_lasts(problem, lin.residuals)
+        strength = lasting_torque(problem, lin.residuals)
     views = [_view(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
     free = lin.by_states.shape[1] * len(problem.edges)
-    left, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(worth.sum())))
+    remaining, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(worth.sum())))
     acts = np.any(matrix.reshape(-1, len(problem.sigma), matrix.shape[1]) != 0.0, axis=0)
-    return grams(views, baseline, acts, len(matrix), left, dof, np.log(disturbance.weight))
+    return grams(views, baseline, acts, len(matrix), remaining, dof, np.log(disturbance.weight))
 
 
 def _view(
@@ -92,14 +92,14 @@ def _view(
     """Inner products beside a disturbance of this standard deviation (N·c,) in each part of the spectrum."""
     weight = 1.0 / np.sqrt(1.0 + disturbed**2)
     weighted = replace(lin, by_states=states * weight[:, None])
-    seen = problem.project(weighted, columns * weight[:, None])
+    projected = problem.project(weighted, columns * weight[:, None])
     gram = problem.state_gram(weighted.by_states)
     free = float(np.sum(np.linalg.slogdet(gram + np.eye(gram.shape[-1]))[1])) if states.size else 0.0
-    by_output = seen.reshape(-1, len(problem.sigma), seen.shape[1]).transpose(1, 0, 2)
+    by_output = projected.reshape(-1, len(problem.sigma), projected.shape[1]).transpose(1, 0, 2)
     return View(by_output.transpose(0, 2, 1) @ by_output, float(np.sum(np.log(weight))) - 0.5 * free)
 
 
-def whitened(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
+def whiten(problem: Problem, columns: FloatArray, correlation: FloatArray) -> FloatArray:
     """Columns (N·c, k) as an autoregression of first order leaves them, window by window."""
     rho = np.asarray(correlation)[:, None]
     if not rho.any():
@@ -116,13 +116,13 @@ def spectra(problem: Problem, columns: FloatArray) -> FloatArray:
     if not columns.size:
         return columns
     rows = columns.reshape(-1, len(problem.sigma), columns.shape[1])
-    found = np.empty_like(rows)
+    transformed = np.empty_like(rows)
     for first, last in pairwise(_edges(problem)):
-        found[first:last] = dct(rows[first:last], axis=0, norm="ortho")
-    return found.reshape(columns.shape)
+        transformed[first:last] = dct(rows[first:last], axis=0, norm="ortho")
+    return transformed.reshape(columns.shape)
 
 
-def response_to_a_force(problem: Problem) -> FloatArray:
+def force_response(problem: Problem) -> FloatArray:
     """Standard deviation (N·c,) that a random force of size one adds to each part of the spectra."""
     strength = np.empty(len(problem.windows.owner))
     for first, last in pairwise(_edges(problem)):
@@ -133,7 +133,7 @@ def response_to_a_force(problem: Problem) -> FloatArray:
 
 
 def noise_beside(problem: Problem, residuals: FloatArray) -> Noise:
-    """Noise of each channel beside what a model lacks, told apart by its spectrum.
+    """Noise of each channel beside the effects that a model lacks, separated by its spectrum.
 
     A model that lacks something leaves slow errors, noise quick ones. Size and correlation are those under
     which the quicker parts of the spectrum of the windows' residuals (N·c,) are likeliest (Whittle 1953).
@@ -165,7 +165,7 @@ def _noise_shapes(count: int) -> FloatArray:
     return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(angle) + rho**2))
 
 
-def torque_that_lasts(problem: Problem, residuals: FloatArray) -> FloatArray:
+def lasting_torque(problem: Problem, residuals: FloatArray) -> FloatArray:
     """Standard deviation (N·c,) in each part of the spectra of what inverse dynamics leaves of each joint.
 
     There a missing torque is among the residuals as it is, and each joint has its own. It is taken for a

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labhil.diagnose.structures.marginal import Batch, log_evidence, promised
+from labhil.diagnose.structures.marginal import Batch, extended_evidence, log_evidence
 from labhil.diagnose.structures.responses import Responses, Variant
 from labhil.physics.model import Model
 from labhil.signals import BoolArray, FloatArray
@@ -23,7 +23,7 @@ KNOWN_NOISE = 1.1
 
 RELEVANCE = 1.0
 """What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
-missing beside it cannot be told from that."""
+missing beside it cannot be distinguished from that."""
 
 PROMISING, LOOKED_AT = 2, 8
 """Structures that are weighed exactly, and additions whose priors are looked at, over the width of the beam:
@@ -100,7 +100,7 @@ def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> floa
         remains: the same with it.
         acts: (c,) marks the outputs that the term changes.
     """
-    on = acts if acts.any() else np.ones_like(acts)  # a hold changes nothing until it lets go: no slope tells
+    on = acts if acts.any() else np.ones_like(acts)  # a hold changes nothing until it lets go: no slope shows
     beyond_noise = float(np.mean(remains[on])) - KNOWN_NOISE**2
     explained = float(np.mean((without - remains)[on]))
     return explained / beyond_noise if beyond_noise > 0.0 else inf
@@ -112,7 +112,7 @@ def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
     return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
-def closed(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
+def closure(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
     """Return a structure with the terms that its terms build on, but for those of the baseline."""
     chosen = frozenset(terms)
     return frozenset({*chosen, *(t for term in chosen for t in model.terms[term].with_terms)}) - baseline
@@ -142,14 +142,14 @@ class Enumeration:
 
     def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
         """Return each structure with its log evidence, prior included, in the order given."""
-        found: list[Predicted | None] = [None] * len(choices)
+        predictions: list[Predicted | None] = [None] * len(choices)
         widths = [_width(choice) for choice in choices]
         for width in sorted(set(widths)):
             places = [i for i, w in enumerate(widths) if w == width]
             batch = _batch([choices[i] for i in places], width)
-            for i, *own in zip(places, *log_evidence(self.responses.grams, batch), strict=True):
-                found[i] = self._predicted(choices[i], *own)
-        return [each for each in found if each is not None]
+            for i, *values in zip(places, *log_evidence(self.responses.grams, batch), strict=True):
+                predictions[i] = self._predict(choices[i], *values)
+        return [prediction for prediction in predictions if prediction is not None]
 
     def relevance(self, choice: Choice) -> dict[str, float]:
         """Return what each term explains over what the structure leaves unexplained, as responses predict it.
@@ -161,7 +161,7 @@ class Enumeration:
         carried = {t for term in terms for t in term.with_terms}
         return {
             v.term: relevance(
-                self._rest([other for other in choice if other is not v]),
+                self._rest([variant for variant in choice if variant is not v]),
                 remains,
                 self.responses.acts(v),
             )
@@ -170,7 +170,7 @@ class Enumeration:
         }
 
     def _rest(self, choice: Sequence[Variant]) -> FloatArray:
-        """Mean squares (c,) that a structure leaves, as responses predict it; asked for many times over."""
+        """Mean squares (c,) that a structure leaves, as responses predict it; cached for repeated calls."""
         key = frozenset(v.first for v in choice)
         if key not in self.known:
             self.known[key] = self.responses.grams.rest([p for v in choice for p in v.places])
@@ -181,46 +181,52 @@ class Enumeration:
         order = self._best_variants()
         reached = dict[Structure, Predicted]()
         beam = self._seeds()
-        self._note(reached, self.evaluate(beam))
+        self._keep_better(reached, self.evaluate(beam))
         waited = 0
         for _ in range(self.options.most_terms):
             extended = self._most_promising(beam, order, reached)
             if not extended:
                 break
-            found = self.evaluate(extended)
+            predictions = self.evaluate(extended)
             tops = [max(of(p) for p in reached.values()) for of in EVIDENCES]
-            self._note(reached, found)
-            better = any(max(of(p) for p in found) > top for of, top in zip(EVIDENCES, tops, strict=True))
+            self._keep_better(reached, predictions)
+            better = any(
+                max(of(p) for p in predictions) > top for of, top in zip(EVIDENCES, tops, strict=True)
+            )
             waited = 0 if better else waited + 1
             if waited == self.options.patience:
                 break
             beam = list(
-                {_key(choice): choice for of in EVIDENCES for choice in self._first(found, of)}.values()
+                {
+                    _key(choice): choice for of in EVIDENCES for choice in self._best_ways(predictions, of)
+                }.values()
             )
         return reached
 
-    def _first(self, found: Sequence[Predicted], evidence: Callable[[Predicted], float]) -> list[Choice]:
+    def _best_ways(
+        self, predictions: Sequence[Predicted], evidence: Callable[[Predicted], float]
+    ) -> list[Choice]:
         """The best way of each of the structures with the most evidence of a kind."""
-        ranked = sorted(found, key=evidence, reverse=True)
+        ranked = sorted(predictions, key=evidence, reverse=True)
         first = {p.structure: p.choice for p in reversed(ranked)}
         return [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
 
-    def _predicted(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
+    def _predict(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
         structure = frozenset(v.term for v in choice)
         prior = self._log_prior(choice)
         return Predicted(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
 
     def _log_prior(self, choice: Choice) -> float:
-        """Of a structure and of the ways in which its terms act."""
+        """Log prior of a structure and of the ways in which its terms act."""
         ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
         return log_prior(self.model, frozenset(v.term for v in choice), self.candidates) - ways
 
     @staticmethod
-    def _note(reached: dict[Structure, Predicted], found: Iterable[Predicted]) -> None:
+    def _keep_better(reached: dict[Structure, Predicted], predictions: Iterable[Predicted]) -> None:
         """Keep the better of two ways of the same structure."""
-        for predicted in found:
-            known = reached.get(predicted.structure)
-            if known is None or predicted.log_evidence > known.log_evidence:
+        for predicted in predictions:
+            best = reached.get(predicted.structure)
+            if best is None or predicted.log_evidence > best.log_evidence:
                 reached[predicted.structure] = predicted
 
     def _best_variants(self) -> dict[str, list[Variant]]:
@@ -236,13 +242,13 @@ class Enumeration:
         """Nothing, the structure of the fit, and that less one term."""
         variants = self.responses.variants
         present = [t for t in self.responses.fitted.terms if t not in self.baseline and t in variants]
-        whole = tuple(variants[t][0] for t in present)
-        seeds = [(), whole, *(tuple(v for v in whole if v.term != left) for left in present)]
+        full = tuple(variants[t][0] for t in present)
+        seeds = [(), full, *(tuple(v for v in full if v.term != dropped) for dropped in present)]
         return list({_key(seed): seed for seed in seeds if self._is_closed(seed)}.values())
 
     def _is_closed(self, choice: Choice) -> bool:
         terms = frozenset(v.term for v in choice)
-        return closed(self.model, terms, self.baseline) == terms
+        return closure(self.model, terms, self.baseline) == terms
 
     def _most_promising(
         self,
@@ -250,7 +256,7 @@ class Enumeration:
         order: Mapping[str, Sequence[Variant]],
         reached: Mapping[Structure, object],
     ) -> list[Choice]:
-        """Structures of the beam with one more term, and what that builds on: those that promise most.
+        """Structures of the beam with one more term and the terms it builds on: those that promise most.
 
         The promise keeps the priors of the structure that is extended, which few terms would change.
         """
@@ -258,31 +264,31 @@ class Enumeration:
         added = self._additions(order)
         for width in sorted({_width(choice) for choice in beam}):
             choices = [choice for choice in beam if _width(choice) == width]
-            for choice, more, logs in self._promised(choices, added):
+            for choice, more, logs in self._promising_additions(choices, added):
                 longer = (*choice, *more)
                 if frozenset(v.term for v in longer) in reached:
                     continue
-                known = promises.get(_key(longer))
-                if known is None or logs.max() > known[0].max():
+                best = promises.get(_key(longer))
+                if best is None or logs.max() > best[0].max():
                     promises[_key(longer)] = (logs, longer)
-        kept = dict[frozenset[tuple[str, int]], Choice]()
+        chosen = dict[frozenset[tuple[str, int]], Choice]()
         for kind in range(len(EVIDENCES)):
             ranked = sorted(promises.items(), key=lambda item: -float(item[1][0][kind]))
-            kept |= {key: longer for key, (_, longer) in ranked[: PROMISING * self.options.width]}
-        return list(kept.values())
+            chosen |= {key: longer for key, (_, longer) in ranked[: PROMISING * self.options.width]}
+        return list(chosen.values())
 
     def _additions(self, order: Mapping[str, Sequence[Variant]]) -> list[Choice]:
-        """Every term that may be added, by each of its ways, with and without what it builds on."""
-        found: list[Choice] = []
+        """Every term that may be added, by each of its ways, with and without the terms it builds on."""
+        additions: list[Choice] = []
         for term, ways in order.items():
             carried = [t for t in self.model.terms[term].with_terms if t not in self.baseline]
             if any(t not in order for t in carried):
                 continue
-            for there in chain.from_iterable(combinations(carried, n) for n in range(len(carried) + 1)):
-                found += [(*(order[t][0] for t in there), way) for way in ways]
-        return found
+            for brought in chain.from_iterable(combinations(carried, n) for n in range(len(carried) + 1)):
+                additions += [(*(order[t][0] for t in brought), way) for way in ways]
+        return additions
 
-    def _promised(
+    def _promising_additions(
         self, choices: Sequence[Choice], added: Sequence[Choice]
     ) -> Iterator[tuple[Choice, Choice, FloatArray]]:
         """Choices of one number of responses with additions that fit them, and both promises of evidence."""
@@ -291,9 +297,9 @@ class Enumeration:
             same = [more for more in added if _width(more) == width]
             places = np.array([[p for v in more for p in v.places] for more in same], dtype=np.int64)
             positive = np.array([[s for v in more for s in v.positive] for more in same], dtype=bool)
-            logs = np.stack(promised(self.responses.grams, batch, places, positive), axis=-1)
+            logs = np.stack(extended_evidence(self.responses.grams, batch, places, positive), axis=-1)
             logs[~self._fits(choices, same)] = -np.inf
-            for i, j in _foremost(logs, LOOKED_AT * self.options.width):
+            for i, j in _largest_places(logs, LOOKED_AT * self.options.width):
                 yield choices[i], same[j], logs[i, j] + self._log_prior((*choices[i], *same[j]))
 
     def _fits(self, choices: Sequence[Choice], added: Sequence[Choice]) -> BoolArray:
@@ -303,20 +309,23 @@ class Enumeration:
         for j, more in enumerate(added):
             new, brought = more[-1].term, {v.term for v in more[:-1]}
             carried = self.model.terms[new].with_terms
-            fits[:, j] = [new not in own and {t for t in carried if t not in own} == brought for own in terms]
+            fits[:, j] = [
+                new not in structure and {t for t in carried if t not in structure} == brought
+                for structure in terms
+            ]
         return fits
 
 
-def _foremost(logs: FloatArray, most: int) -> list[tuple[int, int]]:
+def _largest_places(logs: FloatArray, most: int) -> list[tuple[int, int]]:
     """Places of the so many largest of logs (S, V, K), for each of the K kinds."""
-    found = dict[tuple[int, int], None]()
+    places = dict[tuple[int, int], None]()
     for kind in range(logs.shape[-1]):
         flat = logs[..., kind].ravel()
         first = np.argpartition(-flat, min(most, len(flat)) - 1)[:most]
         for place in first[np.isfinite(flat[first])]:
             i, j = divmod(int(place), logs.shape[1])
-            found[i, j] = None
-    return list(found)
+            places[i, j] = None
+    return list(places)
 
 
 def _width(choice: Choice) -> int:

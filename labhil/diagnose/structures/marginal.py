@@ -50,11 +50,10 @@ class Grams:
 
     ``seen`` (T, m, m) has the target first and all responses after it; ``raw`` (m, m) is the same without
     disturbance and before the baseline's responses are taken out: it sizes the prior, whose ``precision``
-    (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) has
-    in it also what does not depend on the structure. ``samples`` is how many rows there are, ``left`` how
-    many beside states and baseline, and ``dof`` how many of these are independent. ``by_output`` (c, m, m)
-    are the first of ``seen`` of each output by itself, and ``acts`` (c, m) marks those that a response
-    changes.
+    (m, m) is that of responses of one noise level. ``log_prior`` (T,) is that of τ; ``log_weight`` (T,) adds
+    all that does not depend on the structure. ``samples`` is the number of rows, ``remaining`` that beside
+    states and baseline, and ``dof`` how many of these are independent. ``by_output`` (c, m, m) are the first
+    of ``seen`` of each output by itself, and ``acts`` (c, m) marks those that a response changes.
     """
 
     seen: FloatArray
@@ -65,17 +64,17 @@ class Grams:
     log_weight: FloatArray
     log_prior: FloatArray
     samples: int
-    left: float
+    remaining: float
     dof: float
 
     def rest(self, columns: Sequence[int]) -> FloatArray:
         """Mean squares (c,) that responses at these places leave of each output, by least squares."""
-        own = np.asarray(columns, dtype=np.int64)
-        gram = _lifted(self.seen[0][np.ix_(own, own)][None])[0]
-        sizes = np.linalg.solve(gram, -self.seen[0][own, 0]) if len(own) else np.empty(0)
-        places, factors = np.r_[0, own], np.r_[1.0, sizes]
-        left = np.einsum("i,cij,j->c", factors, self.by_output[:, places[:, None], places], factors)
-        return np.asarray(np.maximum(left, 0.0) * len(left) / max(self.left - len(own), 1.0))
+        chosen = np.asarray(columns, dtype=np.int64)
+        gram = _regularise(self.seen[0][np.ix_(chosen, chosen)][None])[0]
+        sizes = np.linalg.solve(gram, -self.seen[0][chosen, 0]) if len(chosen) else np.empty(0)
+        places, factors = np.r_[0, chosen], np.r_[1.0, sizes]
+        squares = np.einsum("i,cij,j->c", factors, self.by_output[:, places[:, None], places], factors)
+        return np.asarray(np.maximum(squares, 0.0) * len(squares) / max(self.remaining - len(chosen), 1.0))
 
     def with_precisions(self, blocks: Sequence[tuple[range, FloatArray | None]]) -> Grams:
         """The same with the prior of each block of responses.
@@ -84,12 +83,12 @@ class Grams:
         average over the prior; None stands for unit information, the block's own Gram matrix.
         """
         precision = np.zeros_like(self.raw)
-        for places, stated in blocks:
-            own = np.ix_(places, places)
-            form = self.raw[own] if stated is None else stated
+        for places, given in blocks:
+            block = np.ix_(places, places)
+            form = self.raw[block] if given is None else given
             width = len(places)
-            energy = width if stated is None else float(np.trace(np.linalg.solve(stated, self.raw[own])))
-            precision[own] = form * (energy / self.samples)
+            energy = width if given is None else float(np.trace(np.linalg.solve(given, self.raw[block])))
+            precision[block] = form * (energy / self.samples)
         return replace(self, precision=precision)
 
 
@@ -98,7 +97,7 @@ def grams(
     baseline: int,
     acts: BoolArray,
     samples: int,
-    left: float,
+    remaining: float,
     dof: float,
     log_prior: FloatArray,
 ) -> Grams:
@@ -110,39 +109,46 @@ def grams(
         baseline: P.
         acts: (c, M) marks the outputs that a column changes.
         samples: rows that the columns have.
-        left: rows that are left beside the states of windows.
+        remaining: rows beside the states of windows.
         dof: independent ones of these.
         log_prior: (T,) of the sizes of the disturbance.
 
     Returns:
         The products of target and terms' responses with one another, under each size.
     """
-    kept = np.r_[0, np.arange(1 + baseline, acts.shape[1])]
-    seen, logs, beside = [], [], []
+    target_and_terms = np.r_[0, np.arange(1 + baseline, acts.shape[1])]
+    seen, logs, projections = [], [], []
     for view, weight in zip(views, log_prior, strict=True):
-        every = view.products.sum(axis=0)
-        inner = every[1 : 1 + baseline, 1 : 1 + baseline]
-        beside.append(_beside(every, baseline))
-        seen.append(every[kept] @ beside[-1])
+        products = view.products.sum(axis=0)
+        inner = products[1 : 1 + baseline, 1 : 1 + baseline]
+        projections.append(_projection_beside(products, baseline))
+        seen.append(products[target_and_terms] @ projections[-1])
         log_det = float(np.linalg.slogdet(inner + np.eye(baseline))[1])
         logs.append(weight + view.log_density - 0.5 * log_det)
     plain = views[0].products
-    by_output = np.einsum("ia,cij,jb->cab", beside[0], plain, beside[0], optimize=True)
-    raw = plain.sum(axis=0)[np.ix_(kept, kept)]
-    rows = (samples, left - baseline, dof - baseline)
+    by_output = np.einsum("ia,cij,jb->cab", projections[0], plain, projections[0], optimize=True)
+    raw = plain.sum(axis=0)[np.ix_(target_and_terms, target_and_terms)]
+    rows = (samples, remaining - baseline, dof - baseline)
     return Grams(
-        np.array(seen), by_output, acts[:, kept], raw, np.zeros_like(raw), np.array(logs), log_prior, *rows
+        np.array(seen),
+        by_output,
+        acts[:, target_and_terms],
+        raw,
+        np.zeros_like(raw),
+        np.array(logs),
+        log_prior,
+        *rows,
     )
 
 
-def _beside(products: FloatArray, baseline: int) -> FloatArray:
-    """What makes of columns (M) the target and all terms' responses (m) beside the baseline's P, (M, m)."""
-    count, own = len(products), slice(1, 1 + baseline)
-    scale = np.sqrt(np.maximum(np.diag(products)[own], 1e-300))
-    alike = products[own, own] / np.outer(scale, scale) + LEAST * np.eye(baseline)
-    beside = np.eye(count)
-    beside[own] = -np.linalg.solve(alike, products[own] / scale[:, None]) / scale[:, None]
-    return np.delete(beside, np.arange(1, 1 + baseline), axis=1)
+def _projection_beside(products: FloatArray, baseline: int) -> FloatArray:
+    """Matrix (M, m) that makes of columns (M) the target and all terms' responses beside the baseline's P."""
+    count, block = len(products), slice(1, 1 + baseline)
+    scale = np.sqrt(np.maximum(np.diag(products)[block], 1e-300))
+    alike = products[block, block] / np.outer(scale, scale) + LEAST * np.eye(baseline)
+    projection = np.eye(count)
+    projection[block] = -np.linalg.solve(alike, products[block] / scale[:, None]) / scale[:, None]
+    return np.delete(projection, np.arange(1, 1 + baseline), axis=1)
 
 
 KAPPA = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
@@ -176,17 +182,17 @@ def log_evidence(grams: Grams, batch: Batch) -> tuple[FloatArray, FloatArray, Fl
         Logarithms (S,), up to a constant that all structures share; the same without a disturbance (S,), its
         prior left out; and sizes (S, k).
     """
-    solved = [_under(grams, t, batch) for t in range(len(grams.log_weight))]
-    every = np.array([each.logs for each in solved])
-    best = np.argmax(every, axis=0)
-    sizes = np.array([each.sizes for each in solved])[best, np.arange(len(best))]
-    return logsumexp(every, axis=0), every[0] - grams.log_prior[0], sizes
+    solved = [_solve(grams, t, batch) for t in range(len(grams.log_weight))]
+    logs = np.array([solution.logs for solution in solved])
+    best = np.argmax(logs, axis=0)
+    sizes = np.array([solution.sizes for solution in solved])[best, np.arange(len(best))]
+    return logsumexp(logs, axis=0), logs[0] - grams.log_prior[0], sizes
 
 
-def promised(
+def extended_evidence(
     grams: Grams, batch: Batch, places: IntArray, positive: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """What the evidence of structures would be with one more block each, their own priors left as they are.
+    """Evidence that structures would have with one more block each, their own priors left as they are.
 
     Args:
         grams: inner products of all responses.
@@ -198,30 +204,32 @@ def promised(
         Logarithms (S, V) as of `log_evidence`, for the likeliest κ of the new block, and the same without a
         disturbance.
     """
-    own = grams.precision[places[:, :, None], places[:, None, :]]
-    every = np.array([_with_one_more(grams, t, batch, places, positive, own) for t in range(len(grams.seen))])
-    return logsumexp(every, axis=0), every[0] - grams.log_prior[0]
+    precision = grams.precision[places[:, :, None], places[:, None, :]]
+    logs = np.array(
+        [_with_one_more(grams, t, batch, places, positive, precision) for t in range(len(grams.seen))]
+    )
+    return logsumexp(logs, axis=0), logs[0] - grams.log_prior[0]
 
 
 def _with_one_more(
-    grams: Grams, t: int, batch: Batch, places: IntArray, positive: BoolArray, own: FloatArray
+    grams: Grams, t: int, batch: Batch, places: IntArray, positive: BoolArray, precision: FloatArray
 ) -> FloatArray:
     """The logarithms (S, V) under one τ, by the Schur complement of each structure's system."""
-    seen, solved = grams.seen[t], _under(grams, t, batch)
-    across = seen[batch.columns[:, :, None, None], places]
-    pull = seen[places, 0] + np.einsum("skvw,sk->svw", across, solved.sizes)
-    taken = np.einsum("skl,slvw->skvw", solved.inverse, across, optimize=True)
-    complement = seen[places[:, :, None], places[:, None, :]] - np.einsum(
-        "skvw,skvu->svwu", across, taken, optimize=True
+    products, solved = grams.seen[t], _solve(grams, t, batch)
+    across = products[batch.columns[:, :, None, None], places]
+    pull = products[places, 0] + np.einsum("skvw,sk->svw", across, solved.sizes)
+    reduction = np.einsum("skl,slvw->skvw", solved.inverse, across, optimize=True)
+    complement = products[places[:, :, None], places[:, None, :]] - np.einsum(
+        "skvw,skvu->svwu", across, reduction, optimize=True
     )
     best = np.full(pull.shape[:2], -np.inf)
     for kappa in KAPPA:
-        prior = _lifted(own / kappa**2)
-        system = _lifted(complement + prior)
+        prior = _regularise(precision / kappa**2)
+        system = _regularise(complement + prior)
         inverse, log_det = _inverse_and_log_det(system)
         sizes = np.asarray(-np.einsum("svwu,svu->svw", inverse, pull))
-        left = solved.rest[:, None] + np.einsum("svw,svw->sv", sizes, pull)
-        rest = np.asarray(np.maximum(left, 1e-12 * seen[0, 0]), dtype=np.float64)
+        squares = solved.rest[:, None] + np.einsum("svw,svw->sv", sizes, pull)
+        rest = np.asarray(np.maximum(squares, 1e-12 * products[0, 0]), dtype=np.float64)
         occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
         signs = _signs(sizes, inverse, rest, positive, grams.dof)
         gain = 0.5 * grams.dof * (np.log(solved.rest)[:, None] - np.log(rest))
@@ -242,28 +250,28 @@ class Solved:
     rest: FloatArray
 
 
-def _under(grams: Grams, t: int, batch: Batch) -> Solved:
+def _solve(grams: Grams, t: int, batch: Batch) -> Solved:
     """Evidence of structures under one τ."""
-    seen, total = grams.seen[t], grams.seen[t, 0, 0]
+    products, total = grams.seen[t], grams.seen[t, 0, 0]
     count, k = batch.columns.shape
     if k == 0:
         value = grams.log_weight[t] - 0.5 * grams.dof * np.log(total)
         rest = np.full(count, max(float(total), 1e-300))
         return Solved(np.full(count, value), np.empty((count, 0)), np.empty((count, 0, 0)), rest)
-    gram, pull = _gathered(seen, batch.columns), seen[batch.columns, 0]
+    gram, pull = _gather(products, batch.columns), products[batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
-    unit = _gathered(grams.precision, batch.columns) * same
+    unit = _gather(grams.precision, batch.columns) * same
     first = gram + unit / FIRST_KAPPA**2
-    response = np.linalg.solve(_lifted(first), pull[:, :, None])[:, :, 0]
-    energy = response * np.einsum("sij,sj->si", _gathered(grams.raw, batch.columns) * same, response)
+    response = np.linalg.solve(_regularise(first), pull[:, :, None])[:, :, 0]
+    energy = response * np.einsum("sij,sj->si", _gather(grams.raw, batch.columns) * same, response)
     energy = np.einsum("si,sij->sj", energy, same.astype(float))
-    kappa = _nearest(np.sqrt(np.maximum(energy, 0.0) / grams.samples))
-    prior = _lifted(unit / (kappa[:, :, None] * kappa[:, None, :]))
-    system = _lifted(gram + prior)
+    kappa = _nearest_kappa(np.sqrt(np.maximum(energy, 0.0) / grams.samples))
+    prior = _regularise(unit / (kappa[:, :, None] * kappa[:, None, :]))
+    system = _regularise(gram + prior)
     inverse, log_det = _inverse_and_log_det(system)
     sizes = np.asarray(-np.einsum("sij,sj->si", inverse, pull))
-    left = total + np.einsum("si,si->s", sizes, pull)
-    rest = np.asarray(np.maximum(left, 1e-12 * total), dtype=np.float64)
+    squares = total + np.einsum("si,si->s", sizes, pull)
+    rest = np.asarray(np.maximum(squares, 1e-12 * total), dtype=np.float64)
     occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
     signs = _signs(sizes, inverse, rest, batch.positive, grams.dof)
     blocks = batch.block.max(axis=1) + 1
@@ -287,12 +295,12 @@ def _signs(
     return np.asarray(np.where(positive, np.log(2.0) + log_ndtr(sizes / error), 0.0).sum(axis=-1))
 
 
-def _gathered(matrix: FloatArray, columns: IntArray) -> FloatArray:
+def _gather(matrix: FloatArray, columns: IntArray) -> FloatArray:
     """The parts (S, k, k) of a matrix that belong to each structure."""
     return np.asarray(matrix[columns[:, :, None], columns[:, None, :]])
 
 
-def _lifted(matrices: FloatArray) -> FloatArray:
+def _regularise(matrices: FloatArray) -> FloatArray:
     """The same (…, k, k) with a little on the diagonals, so that equal columns do no harm."""
     lifted = matrices.copy()
     diagonal = np.einsum("...ii->...i", lifted)
@@ -300,7 +308,7 @@ def _lifted(matrices: FloatArray) -> FloatArray:
     return lifted
 
 
-def _nearest(rms: FloatArray) -> FloatArray:
+def _nearest_kappa(rms: FloatArray) -> FloatArray:
     """The κ of the grid that is nearest to each RMS, by ratio."""
     apart = np.abs(np.log(KAPPA) - np.log(np.maximum(rms, 1e-12))[..., None])
     return np.asarray(KAPPA[np.argmin(apart, axis=-1)])

@@ -1,4 +1,4 @@
-"""What each term would change in the residuals of a fit: responses, taken once where the fit stands.
+"""Responses: the change of a fit's residuals by each term, taken once where the fit stands.
 
 The fit's own added terms are among them, by their local slopes, and their part is taken out of the target: so
 every structure, with or without them, is compared along one trajectory that follows the data.
@@ -144,21 +144,23 @@ def responses(
     """
     problem, solution = fitted.problem, fitted.solution
     lin = problem.linearise(solution.point, solution.residuals)
-    own = [problem.model.parameters[i].term for i in problem.free]
-    shared = [j for j, term in enumerate(own) if term is None or term in baseline]
+    owners = [problem.model.parameters[i].term for i in problem.free]
+    shared = [j for j, term in enumerate(owners) if term is None or term in baseline]
     present = [
-        _present(problem, fitted, lin, term) for term in dict.fromkeys(own) if term and term not in baseline
+        _present_way(problem, fitted, lin, term)
+        for term in dict.fromkeys(owners)
+        if term and term not in baseline
     ]
-    target = solution.residuals - _explained(fitted, present)
+    target = solution.residuals - _explained_part(fitted, present)
     ways = [way for term in present for way in _as_curve(problem, term)]
-    others = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
-    for each in side_by_side(lambda key: _absent(problem, fitted, lin, key), others):
-        ways += each
+    absent_terms = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
+    for absent_ways in side_by_side(lambda key: _absent_ways(problem, fitted, lin, key), absent_terms):
+        ways += absent_ways
     for curve in curves:
         columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)
         ways += _smooth(_Way(curve.name, {}, columns), curve.roughness)
-    every = [c.values for way in ways for c in way.columns]
-    matrix = np.column_stack([target, lin.by_parameters[:, shared], *every])
+    response_columns = [c.values for way in ways for c in way.columns]
+    matrix = np.column_stack([target, lin.by_parameters[:, shared], *response_columns])
     placed, first = dict[str, list[Variant]](), 1
     priors = []
     for way in ways:
@@ -168,20 +170,24 @@ def responses(
         first += len(keys)
         priors.append(way.precision)
     possible = len(data.model.terms) - len(baseline)
-    disturbance = Disturbance.grid(possible) if data.model.state_names else Disturbance.estimated(possible)
+    disturbance = (
+        Disturbance.grid(possible) if data.model.state_names else Disturbance.near_estimate(possible)
+    )
     plain = inner_products(problem, lin, matrix, len(shared), correlation, disturbance)
-    seen = plain.with_precisions([(v.places, prior) for v, prior in zip(_flat(placed), priors, strict=True)])
-    kept = {term: _visible(seen, of, term in fitted.terms) for term, of in placed.items()}
-    return Responses(fitted, seen, {term: of for term, of in kept.items() if of})
+    weighted = plain.with_precisions(
+        [(v.places, prior) for v, prior in zip(_in_order(placed), priors, strict=True)]
+    )
+    visible = {term: _visible_variants(weighted, of, term in fitted.terms) for term, of in placed.items()}
+    return Responses(fitted, weighted, {term: of for term, of in visible.items() if of})
 
 
-def _visible(seen: Grams, variants: Sequence[Variant], present: bool) -> tuple[Variant, ...]:
+def _visible_variants(grams: Grams, variants: Sequence[Variant], present: bool) -> tuple[Variant, ...]:
     """Variants that the baseline's own parameters cannot stand for; all of a term that the fit has."""
-    left = np.diag(seen.seen[0]) / np.maximum(np.diag(seen.raw), 1e-300)
-    return tuple(v for v in variants if present or max(left[place] for place in v.places) > STANDS_FOR)
+    share = np.diag(grams.seen[0]) / np.maximum(np.diag(grams.raw), 1e-300)
+    return tuple(v for v in variants if present or max(share[place] for place in v.places) > STANDS_FOR)
 
 
-def _flat(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:
+def _in_order(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:
     """All variants in the order of their places."""
     return sorted((v for of in placed.values() for v in of), key=lambda v: v.first)
 
@@ -201,7 +207,7 @@ def _smooth(way: _Way, roughness: FloatArray) -> list[_Way]:
     return [replace(way, precision=weight * rough + np.eye(count)) for weight in SMOOTHNESS]
 
 
-def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
+def _explained_part(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
     """What the added terms of a fit explain (N·c,), by their local slopes."""
     places = index_of(fitted.problem.model.parameters)
     explained = np.zeros_like(fitted.solution.residuals)
@@ -210,35 +216,35 @@ def _explained(fitted: Fitted, ways: Sequence[_Way]) -> FloatArray:
     return explained
 
 
-def _present(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> _Way:
+def _present_way(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> _Way:
     """A term that the fit has, by its local slopes."""
     parameters = problem.model.parameters
-    own = [(j, parameters[i]) for j, i in enumerate(problem.free) if parameters[i].term == term]
+    free = [(j, parameters[i]) for j, i in enumerate(problem.free) if parameters[i].term == term]
     columns = tuple(
         _Column(p.key, p.scale, p.shape, not p.shape and p.lower == 0.0, lin.by_parameters[:, j])
-        for j, p in own
+        for j, p in free
     )
     places = index_of(parameters)
-    at = {p.key: float(fitted.theta[places[p.key]]) for _, p in own if p.shape}
+    at = {p.key: float(fitted.theta[places[p.key]]) for _, p in free if p.shape}
     return _Way(term, at, columns)
 
 
-def _absent(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> list[_Way]:
+def _absent_ways(problem: Problem, fitted: Fitted, lin: Linearised, term: str) -> list[_Way]:
     """A term that the fit lacks: at each set of its shapes, and by several steps where it has a threshold."""
     described = terms_named(problem.model, [term])[0]
     shapes = [p for p in described.parameters if p.shape]
     sizes = [p for p in described.parameters if not p.shape]
     ways: list[_Way] = []
     sets = starts_beside(fitted, [term])
-    seen = set[tuple[float, ...]]()
+    tried = set[tuple[float, ...]]()
     for values in sets:
         at = {p.key: values[p.key] for p in shapes}
-        if tuple(at.values()) in seen:
+        if tuple(at.values()) in tried:
             continue
-        seen.add(tuple(at.values()))
-        stepped = [_stepped(problem, fitted, lin, at, p, _first_step(p, sets)) for p in sizes]
-        for k in range(max(len(each) for each in stepped)):
-            columns = tuple(each[min(k, len(each) - 1)] for each in stepped if each)
+        tried.add(tuple(at.values()))
+        stepped = [_columns_of_size(problem, fitted, lin, at, p, _first_step(p, sets)) for p in sizes]
+        for k in range(max(len(steps) for steps in stepped)):
+            columns = tuple(steps[min(k, len(steps) - 1)] for steps in stepped if steps)
             if columns:
                 ways.append(_Way(term, at, columns))
     return ways
@@ -249,7 +255,7 @@ def _first_step(parameter: Parameter, sets: Sequence[Mapping[str, float]]) -> fl
     return max((abs(v[parameter.key]) for v in sets if v[parameter.key]), default=1e-2 * parameter.scale)
 
 
-def _stepped(
+def _columns_of_size(
     problem: Problem,
     fitted: Fitted,
     lin: Linearised,
@@ -265,7 +271,7 @@ def _stepped(
     model, residuals, states = problem.model, fitted.solution.residuals, fitted.solution.point.states
     places = index_of(model.parameters)
 
-    def taken(size: float) -> tuple[float, FloatArray]:
+    def respond(size: float) -> tuple[float, FloatArray]:
         theta = fitted.theta.copy()
         for key, value in at.items():
             theta[places[key]] = value
@@ -274,12 +280,12 @@ def _stepped(
         rms = float(np.sqrt(np.mean(problem.project(lin, change[:, None]) ** 2)))
         return rms, np.asarray(change * (parameter.scale / size))
 
-    tried = _search_step(taken, min(step, 0.5 * parameter.upper), parameter.upper)
+    tried = _search_step(respond, min(step, 0.5 * parameter.upper), parameter.upper)
     if not tried:
         return []
     chosen = min(tried, key=lambda size: abs(np.log(tried[size][0] / WANTED)))
     sizes = [chosen]
-    if not _proportional(tried):
+    if not _is_proportional(tried):
         larger = min(tried, key=lambda size: abs(np.log(tried[size][0] / LARGER)))
         sizes = list(dict.fromkeys([chosen, larger]))
     positive = parameter.lower == 0.0
@@ -287,17 +293,17 @@ def _stepped(
 
 
 def _search_step(
-    taken: Callable[[float], tuple[float, FloatArray]], step: float, upper: float
+    respond: Callable[[float], tuple[float, FloatArray]], step: float, upper: float
 ) -> dict[float, tuple[float, FloatArray]]:
     """Steps that changed anything, with the RMS of the response and the response per unit."""
     tried = dict[float, tuple[float, FloatArray]]()
     below, above, size = 0.0, np.inf, step
     for _ in range(TRIES):
-        rms, column = taken(size)
+        rms, column = respond(size)
         if rms > 1e-6 and np.isfinite(rms):
             tried[size] = (rms, column)
         if 0.5 * WANTED <= rms <= 2.0 * WANTED:
-            if _proportional(tried) or any(r > 0.5 * LARGER for r, _ in tried.values()):
+            if _is_proportional(tried) or any(r > 0.5 * LARGER for r, _ in tried.values()):
                 break
             below, size = size, size * LARGER / rms
             continue
@@ -314,7 +320,7 @@ def _search_step(
     return tried
 
 
-def _proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
+def _is_proportional(tried: Mapping[float, tuple[float, FloatArray]]) -> bool:
     """Whether responses of about the noise's size grow as their steps; True where only one is known."""
     per_unit = [rms / size for size, (rms, _) in tried.items() if rms < 4.0 * LARGER]
     return len(per_unit) < 2 or max(per_unit) / min(per_unit) < 1.0 + PROPORTIONAL

@@ -46,12 +46,12 @@ class Options:
         margin: nats by which an enumerated structure may be behind the best to be refitted.
         claim: odds (nats) that the best structure needs over the one without a term.
         relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
-            effect that is smaller than what is missing beside it cannot be told from that.
-        step: what a structure has to explain of what the one before it leaves, over what remains, to be gone
-            on from: of four effects that are missing alike one explains a third of what the others do.
+            effect that is smaller than what is missing beside it cannot be distinguished from that.
+        step: what a structure has to explain of what the one before it leaves, over what remains, for the
+            search to go on there: of four equal missing effects one explains a third of what the others do.
         few: terms more than those of the fit where responses were taken, up to which a structure is refitted.
-        climbed: terms up to which the best structure's parts are looked at, too: of more of them the whole
-            was reached by way of these.
+        climbed: terms up to which the search linearises at the best structure's parts, too: a larger one was
+            reached by way of its parts.
     """
 
     horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
@@ -109,7 +109,7 @@ class StructureSearch:
         return state
 
     def _settle(self, state: SearchState) -> None:
-        """Look at the best structure and refit what is likelier there, until that is the best one itself.
+        """Linearise at the best structure and refit the likelier ones there, until it is the best one itself.
 
         And at the one that would be best if nothing disturbed: from afar a disturbance stands in for several
         effects of which none explains most by itself.
@@ -118,8 +118,8 @@ class StructureSearch:
             new = False
             for evidence in EVIDENCES:
                 best = state.most(evidence)
-                if best not in state.looked and self._leads_on(state, best):
-                    self._look(state, best)
+                if best not in state.linearised and self._leads_on(state, best):
+                    self._linearise(state, best)
                     self._refit_narrowed(state, best)
                     self._refit_promising(state, evidence)
                     new = True
@@ -127,27 +127,27 @@ class StructureSearch:
                 break
 
     def _leads_on(self, state: SearchState, structure: Structure) -> bool:
-        """Whether a structure explains enough of what the best one that was looked at leaves."""
-        if not state.looked:
+        """Whether a structure explains enough of what the best linearised one leaves."""
+        if not state.linearised:
             return True
-        nearest = max(state.looked, key=lambda s: state.refitted[s].log_evidence)
-        left, remains = (state.refitted[s].fitted.mean_squares for s in (nearest, structure))
-        own = state.refitted[structure]
-        new = own.acts(structure - nearest) if structure - nearest else np.ones(len(left), dtype=bool)
-        return relevance(left, remains, new) >= self.options.step
+        nearest = max(state.linearised, key=lambda s: state.refitted[s].log_evidence)
+        before, after = (state.refitted[s].fitted.mean_squares for s in (nearest, structure))
+        refit = state.refitted[structure]
+        new = refit.acts(structure - nearest) if structure - nearest else np.ones(len(before), dtype=bool)
+        return relevance(before, after, new) >= self.options.step
 
-    def _look(self, state: SearchState, structure: Structure) -> None:
+    def _linearise(self, state: SearchState, structure: Structure) -> None:
         """Linearise at a refitted structure, and compare all others there."""
         near = state.refitted[structure].fitted
         self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
-        state.looked.add(structure)
+        state.linearised.add(structure)
         state.view = self._at(near)
         state.predicted = state.view.best()
 
     def _climb(self, state: SearchState) -> bool:
-        """Look at structures with fewer terms than the best one, until one better is found; whether one was.
+        """Linearise at structures with fewer terms than the best one until one is better; whether one is.
 
-        What two terms do together may be seen only where one of them is, and what takes the place of one only
+        What two terms do together may show only where one of them is, and what takes the place of one only
         where that is not.
         """
         before = state.likeliest
@@ -155,38 +155,40 @@ class StructureSearch:
             likely = [p for s, p in state.predicted.items() if len(s) == size and s not in state.refitted]
             if likely:
                 self._refit_predicted(state, [max(likely, key=lambda p: p.log_evidence)])
-            known = [s for s in state.refitted if len(s) == size]
-            if known and self._look_beside(state, max(known, key=lambda s: state.refitted[s].log_evidence)):
+            refitted = [s for s in state.refitted if len(s) == size]
+            if refitted and self._linearise_beside(
+                state, max(refitted, key=lambda s: state.refitted[s].log_evidence)
+            ):
                 return True
         for term in sorted(before):
             reduced = frozenset(without(self.data.model, tuple(before), term))
             if reduced not in state.refitted:
                 self._refit_and_enter(state, state.refitted[before].fitted, reduced, {})
-            if self._look_beside(state, reduced):
+            if self._linearise_beside(state, reduced):
                 return True
         return False
 
-    def _look_beside(self, state: SearchState, structure: Structure) -> bool:
-        """Look at another structure than the best one; whether a better one was found there."""
-        if structure in state.looked:
+    def _linearise_beside(self, state: SearchState, structure: Structure) -> bool:
+        """Linearise at another structure than the best one; whether a better one shows there."""
+        if structure in state.linearised:
             return False
         before = state.likeliest
-        self._look(state, structure)
+        self._linearise(state, structure)
         longer = [p for s, p in state.predicted.items() if structure < s and s not in state.refitted]
-        if longer:  # those that stand out from here by one more term, what that builds on included
+        if longer:  # those with one more term, the terms that it builds on included
             fewest = min(len(p.structure) for p in longer)
-            beside = [p for p in longer if len(p.structure) == fewest]
-            self._refit_predicted(state, [max(beside, key=lambda p: p.log_evidence)])
+            nearest = [p for p in longer if len(p.structure) == fewest]
+            self._refit_predicted(state, [max(nearest, key=lambda p: p.log_evidence)])
         self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
     def _refit_singles(self, state: SearchState) -> None:
-        """Refit every single term beside a baseline far from the data, where responses tell little."""
+        """Refit every single term beside a baseline far from the data, where responses show little."""
         near = state.refitted[frozenset()].fitted
         if near.noise < OUTWEIGHED:
             return
         singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
-        self._refit_each(state, near, [each for each in singles if each not in state.refitted])
+        self._refit_each(state, near, [single for single in singles if single not in state.refitted])
 
     def _drop_irrelevant(self, state: SearchState) -> None:
         """Refit the likeliest structure without its terms that explain too little, the least one first."""
@@ -198,35 +200,35 @@ class StructureSearch:
                 self._refit_and_enter(state, near.fitted, structure, {})
 
     def _refit_narrowed(self, state: SearchState, best: Structure) -> None:
-        """Refit a structure with what a term becomes without its width, begun at that term's size."""
+        """Refit a structure with the form of a term that has no width, begun at that term's size."""
         model = self.data.model
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
         for term in best:
             narrow = model.terms[term].narrow
             if not narrow or narrow in best or (best - {term}) | {narrow} in state.refitted:
                 continue
-            size, own = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
-            values = {model.parameters[size].key: max(float(theta[own]), 0.0)}
+            size, term_size = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
+            values = {model.parameters[size].key: max(float(theta[term_size]), 0.0)}
             self._refit_and_enter(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
     def _refit_shapes(self, state: SearchState, structure: Structure) -> None:
-        """Refit a structure with each of its shapes begun anew: what stands beside it may have bent one."""
+        """Refit a structure with each of its shapes begun anew: other terms may have bent one."""
         near, model = state.refitted[structure].fitted, self.data.model
         shaped = [t for t in near.terms if any(p.shape for p in model.terms[t].parameters)]
         starts = [start for term in shaped for start in starts_beside(near, [term])]
         if starts:
-            self._enter(state, self._refitted(near, near.terms, [{}, *starts]))
+            self._enter(state, self._fit_from(near, near.terms, [{}, *starts]))
 
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
-        seen = responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
-        return Enumeration(self.data.model, seen, frozenset(self.baseline), self.candidates)
+        term_responses = responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
+        return Enumeration(self.data.model, term_responses, frozenset(self.baseline), self.candidates)
 
     def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:
         """Refit the most promising structures that were not refitted yet.
 
-        From afar many terms together stand in for anything: only a few more than those of the fit that was
-        looked at count, but where responses are what the model says, as of inverse dynamics.
+        From afar many terms together stand in for anything: only a few more than those of the linearised fit
+        count, except where responses are exact, as of inverse dynamics.
         """
         least = evidence(state.refitted[state.most(evidence)]) - self.options.margin
         new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
@@ -244,7 +246,9 @@ class StructureSearch:
     def _refit_predicted(self, state: SearchState, predicted: Sequence[Predicted]) -> None:
         """Refit structures from the fit where they were predicted, with the values that they have there."""
         assert state.view is not None
-        self._refit_each(state, state.view.responses.fitted, [each.structure for each in predicted])
+        self._refit_each(
+            state, state.view.responses.fitted, [prediction.structure for prediction in predicted]
+        )
 
     def _refit_each(self, state: SearchState, near: Fitted, structures: Sequence[Structure]) -> None:
         """Refit structures from one fit, side by side, with the values that they are predicted to have."""
@@ -262,13 +266,13 @@ class StructureSearch:
         self._enter_best(state, self._refit(near, structure, values), values)
 
     def _enter_best(self, state: SearchState, fitted: Fitted, values: Mapping[str, float]) -> None:
-        """Enter a fit, or where a part of its structure fits better, what is found from there."""
+        """Enter a fit, or where a part of its structure fits better, the refit from there."""
         structure = frozenset(fitted.terms) - frozenset(self.baseline)
         parts = [r.fitted for s, r in state.refitted.items() if s < structure]
         best = min(parts, key=lambda part: part.solution.cost, default=fitted)
         if best.solution.cost < fitted.solution.cost:
             again = self._refit(best, structure, values)
-            fitted = min((fitted, again), key=lambda each: each.solution.cost)
+            fitted = min((fitted, again), key=lambda fit: fit.solution.cost)
         self._enter(state, fitted)
 
     def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
@@ -281,9 +285,9 @@ class StructureSearch:
             starts += starts_beside(near, fresh)[1:2]
         if self.nominal:
             starts.append({**values, **self.nominal})
-        return self._refitted(near, terms, starts)
+        return self._fit_from(near, terms, starts)
 
-    def _refitted(self, near: Fitted, terms: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Fitted:
+    def _fit_from(self, near: Fitted, terms: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Fitted:
         """Fit terms from where a fit stands, with each of these values by key."""
         return fit_terms(
             self.data.model, self.data.search, terms, self.data.window, self.data.sigma,
@@ -293,23 +297,23 @@ class StructureSearch:
 
     def _enter(self, state: SearchState, fitted: Fitted) -> None:
         structure = frozenset(fitted.terms) - frozenset(self.baseline)
-        known = state.refitted.get(structure)
-        if known is not None and known.fitted.solution.cost <= fitted.solution.cost:
+        previous = state.refitted.get(structure)
+        if previous is not None and previous.fitted.solution.cost <= fitted.solution.cost:
             return
-        own = self._at(fitted, absent=())
-        variants = own.responses.variants
+        view = self._at(fitted, absent=())
+        variants = view.responses.variants
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
-        stands = own.evaluate([choice])[0]
-        # a size that runs to the end of what it can be says that the effect is none of its kind
+        prediction = view.evaluate([choice])[0]
+        # a size that runs to its bound says that the effect is of another kind
         possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
-        possible += _unkept(fitted, own.responses.grams.dof)
+        possible += _shortfall(fitted, view.responses.grams.dof)
         state.refitted[structure] = Refitted(
             fitted,
-            stands.log_evidence + possible,
-            stands.undisturbed + possible,
+            prediction.log_evidence + possible,
+            prediction.undisturbed + possible,
             choice,
-            own,
-            own.relevance(choice),
+            view,
+            view.relevance(choice),
         )
 
     def _within_bounds(self, fitted: Fitted, structure: Structure) -> bool:
@@ -320,18 +324,18 @@ class StructureSearch:
         return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
 
 
-def _unkept(fitted: Fitted, dof: float) -> float:
-    """Log likelihood (≤ 0) of what a fit keeps over what its slopes promise, of so many samples.
+def _shortfall(fitted: Fitted, dof: float) -> float:
+    """Log likelihood (≤ 0) of a fit over that of the minimum its slopes promise, of so many samples.
 
-    Evidence takes a fit for the minimum that its slopes point at. One that has not converged, for its slopes
-    are not those of a few steps further, is worth what it leaves.
+    Evidence takes a fit for the minimum that its slopes point at. A fit that has not converged, as its slopes
+    differ from those of a few steps further, counts by its own residuals.
     """
     if fitted.solution.converged:
         return 0.0
     problem, solution = fitted.problem, fitted.solution
     lin = problem.linearise(solution.point, solution.residuals)
-    seen = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
-    left, slopes = seen[:, 0], seen[:, 1:]
-    promised = left - slopes @ np.linalg.lstsq(slopes, left, rcond=None)[0]
-    kept = max(float(solution.residuals @ solution.residuals), 1e-300)
-    return 0.5 * dof * min(float(np.log(max(float(promised @ promised), 1e-300) / kept)), 0.0)
+    projected = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
+    residuals, slopes = projected[:, 0], projected[:, 1:]
+    promised = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
+    squares = max(float(solution.residuals @ solution.residuals), 1e-300)
+    return 0.5 * dof * min(float(np.log(max(float(promised @ promised), 1e-300) / squares)), 0.0)

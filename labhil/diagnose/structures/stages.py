@@ -1,4 +1,4 @@
-"""From short windows to long ones: a search on each, what may be claimed in the end, and a curve."""
+"""From short windows to long ones: a search on each, the claims at the end, and a curve."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.search_result import SearchResult
-from labhil.diagnose.structures.claims import Stage, borne_out, concluded, predicts_better
+from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
 from labhil.diagnose.structures.enumerate import candidates
@@ -55,11 +55,13 @@ def search_structures(
     looks = len(candidates(data.model, baseline.terms))
     if not finished:
         return SearchResult(baseline, baseline, (), (), 1.0, looks, complete=False)
-    found = replace(concluded(finished[-1], options.claim, looks), complete=complete)
-    if found.missing and not predicts_better(*(data.judge(f.theta) for f in (found.baseline, found.final))):
-        found = found.nothing
-    found = borne_out(finished[-1], found)
-    return _with_curve(data, found, finished[-1].data.window, correlation, progress) if complete else found
+    result = replace(conclude_search(finished[-1], options.claim, looks), complete=complete)
+    if result.missing and not predicts_better(
+        *(data.judge(f.theta) for f in (result.baseline, result.final))
+    ):
+        result = result.without_claims
+    result = validate_claims(finished[-1], result)
+    return _with_curve(data, result, finished[-1].data.window, correlation, progress) if complete else result
 
 
 def _lengths(data: Data, options: Options) -> list[float]:
@@ -79,27 +81,29 @@ def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
 
 
 def _with_curve(
-    data: Data, found: SearchResult, longest: float, correlation: FloatArray, progress: Progress
+    data: Data, result: SearchResult, longest: float, correlation: FloatArray, progress: Progress
 ) -> SearchResult:
-    """What is named beside the likeliest curve, and that; all that is named where no curve is likelier."""
+    """The terms beside the likeliest curve, and the curve; all terms where no curve is likelier."""
     model = data.model
     if not isinstance(model, AcceptsExtraForce) or not model.state_names:
-        return found
+        return result
     progress("a force over each coordinate in turn, instead of what is named and beside it")
     shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))
-    curve = CurveSearch(shorter, found.baseline.terms, correlation).run(on_windows(shorter, found.final))
+    curve = CurveSearch(shorter, result.baseline.terms, correlation).run(on_windows(shorter, result.final))
     if curve is None:
-        return found
+        return result
     extended = replace(data, model=curve.curved.model)
-    if not predicts_better(data.judge(found.final.theta), extended.judge(curve.curved.fitted.theta)):
-        return found
-    steps = tuple(step for step in found.missing if step.terms[0] in curve.beside.terms)
+    if not predicts_better(data.judge(result.final.theta), extended.judge(curve.curved.fitted.theta)):
+        return result
+    steps = tuple(step for step in result.missing if step.terms[0] in curve.beside.terms)
     # structures without a curve are no alternatives to one that is so much likelier
-    return replace(found.ending(_unplaced(shorter, curve.beside), steps), curve=curve, alternatives=())
+    return replace(
+        result.ending(_refit_without_places(shorter, curve.beside), steps), curve=curve, alternatives=()
+    )
 
 
-def _unplaced(data: Data, beside: Fitted) -> Fitted:
-    """The fit beside a curve, of the model that other results are of."""
+def _refit_without_places(data: Data, beside: Fitted) -> Fitted:
+    """Refit the terms beside a curve with the search's own model, whose windows do not know the place."""
     if len(beside.problem.model.state_names) == len(data.model.state_names):
         return beside
     return fit_terms(

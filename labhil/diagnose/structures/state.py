@@ -1,4 +1,4 @@
-"""What a search has visited, and what that says of each term: odds, probability, relevance, rivals."""
+"""The structures that a search has visited: odds, probability, relevance and rivals of each term."""
 
 from __future__ import annotations
 
@@ -47,16 +47,17 @@ class Refitted:
 
 @dataclass(slots=True)
 class SearchState:
-    """What a stage has visited: refitted structures, and all as the newest linearisation predicts them.
+    """The structures a stage has visited: refitted ones, and all as the newest linearisation predicts them.
 
-    ``least`` is what a term explains over what no term does, at least.
+    ``least`` is what a term explains over what no term does, at least; ``linearised`` are the structures at
+    which the others were compared.
     """
 
     least: float
     refitted: dict[Structure, Refitted] = field(default_factory=dict)
     predicted: dict[Structure, Predicted] = field(default_factory=dict)
     view: Enumeration | None = None
-    looked: set[Structure] = field(default_factory=set)
+    linearised: set[Structure] = field(default_factory=set)
 
     @property
     def relevant(self) -> dict[Structure, Refitted]:
@@ -75,19 +76,19 @@ class SearchState:
     @property
     def best(self) -> Structure:
         """The one of the relevant structures with the largest evidence."""
-        known = self.relevant
-        return max(known, key=lambda s: known[s].log_evidence)
+        relevant = self.relevant
+        return max(relevant, key=lambda s: relevant[s].log_evidence)
 
     def relevance(self, structure: Structure) -> dict[str, float]:
         """What each term of a refitted structure explains over what that leaves: by refits, where known."""
-        own = self.refitted[structure]
-        found = dict(own.relevance)
-        for term in found:
+        refit = self.refitted[structure]
+        shares = dict(refit.relevance)
+        for term in shares:
             reduced = self.refitted.get(structure - {term})
             if reduced is not None:
-                left, remains = reduced.fitted.mean_squares, own.fitted.mean_squares
-                found[term] = relevance(left, remains, own.acts([term]))
-        return found
+                lacking, having = reduced.fitted.mean_squares, refit.fitted.mean_squares
+                shares[term] = relevance(lacking, having, refit.acts([term]))
+        return shares
 
     def values_of(self, structure: Structure) -> Mapping[str, float]:
         """Values by key that the newest linearisation predicts of a structure, if any."""
@@ -97,11 +98,11 @@ class SearchState:
         return self.view.responses.sizes(predicted.choice, predicted.sizes)
 
     def log_evidence(self) -> dict[Structure, float]:
-        """Log evidence of what was visited, but for likelier structures whose terms explain too little."""
-        known = {s: p.log_evidence for s, p in self.predicted.items()}
-        known |= {s: r.log_evidence for s, r in self.refitted.items()}
+        """Log evidence of the visited structures, but for likelier ones whose terms explain too little."""
+        logs = {s: p.log_evidence for s, p in self.predicted.items()}
+        logs |= {s: r.log_evidence for s, r in self.refitted.items()}
         most = self.refitted[self.best].log_evidence
-        return {structure: value for structure, value in known.items() if value <= most}
+        return {structure: value for structure, value in logs.items() if value <= most}
 
 
 def least_relevance(relevance: Mapping[str, float]) -> float:
@@ -111,22 +112,22 @@ def least_relevance(relevance: Mapping[str, float]) -> float:
 
 def inclusion(state: SearchState) -> dict[str, float]:
     """Return the posterior probability of every term: of all visited structures that have it."""
-    known = state.log_evidence()
-    structures, logs = list(known), np.array(list(known.values()))
+    log_evidence = state.log_evidence()
+    structures, logs = list(log_evidence), np.array(list(log_evidence.values()))
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    found: dict[str, float] = {}
+    probabilities: dict[str, float] = {}
     for structure, weight in zip(structures, weights.tolist(), strict=True):
         for term in structure:
-            found[term] = min(found.get(term, 0.0) + weight, 1.0)
-    return found
+            probabilities[term] = min(probabilities.get(term, 0.0) + weight, 1.0)
+    return probabilities
 
 
 def alternatives(state: SearchState) -> tuple[Alternative, ...]:
     """What every refitted structure estimates, with its probability among these."""
-    known = state.log_evidence()
-    kept = [s for s in state.refitted if np.isfinite(known.get(s, -np.inf))]
-    logs = np.array([known[s] for s in kept])
+    log_evidence = state.log_evidence()
+    kept = [s for s in state.refitted if np.isfinite(log_evidence.get(s, -np.inf))]
+    logs = np.array([log_evidence[s] for s in kept])
     weights = np.exp(logs - logs.max())
     fits = [state.refitted[s].fitted for s in kept]
     return tuple(
@@ -142,38 +143,38 @@ def log_odds(model: Model, state: SearchState, term: str) -> float:
     Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
     """
     best = state.best
-    own = state.refitted[best]
-    alone = [v for v in own.choice if v.term != term]
-    without = own.view.evaluate([tuple(alone)])[0].log_evidence
+    refit = state.refitted[best]
+    alone = [v for v in refit.choice if v.term != term]
+    without = refit.view.evaluate([tuple(alone)])[0].log_evidence
     carriers = {t for t in best if term in model.terms[t].with_terms}
     reduced = state.refitted.get(best - {term})
-    # one with a size at the end of what it can be is no account, and nothing to be held against
+    # a structure with a size at its bound explains nothing, and is no comparison
     if not carriers and reduced is not None and np.isfinite(reduced.log_evidence):
         without = reduced.log_evidence
-    return own.log_evidence - without
+    return refit.log_evidence - without
 
 
 def as_likely_as_not(state: SearchState) -> tuple[str, ...]:
     """Terms of which the refitted structures with and without them are within odds of nine to one."""
-    logs = {structure: each.log_evidence for structure, each in state.refitted.items()}
-    found = []
+    logs = {structure: refit.log_evidence for structure, refit in state.refitted.items()}
+    open_terms = []
     for term in sorted({term for structure in logs for term in structure} - state.best):
         having, lacking = (
-            max(value for structure, value in logs.items() if (term in structure) == there)
-            for there in (True, False)
+            max(value for structure, value in logs.items() if (term in structure) == included)
+            for included in (True, False)
         )
         probability = float(expit(having - lacking))
         if UNDECIDED <= probability <= 1.0 - UNDECIDED:
-            found.append(term)
-    return tuple(found)
+            open_terms.append(term)
+    return tuple(open_terms)
 
 
 def rivals_of(state: SearchState, best: Structure) -> tuple[Rival, ...]:
     """Return Structures that have another term in the place of one, within 5 nats."""
-    known, found, shares = state.log_evidence(), [], inclusion(state)
-    for structure, value in known.items():
+    log_evidence, rivals, shares = state.log_evidence(), [], inclusion(state)
+    for structure, value in log_evidence.items():
         gone, new = best - structure, structure - best
-        if len(gone) == 1 and len(new) == 1 and known[best] - value < 5.0:
+        if len(gone) == 1 and len(new) == 1 and log_evidence[best] - value < 5.0:
             rival = next(iter(new))
-            found.append(Rival(rival, next(iter(gone)), 2.0 * (known[best] - value), shares[rival]))
-    return tuple(sorted(found, key=lambda r: r.delta_bic))
+            rivals.append(Rival(rival, next(iter(gone)), 2.0 * (log_evidence[best] - value), shares[rival]))
+    return tuple(sorted(rivals, key=lambda r: r.delta_bic))

@@ -54,8 +54,8 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         if not self.low < self.centre < self.high:
-            found = f"{self.centre:g} between {self.low:g} and {self.high:g}"
-            raise ValueError(f"`centre` must lie between `low` and `high`, found {found}")
+            actual = f"{self.centre:g} between {self.low:g} and {self.high:g}"
+            raise ValueError(f"`centre` must lie between `low` and `high`, found {actual}")
         for name, value in (("speed", self.speed), ("acceleration", self.acceleration)):
             if not 0 < value < inf:
                 raise ValueError(f"`{name}` must be positive, found {value:g}")
@@ -87,9 +87,9 @@ def fourier(
     if (sine is None) != (cosine is None):
         raise ValueError("give both `sine` and `cosine`, a list for each joint, or neither")
     if sine is not None and cosine is not None:
-        joints = _given(limits, base_frequency, sine, cosine)
+        joints = _from_coefficients(limits, base_frequency, sine, cosine)
     else:
-        joints = _drawn(limits, base_frequency, harmonics, seed)
+        joints = _draw(limits, base_frequency, harmonics, seed)
     return joints[0] if len(joints) == 1 else Excitations(joints)
 
 
@@ -127,7 +127,7 @@ def _extremes(
     """Bounds on lowest and highest excursion, speed and acceleration, over all time and not a grid alone.
 
     A trigonometric polynomial of degree K that stays within M on N even points of its period stays
-    within M/cos(πK/N) everywhere (Ehlich and Zeller 1964); excursions to the two sides are told apart
+    within M/cos(πK/N) everywhere (Ehlich and Zeller 1964); excursions to the two sides are separated
     by their mean, of which the same is true.
     """
     points = POINTS_PER_HARMONIC * len(sine)
@@ -139,7 +139,7 @@ def _extremes(
     return float(middle - reach), float(middle + reach), float(fastest), float(hardest)
 
 
-def _drawn(
+def _draw(
     limits: Sequence[JointLimits], base_frequency: float, harmonics: int, seed: Seed
 ) -> tuple[FourierSeries, ...]:
     if harmonics < FEWEST_HARMONICS:
@@ -147,8 +147,8 @@ def _drawn(
     draw, k = np.random.default_rng(seed), np.arange(1, harmonics + 1)
     joints = []
     for limit in limits:
-        sine = _without(draw.standard_normal(harmonics), np.ones((1, harmonics)))
-        cosine = _without(draw.standard_normal(harmonics), np.stack([k, 1 / k]))
+        sine = _project_out(draw.standard_normal(harmonics), np.ones((1, harmonics)))
+        cosine = _project_out(draw.standard_normal(harmonics), np.stack([k, 1 / k]))
         down, up, fastest, hardest = _extremes(sine, cosine, base_frequency)
         scale = ROUNDING * min(
             (limit.high - limit.centre) / up,
@@ -160,8 +160,8 @@ def _drawn(
     return tuple(joints)
 
 
-def _without(values: FloatArray, conditions: FloatArray) -> FloatArray:
-    """The nearest values at which every row of ``conditions``·values is zero."""
+def _project_out(values: FloatArray, conditions: FloatArray) -> FloatArray:
+    """Project ``values`` onto the null space of ``conditions``."""
     basis = np.linalg.qr(conditions.T)[0]
     return values - basis @ (basis.T @ values)
 
@@ -170,15 +170,15 @@ def _series(centre: float, base_frequency: float, sine: FloatArray, cosine: Floa
     return FourierSeries(centre, base_frequency, tuple(sine.tolist()), tuple(cosine.tolist()))
 
 
-def _given(
+def _from_coefficients(
     limits: Sequence[JointLimits],
     base_frequency: float,
     sine: Sequence[Sequence[float]],
     cosine: Sequence[Sequence[float]],
 ) -> tuple[FourierSeries, ...]:
     if not len(sine) == len(cosine) == len(limits):
-        found = f"{len(sine)} and {len(cosine)}"
-        raise ValueError(f"`sine` and `cosine` need a list for each of {len(limits)} joints, found {found}")
+        counts = f"{len(sine)} and {len(cosine)}"
+        raise ValueError(f"`sine` and `cosine` need a list for each of {len(limits)} joints, found {counts}")
     joints = []
     for joint, (limit, a, b) in enumerate(zip(limits, sine, cosine, strict=True)):
         if len(a) != len(b) or not a:
@@ -200,15 +200,15 @@ def _refuse_beyond(joint: int, limit: JointLimits, series: FourierSeries) -> Non
         ("speed", fastest, 0.0, limit.speed),
         ("acceleration", hardest, 0.0, limit.acceleration),
     )
-    for name, found, lowest, highest in reach:
-        if not lowest <= found <= highest:
+    for name, value, lowest, highest in reach:
+        if not lowest <= value <= highest:
             raise ValueError(
-                f"joint {joint}: {name} reaches {found:.4g}, its limits are {lowest:g} to {highest:g}"
+                f"joint {joint}: {name} reaches {value:.4g}, its limits are {lowest:g} to {highest:g}"
             )
     k = np.arange(1, len(a) + 1)
-    rest = (("velocity", abs(a.sum()), fastest), ("acceleration", abs(float(k @ b)), float(k @ np.abs(b))))
-    for name, found, scale in rest:
-        if found > WHOLE * scale:
+    sums = (("velocity", abs(a.sum()), fastest), ("acceleration", abs(float(k @ b)), float(k @ np.abs(b))))
+    for name, value, scale in sums:
+        if value > WHOLE * scale:
             raise ValueError(
                 f"joint {joint}: its {name} is not zero where the period begins: expected "
                 "Σ sine = 0 and Σ k·cosine = 0"
@@ -233,10 +233,10 @@ def _limits(
     acceleration: float | Sequence[float],
     centre: float | Sequence[float] | None,
 ) -> tuple[JointLimits, ...]:
-    given = {"low": low, "high": high, "speed": speed, "acceleration": acceleration}
+    stated = {"low": low, "high": high, "speed": speed, "acceleration": acceleration}
     if centre is not None:
-        given["centre"] = centre
-    rows = {name: [v] if isinstance(v, (int, float)) else list(v) for name, v in given.items()}
+        stated["centre"] = centre
+    rows = {name: [v] if isinstance(v, (int, float)) else list(v) for name, v in stated.items()}
     width = max(len(row) for row in rows.values())
     for name, row in rows.items():
         if len(row) not in (1, width):

@@ -46,11 +46,11 @@ def low_crest_phases(
     phases of what is left, give the tones their amplitudes back, and again, with an ever higher clip;
     from Schroeder's phases and some drawn with ``seed``. The same arguments give the same phases.
     """
-    return _searched(tuple(frequencies), tuple(amplitudes), duration, seed)
+    return _search_phases(tuple(frequencies), tuple(amplitudes), duration, seed)
 
 
 @lru_cache(maxsize=64)
-def _searched(
+def _search_phases(
     frequencies: tuple[float, ...], amplitudes: tuple[float, ...], duration: float, seed: Seed
 ) -> tuple[float, ...]:
     schroeder = schroeder_phases(amplitudes)
@@ -63,9 +63,9 @@ def _searched(
     starts += [draw.uniform(-pi, pi, len(heights)) for _ in range(STARTS - 1)]
     best = crest_factor(_sum(waves, heights, starts[0])), starts[0]
     for start in starts:
-        found = _clipped(waves, heights, start)
-        if found[0] < best[0] * (1 - 1e-9):
-            best = found
+        candidate = _clip_peaks(waves, heights, start)
+        if candidate[0] < best[0] * (1 - 1e-9):
+            best = candidate
     return tuple(float(phase) for phase in best[1])
 
 
@@ -89,10 +89,10 @@ def _sum(waves: NDArray[np.complex128], heights: FloatArray, phases: FloatArray)
     return np.asarray((waves @ (heights * np.exp(1j * phases))).imag)
 
 
-def _clipped(
+def _clip_peaks(
     waves: NDArray[np.complex128], heights: FloatArray, phases: FloatArray
 ) -> tuple[float, FloatArray]:
-    back = waves.conj().T
+    adjoint = waves.conj().T
     best = np.inf, phases
     for i in range(ROUNDS):
         values = _sum(waves, heights, phases)
@@ -101,6 +101,6 @@ def _clipped(
             best = crest, phases
         # from a third of the way up to nearly all of it: first the rough shape, then the last peaks
         clip = (0.75 + 0.24 * i / ROUNDS) * float(np.max(np.abs(values)))
-        kept = back @ np.clip(values, -clip, clip)
-        phases = np.asarray(np.angle(1j * kept), dtype=np.float64)
+        coefficients = adjoint @ np.clip(values, -clip, clip)
+        phases = np.asarray(np.angle(1j * coefficients), dtype=np.float64)
     return best

@@ -53,7 +53,7 @@ class Spectrum:
         if not top > 0:
             return ""
         with np.errstate(divide="ignore"):
-            level = 1 + 10 * np.log10(_filled(self.density) / top) / RANGE_DB
+            level = 1 + 10 * np.log10(_fill_narrow_bars(self.density) / top) / RANGE_DB
         steps = np.floor(np.clip(level, -1.0, 1.0) * len(BARS)).astype(int)
         return "".join(" " if step < 0 else BARS[min(step, len(BARS) - 1)] for step in steps.tolist())
 
@@ -72,10 +72,12 @@ def spectrum_of(values: FloatArray, rate: float) -> Spectrum:
     lines = np.asarray(np.sum(np.square(transform), axis=1), dtype=np.float64)
     lines *= power / float(lines.sum())
     edges, density = _by_bars(frequencies, lines)
-    return Spectrum(rms, crest, _occupied(frequencies, lines), _half_power(edges, density), edges, density)
+    return Spectrum(
+        rms, crest, _occupied_band(frequencies, lines), _half_power(edges, density), edges, density
+    )
 
 
-def _occupied(frequencies: FloatArray, lines: FloatArray) -> Band:
+def _occupied_band(frequencies: FloatArray, lines: FloatArray) -> Band:
     below = np.cumsum(lines) / lines.sum()
     ends = np.searchsorted(below, [(1 - SHARE) / 2, (1 + SHARE) / 2])
     low, high = frequencies[np.minimum(ends, len(frequencies) - 1)]
@@ -93,11 +95,11 @@ def _by_bars(frequencies: FloatArray, lines: FloatArray) -> tuple[FloatArray, Fl
     return edges, density
 
 
-def _filled(density: FloatArray) -> FloatArray:
-    """Bars without a line of their own show their lower neighbour's."""
-    known = np.flatnonzero(~np.isnan(density))
+def _fill_narrow_bars(density: FloatArray) -> FloatArray:
+    """Give bars without a spectral line the density of their lower neighbour."""
+    filled = np.flatnonzero(~np.isnan(density))
     return np.asarray(
-        density[known[np.maximum(np.searchsorted(known, np.arange(len(density)), "right") - 1, 0)]]
+        density[filled[np.maximum(np.searchsorted(filled, np.arange(len(density)), "right") - 1, 0)]]
     )
 
 

@@ -95,7 +95,7 @@ def multisine(
     there so that the peak within ``duration`` s is low for the power, "random" drawn.
     """
     _check_frequencies(frequencies)
-    amplitudes = _each(amplitude, len(frequencies), "amplitude")
+    amplitudes = _one_per_tone(amplitude, len(frequencies), "amplitude")
     if phases == "low_crest":
         phases = low_crest_phases(frequencies, amplitudes, duration, seed)
     elif phases == "schroeder":
@@ -127,8 +127,8 @@ def chirp(
         raise ValueError(f"`duration` must be positive, found {duration:g}")
     if sweep not in ("linear", "logarithmic"):
         raise ValueError(f"`sweep` must be 'linear' or 'logarithmic', found {sweep!r}")
-    (phase,) = _each(_numbers("chirp", phases) or 0.0, 1, "phases")
-    (height,) = _each(amplitude, 1, "amplitude")
+    (phase,) = _one_per_tone(_numbers("chirp", phases) or 0.0, 1, "phases")
+    (height,) = _one_per_tone(amplitude, 1, "amplitude")
     first, last = frequencies
     return Chirp(first, last, height, duration, phase, offset, sweep, there_and_back)
 
@@ -147,8 +147,8 @@ def _tones(
 ) -> Tones:
     _check_frequencies(frequencies)
     count = len(frequencies)
-    amplitudes = _each(amplitude, count, "amplitude")
-    return Tones(tuple(frequencies), amplitudes, _each(phases, count, "phases"), offset)
+    amplitudes = _one_per_tone(amplitude, count, "amplitude")
+    return Tones(tuple(frequencies), amplitudes, _one_per_tone(phases, count, "phases"), offset)
 
 
 def _check_frequencies(frequencies: Sequence[float]) -> None:
@@ -159,7 +159,7 @@ def _check_frequencies(frequencies: Sequence[float]) -> None:
             raise ValueError(f"`frequencies` must be positive numbers of Hz, found {frequency:g}")
 
 
-def _each(value: float | Sequence[float], count: int, name: str) -> tuple[float, ...]:
+def _one_per_tone(value: float | Sequence[float], count: int, name: str) -> tuple[float, ...]:
     if isinstance(value, (int, float)):
         return (float(value),) * count
     if len(value) != count:

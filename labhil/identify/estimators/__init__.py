@@ -15,12 +15,12 @@ from labhil.errors import UnknownNameError
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.estimators.library import cma_es, differential_evolution, simulated_annealing
 from labhil.identify.estimators.sampling import mcmc
-from labhil.identify.estimators.search import Budget, Found, Ledger, Progress
+from labhil.identify.estimators.search import Budget, Ledger, Progress, SearchResult
 from labhil.identify.estimators.swarm import adaptive_swarm, affordable, swarm_with_evolution, text_swarm
 from labhil.identify.problem import Problem
 from labhil.signals import FloatArray
 
-Method = Callable[..., Found]
+Method = Callable[..., SearchResult]
 
 METHODS: Mapping[str, Method] = {
     "pso": text_swarm,
@@ -46,10 +46,10 @@ INTERRUPTED = "interrupted"
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Where a global search says that least squares should begin: the model's vector, with its search."""
+    """Where least squares should begin: the model's vector that a global search ended at, with its result."""
 
     theta: FloatArray
-    found: Found
+    search: SearchResult
 
 
 def estimator_named(name: str) -> str:
@@ -73,13 +73,13 @@ def search(
     (Ctrl+C) ends the search with the best so far.
     """
     try:
-        return _searched(problem, name, seed, budget, progress)
+        return _search_box(problem, name, seed, budget, progress)
     except (KeyboardInterrupt, EndedEarly):
         z = problem.start().z
-        return Begin(problem.theta(z), Found(z, float("inf"), 0, (), INTERRUPTED))
+        return Begin(problem.theta(z), SearchResult(z, float("inf"), 0, (), INTERRUPTED))
 
 
-def _searched(problem: Problem, name: str, seed: int, budget: Budget | None, progress: Progress) -> Begin:
+def _search_box(problem: Problem, name: str, seed: int, budget: Budget | None, progress: Progress) -> Begin:
     coordinates = Coordinates.of(problem)
     share = HYBRID_EVALUATIONS if name == DEFAULT else EVALUATIONS
     limit = budget or Budget(share * max(len(coordinates.box), 1), patience=PATIENCE)
@@ -87,17 +87,19 @@ def _searched(problem: Problem, name: str, seed: int, budget: Budget | None, pro
     method = METHODS[HYBRID_METHOD if name == DEFAULT else name]
     if not len(coordinates.box):
         z = coordinates.z(coordinates.start)
-        found = Found(coordinates.start, coordinates.cost(coordinates.start), 1, (), "nothing to search")
-        return Begin(problem.theta(z), found)
+        result = SearchResult(
+            coordinates.start, coordinates.cost(coordinates.start), 1, (), "nothing to search"
+        )
+        return Begin(problem.theta(z), result)
     try:
         rounds = {"iterations": affordable(ledger)} if method is text_swarm else {}
-        found = method(ledger, seed, coordinates.start, **rounds)
+        result = method(ledger, seed, coordinates.start, **rounds)
     except (KeyboardInterrupt, EndedEarly):
         if not ledger.evaluations:
             raise
         ledger.stopped_because = INTERRUPTED
-        found = ledger.found()
-    return Begin(problem.theta(coordinates.z(found.z)), found)
+        result = ledger.result()
+    return Begin(problem.theta(coordinates.z(result.z)), result)
 
 
 __all__ = [
@@ -106,8 +108,8 @@ __all__ = [
     "METHODS",
     "Begin",
     "Budget",
-    "Found",
     "Ledger",
+    "SearchResult",
     "estimator_named",
     "search",
 ]

@@ -79,24 +79,24 @@ class Coordinates:
         """
         begin = problem.start() if start is None else start
         reduced = Reduced.of(problem, begin, project=project)
-        whole = box(problem, begin.z)
-        low, high = whole.lower[reduced.kept], whole.upper[reduced.kept]
+        full_box = box(problem, begin.z)
+        low, high = full_box.lower[reduced.kept], full_box.upper[reduced.kept]
         sizes = [_is_size(problem.model.parameters[i]) for i in problem.free[reduced.kept]]
         chosen = np.array(sizes, dtype=bool) & (low > 0.0)
         inside = np.clip(begin.z[reduced.kept], low, high)
-        ends = [np.where(chosen, np.log(np.where(chosen, x, 1.0)), x) for x in (low, high, inside)]
-        return cls(reduced, chosen, Box(ends[0], ends[1]), ends[2])
+        transformed = [np.where(chosen, np.log(np.where(chosen, x, 1.0)), x) for x in (low, high, inside)]
+        return cls(reduced, chosen, Box(transformed[0], transformed[1]), transformed[2])
 
     def z(self, vector: FloatArray) -> FloatArray:
         """All free parameters, scaled; the linear ones solved for within their bounds."""
-        kept = self._kept(vector)
+        kept = self._searched_parameters(vector)
         return self.reduced.solve(kept)[0] if len(self.reduced.linear) else kept
 
     def cost(self, vector: FloatArray) -> float:
         """Sum of squared residuals in units of noise, but for what initial states explain."""
-        return self.reduced.cost(self._kept(vector))
+        return self.reduced.cost(self._searched_parameters(vector))
 
-    def _kept(self, vector: FloatArray) -> FloatArray:
+    def _searched_parameters(self, vector: FloatArray) -> FloatArray:
         """The searched parameters, scaled; the exponential's rounding must not leave the bounds."""
         kept = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, vector, 0.0)), vector)
         places, problem = self.reduced.kept, self.reduced.problem

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from labhil.extras import load_optional
-from labhil.identify.estimators.search import Found, Ledger
+from labhil.identify.estimators.search import Ledger, SearchResult
 from labhil.signals import FloatArray
 
 
 def differential_evolution(
     ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000
-) -> Found:
+) -> SearchResult:
     """Storn and Price's differential evolution (scipy: best/1/bin), without its polish."""
     from scipy import optimize
 
@@ -30,12 +30,12 @@ def differential_evolution(
         x0=None if start is None else np.clip(start, ledger.box.lower + edge, ledger.box.upper - edge),
         callback=lambda *_: ledger.enough(),
     )
-    return ledger.found()
+    return ledger.result()
 
 
 def simulated_annealing(
     ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000
-) -> Found:
+) -> SearchResult:
     """Generalised simulated annealing (scipy's dual_annealing, without its local search)."""
     from scipy import optimize
 
@@ -50,14 +50,16 @@ def simulated_annealing(
         callback=lambda *_: ledger.enough(),
     )
     ledger.enough()
-    return ledger.found()
+    return ledger.result()
 
 
-def cma_es(ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000) -> Found:
+def cma_es(
+    ledger: Ledger, seed: int, start: FloatArray | None = None, iterations: int = 1000
+) -> SearchResult:
     """Covariance matrix adaptation (Hansen), by pycma; from the middle of the box where no start is given."""
     cma = load_optional("cma", "the estimator cma_es")
     box = ledger.box
-    # draws of its own: nobody else's are begun anew by them
+    # its own generator: numpy's global one keeps its state
     random = np.random.default_rng(seed)
     span = box.upper - box.lower
     begin = 0.5 * np.ones(len(box)) if start is None else (box.clip(start) - box.lower) / span
@@ -73,10 +75,10 @@ def cma_es(ledger: Ledger, seed: int, start: FloatArray | None = None, iteration
         },
     )
     while not evolution.stop():
-        asked = evolution.ask()
-        costs = ledger.many(box.lower + np.asarray(asked) * span)
+        candidates = evolution.ask()
+        costs = ledger.many(box.lower + np.asarray(candidates) * span)
         # only ranks count; a logarithm of either sign keeps its stopping rules apt for costs of any size
-        evolution.tell(asked, np.arcsinh(1e12 * costs).tolist())
+        evolution.tell(candidates, np.arcsinh(1e12 * costs).tolist())
         if ledger.enough():
             break
-    return ledger.found()
+    return ledger.result()

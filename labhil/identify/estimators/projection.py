@@ -22,8 +22,7 @@ class Reduced:
     """A problem over the free parameters that are not linear, initial states projected out to first order.
 
     ``kept`` (K,) are the places among the free parameters of those that stay, ``linear`` (L,) of those
-    that are solved for within their bounds; ``states`` (W, S) are the initial states about which
-    ``slopes`` tell what other ones would change.
+    that are solved for within their bounds; ``slopes`` are those by the initial states, at ``states`` (W, S).
     """
 
     problem: Problem
@@ -61,18 +60,18 @@ class Reduced:
 
     def _residuals(self, z: FloatArray) -> FloatArray:
         """Residuals (N·c,) but for what the states explain."""
-        found = self.problem.residuals(Point(z, self.states))
-        return self.problem.project(self.slopes, found[:, None])[:, 0]
+        residuals = self.problem.residuals(Point(z, self.states))
+        return self.problem.project(self.slopes, residuals[:, None])[:, 0]
 
     def _columns(self, z: FloatArray, residuals: FloatArray) -> FloatArray:
         """Slopes (N·c, L) by the linear parameters, from steps inside their bounds."""
         columns = np.empty((len(residuals), len(self.linear)))
         for k, j in enumerate(self.linear):
-            moved = z.copy()
+            shifted = z.copy()
             above, below = self.problem.upper[j] - z[j], z[j] - self.problem.lower[j]
-            moved[j] += min(1.0, above) if above >= min(1.0, below) else -min(1.0, below)
-            step = moved[j] - z[j]
-            slope = (self._residuals(moved) - residuals) / (step or 1.0)
+            shifted[j] += min(1.0, above) if above >= min(1.0, below) else -min(1.0, below)
+            step = shifted[j] - z[j]
+            slope = (self._residuals(shifted) - residuals) / (step or 1.0)
             # a parameter that cannot move, or whose simulation runs away, stays where it is
             columns[:, k] = slope if np.all(np.isfinite(slope)) else 0.0
         return columns

@@ -1,4 +1,4 @@
-"""What a global search is asked and what it answers, whichever the method."""
+"""What a global search gets and gives, whichever the method."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SearchResult:
     """The best point (P,) with its cost; ``history`` is the best cost after each round."""
 
     z: FloatArray
@@ -109,7 +109,8 @@ class Ledger:
         """Close a round; True when the search should stop, with the reason noted."""
         before = self.history[-1] if self.history else float("inf")
         self.history.append(self.best)
-        self._since = 0 if self.best < before * (1.0 - self.budget.gain) else self._since + 1
+        least = 0.0 if np.isinf(before) else self.budget.gain * abs(before)
+        self._since = 0 if self.best < before - least else self._since + 1
         self.progress(f"best cost {self.best:.6g} after {self.evaluations} evaluations")
         if self.best <= self.budget.threshold:
             self.stopped_because = "below the threshold"
@@ -119,9 +120,9 @@ class Ledger:
             self.stopped_because = "evaluations are used up"
         return bool(self.stopped_because)
 
-    def found(self, draws: FloatArray | None = None) -> Found:
-        """The answer."""
-        return Found(
+    def result(self, draws: FloatArray | None = None) -> SearchResult:
+        """The best point so far with its cost."""
+        return SearchResult(
             self.z,
             self.best,
             self.evaluations,

@@ -1,4 +1,4 @@
-"""The baselines by name, and the orders that are tried when nobody says which."""
+"""The baselines by name, and the orders that are tried by default."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def fit_linear(
     """
     if name not in BASELINES:
         raise UnknownNameError("baseline", name, BASELINES)
-    data = _usable(u, y, period, hold)
+    data = _check_data(u, y, period, hold)
     chosen = orders if orders is not None else choose_orders(name, data)
     return BASELINES[name].fit(data, chosen)
 
@@ -106,24 +106,24 @@ def fit_linear(
 def choose_orders(name: str, data: Sampled) -> Orders:
     """The orders of the baseline ``name`` that the data support."""
     learn, judge = _split(data)
-    late = dead_time(learn)
+    delay = dead_time(learn)
     fitted = []
     for candidate in BASELINES[name].orders:
-        at = replace(candidate, delay=late)
+        orders = replace(candidate, delay=delay)
         if data.least_delay == 0 and name not in ("transfer_function", "state_space"):
             # an input that runs straight to the next sample moves the output there at once
-            at = replace(at, inputs=at.inputs + 1)
-        model = BASELINES[name].fit(learn, at)
+            orders = replace(orders, inputs=orders.inputs + 1)
+        model = BASELINES[name].fit(learn, orders)
         count = len(model.parameters)
         criterion = len(learn) * np.log(max(model.loss, 1e-300)) + count * np.log(len(learn))
         fitted.append((criterion, count, model))
-    short = sorted(fitted, key=lambda item: item[0])[:SHORTLIST]
+    shortlist = sorted(fitted, key=lambda item: item[0])[:SHORTLIST]
     best: tuple[float, Orders] | None = None
-    for _, _, model in sorted(short, key=lambda item: item[1]):
+    for _, _, model in sorted(shortlist, key=lambda item: item[1]):
         error = figures_of(judge.y, model.simulate(judge.u, judge.y)).rmse
         if best is None or error < BETTER * best[0]:
             best = error, model.orders
-    return short[0][2].orders if best is None else best[1]
+    return shortlist[0][2].orders if best is None else best[1]
 
 
 def _split(data: Sampled) -> tuple[Sampled, Sampled]:
@@ -141,15 +141,15 @@ def dead_time(data: Sampled) -> int:
     By output-error models of second order; a longer one has to lower the error by a hundredth.
     """
     best = np.inf, 0
-    for late in DELAYS:
-        orders = Orders(2, 3 - data.least_delay, delay=late)
+    for delay in DELAYS:
+        orders = Orders(2, 3 - data.least_delay, delay=delay)
         losses = [simulation_loss(data, orders, f) for f in denominators(data, orders)]
         if min(losses) < BETTER**2 * best[0]:
-            best = min(losses), late
+            best = min(losses), delay
     return best[1]
 
 
-def _usable(u: FloatArray, y: FloatArray, period: float, hold: Hold) -> Sampled:
+def _check_data(u: FloatArray, y: FloatArray, period: float, hold: Hold) -> Sampled:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if u.ndim != 1 or u.shape != y.shape or len(u) < FEWEST_SAMPLES:
         raise RecordingError(

@@ -21,7 +21,7 @@ from labhil.identify.linear.filters import (
     input_columns,
     polynomial_text,
     project,
-    stabilised,
+    stabilise,
     stable,
     unbounded,
 )
@@ -44,7 +44,7 @@ class BentLine:
 
     def __call__(self, values: FloatArray) -> FloatArray:
         """The line at these values, element by element."""
-        return self.offset + _bent((values - self.middle) / self.size, self.bends) @ self.slopes
+        return self.offset + _hinge_columns((values - self.middle) / self.size, self.bends) @ self.slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,11 +63,13 @@ class HammersteinWienerModel:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Slopes of the two lines (g0 …, h0 …), b and f by power, and the offset."""
-        found = {f"g{i}": float(v) for i, v in enumerate(self.before.slopes)}
-        found |= {f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs}
-        found |= {f"f{i}": float(v) for i, v in enumerate(self.f) if i > 0}
-        found |= {f"h{i}": float(v) for i, v in enumerate(self.after.slopes)}
-        return {**found, "offset": self.after.offset}
+        coefficients = {f"g{i}": float(v) for i, v in enumerate(self.before.slopes)}
+        coefficients |= {
+            f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs
+        }
+        coefficients |= {f"f{i}": float(v) for i, v in enumerate(self.f) if i > 0}
+        coefficients |= {f"h{i}": float(v) for i, v in enumerate(self.after.slopes)}
+        return {**coefficients, "offset": self.after.offset}
 
     @property
     def poles(self) -> ComplexArray:
@@ -85,7 +87,7 @@ class HammersteinWienerModel:
         def residual(state: FloatArray) -> FloatArray:
             return self.after(x[:m] + free[:m] @ state) - start[:m]
 
-        # where h is flat nothing tells the state: begin where h without its bends would
+        # where h is flat the state has no effect: begin where h without its bends would
         slope = self.after.slopes[0] / self.after.size or 1.0
         begin = project(free[:m], (start[:m] - self.after(x[:m])) / slope)[0]
         state = optimize.least_squares(residual, begin, x_scale="jac", max_nfev=50).x
@@ -104,36 +106,40 @@ def fit_hammerstein_wiener(data: Sampled, orders: Orders) -> HammersteinWienerMo
     middle, size = float(data.u.mean()), float(np.std(data.u)) or 1.0
     v = (data.u - middle) / size
     bends = np.asarray(np.quantile(v, np.linspace(0, 1, orders.degree + 2)[1:-1]), dtype=np.float64)
-    bent = _bent(v, bends)
+    bent = _hinge_columns(v, bends)
     f, slopes, numerator = _hammerstein(data, orders, bent)
     p, k, delay = orders.poles, orders.inputs, data.least_delay + orders.delay
     knots = np.linspace(-WIDEST, WIDEST, orders.degree + 2, dtype=np.float64)[1:-1]
 
-    def unfolded(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def unpack(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return stable(z[:p]), z[p : p + k], z[p + k : -p]
 
     def output(z: FloatArray) -> FloatArray:
-        f, b, g = unfolded(z)
+        f, b, g = unpack(z)
         padded = np.append(np.zeros(delay), b)
         return np.asarray(signal.lfilter(padded, f, bent @ g)) + free_responses(f, len(data)) @ z[-p:]
 
-    def lined(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        columns = np.column_stack((_bent((x - x.mean()) / (np.std(x) or 1.0), knots), np.ones(len(x))))
+    def fit_output(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        columns = np.column_stack(
+            (_hinge_columns((x - x.mean()) / (np.std(x) or 1.0), knots), np.ones(len(x)))
+        )
         return project(columns, data.y)
 
     z = improve(
-        lambda z: lined(output(z))[1],
+        lambda z: fit_output(output(z))[1],
         [np.concatenate((unbounded(f), numerator, slopes, np.zeros(p)))],
         keep=1,
     )
     x = output(z)
-    found, left = lined(x)
-    f, b, g = unfolded(z)
+    coefficients, residuals = fit_output(x)
+    f, b, g = unpack(z)
     before = BentLine(middle, size, bends, g)
-    after = BentLine(float(x.mean()), float(np.std(x)) or 1.0, knots, found[:-1], float(found[-1]))
+    after = BentLine(
+        float(x.mean()), float(np.std(x)) or 1.0, knots, coefficients[:-1], float(coefficients[-1])
+    )
     padded = np.append(np.zeros(delay), b)
     return HammersteinWienerModel(
-        orders, data.period, before, padded, f, after, float(np.mean(np.square(left)))
+        orders, data.period, before, padded, f, after, float(np.mean(np.square(residuals)))
     )
 
 
@@ -144,19 +150,19 @@ def _hammerstein(
     n, count, delay = len(data), bent.shape[1], data.least_delay + orders.delay
 
     def columns(f: FloatArray) -> FloatArray:
-        moved = [input_columns(f, bent[:, i], orders.inputs, delay) for i in range(count)]
-        return np.column_stack((*moved, np.ones(n), free_responses(f, n)))
+        inputs = [input_columns(f, bent[:, i], orders.inputs, delay) for i in range(count)]
+        return np.column_stack((*inputs, np.ones(n), free_responses(f, n)))
 
     def residual(theta: FloatArray) -> FloatArray:
         return project(columns(stable(theta)), data.y)[1]
 
     starts = [unbounded(f) for f in denominators(data, orders)]
-    f = stabilised(stable(improve(residual, starts)))
+    f = stabilise(stable(improve(residual, starts)))
     products = project(columns(f), data.y)[0][: count * orders.inputs].reshape(count, orders.inputs)
     left, sizes, right = np.linalg.svd(products)
     slopes, numerator = left[:, 0], right[0]
     return f, slopes, float(sizes[0]) * numerator
 
 
-def _bent(v: FloatArray, bends: FloatArray) -> FloatArray:
+def _hinge_columns(v: FloatArray, bends: FloatArray) -> FloatArray:
     return np.column_stack((v, *(np.maximum(v - bend, 0.0) for bend in bends)))

@@ -1,4 +1,4 @@
-"""What a baseline is fitted to, what it is asked for, and how it is judged."""
+"""What a baseline is fitted to, what it offers, and how it is judged."""
 
 from __future__ import annotations
 

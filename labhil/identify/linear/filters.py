@@ -35,7 +35,7 @@ def stable(theta: FloatArray) -> FloatArray:
 
 def unbounded(f: FloatArray) -> FloatArray:
     """The ``theta`` of a polynomial; roots outside of the unit circle are brought into it."""
-    f = stabilised(f)
+    f = stabilise(f)
     theta = np.empty(len(f) - 1)
     for i in range(len(theta) - 1, -1, -1):
         k = float(np.clip(f[-1], -MOST_REFLECTION, MOST_REFLECTION))
@@ -44,7 +44,7 @@ def unbounded(f: FloatArray) -> FloatArray:
     return theta
 
 
-def stabilised(f: FloatArray) -> FloatArray:
+def stabilise(f: FloatArray) -> FloatArray:
     """The polynomial with its roots outside of the unit circle reflected into it."""
     roots = np.roots(f)
     if not len(roots) or np.abs(roots).max() < MOST_REFLECTION:
@@ -87,14 +87,14 @@ def project(columns: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]
     rows = np.array(columns.T, dtype=np.float64, order="C")
     size = np.sqrt(np.einsum("pn,pn->p", rows, rows))
     rows /= np.where(size > 0, size, 1.0)[:, None]
-    left = np.array(y, dtype=np.float64)
-    found = _orthogonalised(rows, left)
-    return found / np.where(size > 0, size, 1.0), left
+    residuals = np.array(y, dtype=np.float64)
+    coefficients = _orthogonalise(rows, residuals)
+    return coefficients / np.where(size > 0, size, 1.0), residuals
 
 
 @compiled
-def _orthogonalised(rows: FloatArray, left: FloatArray) -> FloatArray:
-    """Coefficients of ``left`` (n,) on the ``rows`` (p, n) of norm 1; both are overwritten by what remains.
+def _orthogonalise(rows: FloatArray, target: FloatArray) -> FloatArray:
+    """Coefficients of ``target`` (n,) on the ``rows`` (p, n) of norm 1; both are overwritten by their rests.
 
     Modified Gram-Schmidt with the right-hand side carried along, which solves least squares as well as
     Householder's way does (Björck 1967), and without the threads that a library starts for each call.
@@ -111,13 +111,13 @@ def _orthogonalised(rows: FloatArray, left: FloatArray) -> FloatArray:
         for j in range(i + 1, p):
             triangle[i, j] = np.dot(rows[i], rows[j])
             rows[j] -= triangle[i, j] * rows[i]
-        share[i] = np.dot(rows[i], left)
-        left -= share[i] * rows[i]
-    found = np.zeros(p)
+        share[i] = np.dot(rows[i], target)
+        target -= share[i] * rows[i]
+    solution = np.zeros(p)
     for i in range(p - 1, -1, -1):
         if triangle[i, i] > 0.0:
-            found[i] = (share[i] - np.dot(triangle[i, i + 1 :], found[i + 1 :])) / triangle[i, i]
-    return found
+            solution[i] = (share[i] - np.dot(triangle[i, i + 1 :], solution[i + 1 :])) / triangle[i, i]
+    return solution
 
 
 def improve(residual: Residual, starts: Sequence[FloatArray], keep: int = 2) -> FloatArray:
@@ -127,11 +127,11 @@ def improve(residual: Residual, starts: Sequence[FloatArray], keep: int = 2) -> 
     best = ranked[0]
     lowest = np.inf
     for start in ranked:
-        found = optimize.least_squares(
+        solution = optimize.least_squares(
             residual, start, x_scale=1.0, diff_step=DIFFERENCE, max_nfev=MOST_EVALUATIONS, ftol=1e-9
         )
-        if found.cost < lowest:
-            best, lowest = found.x, found.cost
+        if solution.cost < lowest:
+            best, lowest = solution.x, solution.cost
     return best
 
 
@@ -149,8 +149,8 @@ def free_run(
 
 def continuous(poles: NDArray[np.inexact[Any]], period: float) -> ComplexArray:
     """Poles in the z plane as rad/s: ln(z)/T; those at zero (pure delays) are left out."""
-    there = poles[np.abs(poles) > 1e-9].astype(np.complex128)
-    return np.asarray(np.sort_complex(np.log(there) / period))
+    nonzero = poles[np.abs(poles) > 1e-9].astype(np.complex128)
+    return np.asarray(np.sort_complex(np.log(nonzero) / period))
 
 
 def polynomial_text(coefficients: FloatArray, sign: str = "−") -> str:

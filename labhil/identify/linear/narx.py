@@ -97,8 +97,8 @@ def fit_narx(data: Sampled, orders: Orders) -> NarxModel:
         free = _free_run(y[:first], u, powers[chosen[:count]], coefficients, orders.poles, delay)
         return free[first:] - y[first:]
 
-    count, coefficients = _as_many_as_help(run, columns[:, chosen], y[first:])
-    coefficients, loss = _polished(run, count, coefficients, MOST_EVALUATIONS)
+    count, coefficients = _choose_term_count(run, columns[:, chosen], y[first:])
+    coefficients, loss = _polish(run, count, coefficients, MOST_EVALUATIONS)
     kept = powers[chosen[:count]]
     return NarxModel(orders, data.period, kept, coefficients, middles, sizes, loss * sizes[0] ** 2, delay)
 
@@ -107,44 +107,44 @@ Run = Callable[[int, FloatArray], FloatArray]
 """From how many terms and their coefficients to the errors of the free run."""
 
 
-def _as_many_as_help(run: Run, columns: FloatArray, target: FloatArray) -> tuple[int, FloatArray]:
+def _choose_term_count(run: Run, columns: FloatArray, target: FloatArray) -> tuple[int, FloatArray]:
     """How many of the columns (n, terms), the best first, lower the free run's criterion (BIC)."""
     n = len(target)
     best = np.inf, 1, np.zeros(1)
     for count in range(1, columns.shape[1] + 1):
-        begun = project(columns[:, :count], target)[0]
-        coefficients, loss = _polished(run, count, begun, FEW_EVALUATIONS)
+        start = project(columns[:, :count], target)[0]
+        coefficients, loss = _polish(run, count, start, FEW_EVALUATIONS)
         criterion = n * np.log(max(loss, 1e-300)) + count * np.log(n)
         if criterion < best[0]:
             best = criterion, count, coefficients
     return best[1], best[2]
 
 
-def _polished(run: Run, count: int, begun: FloatArray, evaluations: int) -> tuple[FloatArray, float]:
+def _polish(run: Run, count: int, start: FloatArray, evaluations: int) -> tuple[FloatArray, float]:
     """Coefficients that make the free run's mean square error small, and that error."""
-    found = optimize.least_squares(
-        lambda c: run(count, c), begun, x_scale="jac", diff_step=DIFFERENCE, max_nfev=evaluations
+    solution = optimize.least_squares(
+        lambda c: run(count, c), start, x_scale="jac", diff_step=DIFFERENCE, max_nfev=evaluations
     )
-    return np.asarray(found.x), 2 * float(found.cost) / len(found.fun)
+    return np.asarray(solution.x), 2 * float(solution.cost) / len(solution.fun)
 
 
 def _forward(columns: FloatArray, target: FloatArray) -> list[int]:
     """The columns in the order in which they explain most of what the earlier ones left."""
-    rest, left = columns.copy(), target.copy()
+    rest, residuals = columns.copy(), target.copy()
     power = float(target @ target)
     weight = np.einsum("nt,nt->t", columns, columns)
     chosen: list[int] = []
     for _ in range(min(MOST_TERMS, columns.shape[1])):
         size = np.einsum("nt,nt->t", rest, rest)
         size[size < 1e-12 * np.maximum(weight, 1e-300)] = np.inf
-        share = (rest.T @ left) ** 2 / size / power
+        share = (rest.T @ residuals) ** 2 / size / power
         share[chosen] = 0.0
         best = int(np.argmax(share))
         if not share[best] > WORTH:
             break
         chosen.append(best)
         direction = rest[:, best] / np.sqrt(size[best])
-        left -= direction * (direction @ left)
+        residuals -= direction * (direction @ residuals)
         rest -= np.outer(direction, direction @ rest)
     return chosen
 

@@ -22,7 +22,7 @@ from labhil.identify.linear.filters import (
     input_columns,
     polynomial_text,
     project,
-    stabilised,
+    stabilise,
     stable,
     unbounded,
 )
@@ -55,10 +55,12 @@ class PolynomialModel:
         """Coefficients by name: b1, f1 (a1 for ARX and ARMAX), c1, d1, offset."""
         shared = self.name in ("arx", "armax")
         kinds = {"a" if shared else "f": self.f, "c": self.c, "d": np.ones(1) if shared else self.d}
-        found = {f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs}
+        coefficients = {
+            f"b{i}": float(v) for i, v in enumerate(self.b) if i >= len(self.b) - self.orders.inputs
+        }
         for kind, values in kinds.items():
-            found |= {f"{kind}{i}": float(v) for i, v in enumerate(values) if i > 0}
-        return {**found, "offset": self.offset}
+            coefficients |= {f"{kind}{i}": float(v) for i, v in enumerate(values) if i > 0}
+        return {**coefficients, "offset": self.offset}
 
     @property
     def poles(self) -> ComplexArray:
@@ -71,8 +73,8 @@ class PolynomialModel:
 
     def predict(self, u: FloatArray, y: FloatArray) -> FloatArray:
         """One-step predictions (n,): ŷ = y − D/C·(y − B/F·u − offset), at rest before the first sample."""
-        left = y - self.simulate(u)
-        return np.asarray(y - signal.lfilter(self.d, self.c, left))
+        noise = y - self.simulate(u)
+        return np.asarray(y - signal.lfilter(self.d, self.c, noise))
 
     def describe(self) -> str:
         """The model as an equation."""
@@ -97,8 +99,8 @@ def fit_armax(data: Sampled, orders: Orders) -> PolynomialModel:
     if orders.noise == 0:
         return _with_moving_average("armax", data, orders, np.ones(1))
     # white noise on the output alone is C = A: begin there too, as far as C reaches
-    own = [unbounded(f)[: orders.noise] for f in denominators(data, orders)]
-    starts = [np.append(theta, np.zeros(orders.noise - len(theta))) for theta in own]
+    thetas = [unbounded(f)[: orders.noise] for f in denominators(data, orders)]
+    starts = [np.append(theta, np.zeros(orders.noise - len(theta))) for theta in thetas]
     c = stable(improve(residual, [np.zeros(orders.noise), *starts]))
     return _with_moving_average("armax", data, orders, c)
 
@@ -107,12 +109,12 @@ def fit_oe(data: Sampled, orders: Orders) -> PolynomialModel:
     """y = B(q)/F(q)·u + offset + e: the simulation error itself is made small."""
 
     def residual(theta: FloatArray) -> FloatArray:
-        return _simulated(data, orders, stable(theta))[1]
+        return _fit_numerator(data, orders, stable(theta))[1]
 
     f = stable(improve(residual, [unbounded(f) for f in denominators(data, orders)]))
-    found, left = _simulated(data, orders, f)
-    one = np.ones(1)
-    return _model("oe", data, orders, (found, f, one, one), left)
+    coefficients, residuals = _fit_numerator(data, orders, f)
+    unity = np.ones(1)
+    return _model("oe", data, orders, (coefficients, f, unity, unity), residuals)
 
 
 def fit_box_jenkins(data: Sampled, orders: Orders) -> PolynomialModel:
@@ -121,21 +123,21 @@ def fit_box_jenkins(data: Sampled, orders: Orders) -> PolynomialModel:
         raise ValueError("a Box-Jenkins model needs noise polynomials: noise must be 1 at least, found 0")
     first = fit_oe(data, orders)
     p, m = orders.poles, orders.noise
-    left = data.y - first.simulate(data.u, data.y)
-    theta = unbounded(_autoregression(left, m))
+    residuals = data.y - first.simulate(data.u, data.y)
+    theta = unbounded(_autoregression(residuals, m))
 
     def parts(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return stable(z[:p]), stable(z[p : p + m]), stable(z[p + m :])
 
     def residual(z: FloatArray) -> FloatArray:
         f, c, d = parts(z)
-        return _simulated(data, orders, f, c, d)[1]
+        return _fit_numerator(data, orders, f, c, d)[1]
 
     begin = unbounded(first.f)
     starts = [np.concatenate((begin, ma, theta)) for ma in (np.zeros(m), 0.5 * theta)]
     f, c, d = parts(improve(residual, starts))
-    found, left = _simulated(data, orders, f, c, d)
-    model = _model("box_jenkins", data, orders, (found, f, c, d), left)
+    coefficients, residuals = _fit_numerator(data, orders, f, c, d)
+    model = _model("box_jenkins", data, orders, (coefficients, f, c, d), residuals)
     # noise that drifts hides the offset from the prediction error: what suits the free run is taken
     rest = data.y - (model.simulate(data.u) - model.offset)
     columns = np.column_stack((np.ones(len(data)), free_responses(f, len(data))))
@@ -144,7 +146,7 @@ def fit_box_jenkins(data: Sampled, orders: Orders) -> PolynomialModel:
 
 def denominators(data: Sampled, orders: Orders) -> list[FloatArray]:
     """Guesses of F, by Steiglitz and McBride's rounds at several strides of the data."""
-    found = []
+    guesses = []
     for stride in COARSE:
         few = Sampled(data.u[::stride], data.y[::stride], data.period * stride, data.hold)
         if len(few) < 20 * (orders.poles + orders.inputs):
@@ -160,14 +162,14 @@ def denominators(data: Sampled, orders: Orders) -> list[FloatArray]:
             columns, target = _regressors(
                 filtered, Orders(orders.poles, orders.inputs, delay=orders.delay // stride)
             )
-            f = stabilised(np.append(1.0, project(columns, target)[0][: orders.poles]))
-        found.append(_finer(f, stride))
-    return found or [np.append(1.0, np.full(orders.poles, -0.1))]
+            f = stabilise(np.append(1.0, project(columns, target)[0][: orders.poles]))
+        guesses.append(_finer(f, stride))
+    return guesses or [np.append(1.0, np.full(orders.poles, -0.1))]
 
 
 def simulation_loss(data: Sampled, orders: Orders, f: FloatArray) -> float:
     """Mean square simulation error (unit²) with this denominator and the best numerator."""
-    return float(np.mean(np.square(_simulated(data, orders, f)[1])))
+    return float(np.mean(np.square(_fit_numerator(data, orders, f)[1])))
 
 
 def _finer(f: FloatArray, stride: int) -> FloatArray:
@@ -178,7 +180,7 @@ def _finer(f: FloatArray, stride: int) -> FloatArray:
     return np.asarray(np.poly(np.abs(roots) ** (1 / stride) * np.exp(1j * np.angle(roots) / stride)).real)
 
 
-def _simulated(
+def _fit_numerator(
     data: Sampled,
     orders: Orders,
     f: FloatArray,
@@ -187,15 +189,15 @@ def _simulated(
 ) -> tuple[FloatArray, FloatArray]:
     """B's coefficients and the offset (inputs + 1,), and the residuals, for given denominators and noise."""
     n = len(data)
-    moved = input_columns(f, data.u, orders.inputs, data.least_delay + orders.delay)
-    columns = np.column_stack((moved, np.ones(n), free_responses(f, n)))
+    inputs = input_columns(f, data.u, orders.inputs, data.least_delay + orders.delay)
+    columns = np.column_stack((inputs, np.ones(n), free_responses(f, n)))
     if c is None or d is None:
-        found, left = project(columns, data.y)
+        coefficients, residuals = project(columns, data.y)
     else:
         whitened = signal.lfilter(d, c, columns, axis=0)
         past = free_responses(c, n)
-        found, left = project(np.column_stack((whitened, past)), signal.lfilter(d, c, data.y))
-    return found[: orders.inputs + 1], left
+        coefficients, residuals = project(np.column_stack((whitened, past)), signal.lfilter(d, c, data.y))
+    return coefficients[: orders.inputs + 1], residuals
 
 
 def _regressors(data: Sampled, orders: Orders) -> tuple[FloatArray, FloatArray]:
@@ -203,8 +205,8 @@ def _regressors(data: Sampled, orders: Orders) -> tuple[FloatArray, FloatArray]:
     delay, n = data.least_delay + orders.delay, len(data)
     first = max(orders.poles, delay + orders.inputs - 1)
     past = [-data.y[first - i : n - i] for i in range(1, orders.poles + 1)]
-    moved = [data.u[first - delay - j : n - delay - j] for j in range(orders.inputs)]
-    return np.column_stack((*past, *moved, np.ones(n - first))), data.y[first:]
+    inputs = [data.u[first - delay - j : n - delay - j] for j in range(orders.inputs)]
+    return np.column_stack((*past, *inputs, np.ones(n - first))), data.y[first:]
 
 
 def _filtered_fit(columns: FloatArray, target: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -214,16 +216,16 @@ def _filtered_fit(columns: FloatArray, target: FloatArray, c: FloatArray) -> tup
 
 
 def _with_moving_average(name: str, data: Sampled, orders: Orders, c: FloatArray) -> PolynomialModel:
-    found, left = _filtered_fit(*_regressors(data, orders), c)
+    coefficients, residuals = _filtered_fit(*_regressors(data, orders), c)
     p, k = orders.poles, orders.inputs
-    a = np.append(1.0, found[:p])
-    f = stabilised(a)
+    a = np.append(1.0, coefficients[:p])
+    f = stabilise(a)
     if np.allclose(f, a, rtol=1e-12, atol=1e-12):
-        numerator = np.append(found[p : p + k], found[p + k] / a.sum())
+        numerator = np.append(coefficients[p : p + k], coefficients[p + k] / a.sum())
     else:
         # an unstable denominator cannot run free: keep its stable mirror image, and what suits that
-        numerator, left = _simulated(data, orders, f)
-    return _model(name, data, orders, (numerator, f, c, f), left)
+        numerator, residuals = _fit_numerator(data, orders, f)
+    return _model(name, data, orders, (numerator, f, c, f), residuals)
 
 
 def _model(
@@ -231,11 +233,11 @@ def _model(
     data: Sampled,
     orders: Orders,
     parts: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    left: FloatArray,
+    residuals: FloatArray,
 ) -> PolynomialModel:
     numerator, f, c, d = parts
     b = np.append(np.zeros(data.least_delay + orders.delay), numerator[:-1])
-    loss = float(np.mean(np.square(left)))
+    loss = float(np.mean(np.square(residuals)))
     return PolynomialModel(name, orders, data.period, b, f, c, d, float(numerator[-1]), loss)
 
 

@@ -42,10 +42,10 @@ class StateSpaceModel:
     def parameters(self) -> Mapping[str, float]:
         """Elements of the matrices: a11 …, b1 …, c1 …, d, offset."""
         k = len(self.b)
-        found = {f"a{i + 1}{j + 1}": float(self.a[i, j]) for i in range(k) for j in range(k)}
-        found |= {f"b{i + 1}": float(v) for i, v in enumerate(self.b)}
-        found |= {f"c{i + 1}": float(v) for i, v in enumerate(self.c)}
-        return {**found, "d": self.d, "offset": self.offset}
+        coefficients = {f"a{i + 1}{j + 1}": float(self.a[i, j]) for i in range(k) for j in range(k)}
+        coefficients |= {f"b{i + 1}": float(v) for i, v in enumerate(self.b)}
+        coefficients |= {f"c{i + 1}": float(v) for i, v in enumerate(self.c)}
+        return {**coefficients, "d": self.d, "offset": self.offset}
 
     @property
     def poles(self) -> ComplexArray:
@@ -62,7 +62,7 @@ class StateSpaceModel:
             y = y + (residue * signal.lfilter([0.0, 1.0], [1.0, -pole], u)).real
         if start is None or not len(start):
             return np.asarray(y)
-        free = _modes(poles, len(u))
+        free = _free_responses(poles, len(u))
         m = min(len(start), len(u))
         return np.asarray(y + free @ project(free[:m], start[:m] - y[:m])[0])
 
@@ -81,22 +81,29 @@ def fit_state_space(data: Sampled, orders: Orders) -> StateSpaceModel:
 
     ValueError when there are too few samples for that order.
     """
-    late = delayed(data.u, orders.delay)
-    a, c = _pair(late, data.y, orders.poles)
+    u = delayed(data.u, orders.delay)
+    a, c = _pair(u, data.y, orders.poles)
     poles, vectors = np.linalg.eig(a)
     size = np.abs(poles)
     poles = np.where(size >= MOST_REFLECTION, poles / np.maximum(size, 1e-300) ** 2 * MOST_REFLECTION, poles)
     a = (vectors @ np.diag(poles) @ np.linalg.inv(vectors)).real
     n = len(data)
-    direct = [late] if data.least_delay == 0 else []
-    forced = _forced(poles, late)
-    columns = np.column_stack((forced, *direct, np.ones(n), _modes(poles, n)))
-    found, left = project(columns, data.y)
+    direct = [u] if data.least_delay == 0 else []
+    forced = _forced_responses(poles, u)
+    columns = np.column_stack((forced, *direct, np.ones(n), _free_responses(poles, n)))
+    coefficients, residuals = project(columns, data.y)
     k = len(poles)
-    b = _input_matrix(poles, vectors, c, found[:k])
-    d = float(found[k]) if direct else 0.0
+    b = _input_matrix(poles, vectors, c, coefficients[:k])
+    d = float(coefficients[k]) if direct else 0.0
     return StateSpaceModel(
-        orders, data.period, a, b, c, d, float(found[k + len(direct)]), float(np.mean(np.square(left)))
+        orders,
+        data.period,
+        a,
+        b,
+        c,
+        d,
+        float(coefficients[k + len(direct)]),
+        float(np.mean(np.square(residuals))),
     )
 
 
@@ -121,12 +128,12 @@ def _pair(inputs: FloatArray, outputs: FloatArray, order: int) -> tuple[FloatArr
     return a, observability[0]
 
 
-def _forced(poles: ComplexArray, u: FloatArray) -> FloatArray:
+def _forced_responses(poles: ComplexArray, u: FloatArray) -> FloatArray:
     """Real responses of the modes to the input, (n, k): a real pole one, a pair its two parts."""
     return _real_parts(poles, [signal.lfilter([0.0, 1.0], [1.0, -pole], u) for pole in poles])
 
 
-def _modes(poles: ComplexArray, n: int) -> FloatArray:
+def _free_responses(poles: ComplexArray, n: int) -> FloatArray:
     """Real free responses of the modes, (n, k)."""
     return _real_parts(poles, [pole ** np.arange(n) for pole in poles])
 

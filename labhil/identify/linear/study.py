@@ -39,12 +39,12 @@ def linear_study(
     """Fit the baselines ``names`` (all when None) to ``train`` and run them freely over ``test``.
 
     Each output of the record is one study. A run begins in the state that suits it best (NARX: in the
-    measured one), which is all that it is told of the output. ``orders`` None: chosen from the data.
+    measured one), and uses nothing else of the output. ``orders`` None: chosen from the data.
     Raises UnknownNameError and RecordingError (several inputs, too few samples, a constant input).
     """
     if train.inputs.shape[1] != 1:
-        found = ", ".join(train.input_names)
-        raise RecordingError(f"a linear baseline takes one input, found {train.inputs.shape[1]}: {found}")
+        inputs = ", ".join(train.input_names)
+        raise RecordingError(f"a linear baseline takes one input, found {train.inputs.shape[1]}: {inputs}")
     rows = []
     for j, channel in enumerate(train.output_names):
         learn = evenly(train, j)
@@ -53,7 +53,7 @@ def linear_study(
             progress(f"{name}: {channel}")
             model = fit_linear(name, learn.u, learn.y, learn.period, orders, learn.hold)
             rows.append(
-                LinearRow(channel, train.output_units[j], model, _judged(model, learn), _judged(model, judge))
+                LinearRow(channel, train.output_units[j], model, _judge(model, learn), _judge(model, judge))
             )
     return rows
 
@@ -82,11 +82,11 @@ def study_json(rows: Sequence[LinearRow]) -> list[dict[str, Any]]:
             "channel": row.channel,
             "unit": row.unit,
             "orders": asdict(row.model.orders),
-            "parameters": {name: _plain(value) for name, value in row.model.parameters.items()},
+            "parameters": {name: _finite_or_none(value) for name, value in row.model.parameters.items()},
             "poles": [[float(pole.real), float(pole.imag)] for pole in row.model.poles],
             "equation": row.model.describe(),
-            "train": {name: _plain(value) for name, value in asdict(row.train).items()},
-            "test": {name: _plain(value) for name, value in asdict(row.test).items()},
+            "train": {name: _finite_or_none(value) for name, value in asdict(row.train).items()},
+            "test": {name: _finite_or_none(value) for name, value in asdict(row.test).items()},
         }
         for row in rows
     ]
@@ -103,19 +103,19 @@ def evenly(record: Record, j: int, period: float | None = None) -> Sampled:
     grid = t[0] + step * np.arange(int(np.floor((t[-1] - t[0]) / step + 0.5)) + 1)
     if len(grid) == len(t) and float(np.max(np.abs(grid - t))) <= UNEVEN * step:
         return Sampled(np.ascontiguousarray(u), np.ascontiguousarray(y), step, hold)
-    return Sampled(_between(grid, t, u, hold), np.interp(grid, t, y), step, hold)
+    return Sampled(_resample(grid, t, u, hold), np.interp(grid, t, y), step, hold)
 
 
-def _between(grid: FloatArray, t: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:
+def _resample(grid: FloatArray, t: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:
     if hold is Hold.LINEAR:
         return np.interp(grid, t, values)
     before = np.searchsorted(t, grid + 1e-9 * (t[1] - t[0]), side="right") - 1
     return np.asarray(values[np.maximum(before, 0)])
 
 
-def _judged(model: LinearModel, data: Sampled) -> Figures:
+def _judge(model: LinearModel, data: Sampled) -> Figures:
     return figures_of(data.y, model.simulate(data.u, data.y))
 
 
-def _plain(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None

@@ -44,10 +44,10 @@ class TransferFunctionModel:
     @property
     def parameters(self) -> Mapping[str, float]:
         """Coefficients by power of s: n0 …, d0 …, and the offset."""
-        found = {f"n{len(self.numerator) - 1 - i}": float(v) for i, v in enumerate(self.numerator)}
+        coefficients = {f"n{len(self.numerator) - 1 - i}": float(v) for i, v in enumerate(self.numerator)}
         order = len(self.denominator) - 1
-        found |= {f"d{order - i}": float(v) for i, v in enumerate(self.denominator) if i > 0}
-        return {**found, "offset": self.offset}
+        coefficients |= {f"d{order - i}": float(v) for i, v in enumerate(self.denominator) if i > 0}
+        return {**coefficients, "offset": self.offset}
 
     @property
     def poles(self) -> ComplexArray:
@@ -56,7 +56,7 @@ class TransferFunctionModel:
 
     def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
         """Free run over the input (n,), from rest or the state that suits ``start`` best."""
-        powers, f = _sampled(self.denominator, len(self.numerator), self.period, self.hold)
+        powers, f = _discretise(self.denominator, len(self.numerator), self.period, self.hold)
         return free_run(self.numerator[::-1] @ powers, f, self.offset, delayed(u, self.orders.delay), start)
 
     def describe(self) -> str:
@@ -78,28 +78,30 @@ def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionMode
         )
 
     def residual(theta: FloatArray) -> FloatArray:
-        return _simulated(data, orders, _denominator(theta, data.period))[1]
+        return _fit_numerator(data, orders, _denominator(theta, data.period))[1]
 
     theta = improve(residual, _starts(data, orders))
     denominator = _denominator(theta, data.period)
-    found, left = _simulated(data, orders, denominator)
-    numerator = found[: orders.inputs][::-1]
-    loss = float(np.mean(np.square(left)))
+    coefficients, residuals = _fit_numerator(data, orders, denominator)
+    numerator = coefficients[: orders.inputs][::-1]
+    loss = float(np.mean(np.square(residuals)))
     return TransferFunctionModel(
-        orders, data.period, data.hold, numerator, denominator, float(found[orders.inputs]), loss
+        orders, data.period, data.hold, numerator, denominator, float(coefficients[orders.inputs]), loss
     )
 
 
-def _simulated(data: Sampled, orders: Orders, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit_numerator(data: Sampled, orders: Orders, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Coefficients of s⁰, s¹, … and the offset, and the residuals, for a given denominator."""
     n = len(data)
     u = delayed(data.u, orders.delay)
-    powers, f = _sampled(denominator, orders.inputs, data.period, data.hold)
+    powers, f = _discretise(denominator, orders.inputs, data.period, data.hold)
     columns = [signal.lfilter(b, f, u) for b in powers]
     return project(np.column_stack((*columns, np.ones(n), free_responses(f, n))), data.y)
 
 
-def _sampled(denominator: FloatArray, count: int, period: float, hold: Hold) -> tuple[FloatArray, FloatArray]:
+def _discretise(
+    denominator: FloatArray, count: int, period: float, hold: Hold
+) -> tuple[FloatArray, FloatArray]:
     """s⁰/D(s), s¹/D(s), … at the samples: numerators (count, order + 1) and the denominator in q⁻¹.
 
     With the states x, x′, x″, … of 1/D(s), whose transition over a period is a matrix exponential; an
@@ -113,8 +115,12 @@ def _sampled(denominator: FloatArray, count: int, period: float, hold: Hold) -> 
     block[order - 1, :order] = -den[:0:-1]
     block[order - 1, order] = 1.0
     block[order, order + 1] = 1.0
-    moved = _exponential(block)
-    a, held, ramp = moved[:order, :order], moved[:order, order : order + 1], moved[:order, order + 1 :]
+    step = _exponential(block)
+    a, held, ramp = (
+        step[:order, :order],
+        step[:order, order : order + 1],
+        step[:order, order + 1 :],
+    )
     out, none = np.eye(order)[:count], np.zeros((count, 1))
     if hold is Hold.ZERO:
         b, f = signal.ss2tf(a, held, out, none)

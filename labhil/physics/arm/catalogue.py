@@ -53,7 +53,7 @@ def _rms(columns: FloatArray) -> FloatArray:
 def catalogue(sizes: Sizes, gear_ratio: Sequence[float | None], unit: str = "A") -> dict[str, Term]:
     """All terms by key, of joints with these ratios (n,) of their gears; outputs have this ``unit``.
 
-    Where a ratio is not known, nobody knows how often its torque repeats in a turn.
+    Where a ratio is not known, neither is how often its torque repeats in a turn.
     """
     terms = []
     for joint, ratio in enumerate(gear_ratio):
@@ -76,22 +76,26 @@ def _one(
 
 def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
     """Friction of one joint."""
-    speed = float(sizes.speed[joint])
     level = SHARE * float(sizes.torque[joint])
+    return (*_friction_of_velocity(level, float(sizes.speed[joint]), joint), *_other_friction(level, joint))
+
+
+def _linear(joint: int, name: str, unit: str, scale: float, lower: float = float("-inf")) -> Parameter:
+    return Parameter(name, unit, scale, lower, linear=True, joint=joint)
+
+
+def _friction_of_velocity(level: float, speed: float, joint: int) -> tuple[Term, ...]:
+    """Friction that depends on the velocity alone; ``level`` N·m and ``speed`` rad/s are typical."""
     slope = level / speed
-
-    def linear(name: str, unit: str, scale: float, lower: float = float("-inf")) -> Parameter:
-        return Parameter(name, unit, scale, lower, linear=True, joint=joint)
-
     return (
         _one("viscous_friction", joint, Enters.FORCE,
              ("friction that grows in proportion to velocity", "τ = c·q̇", FRICTION,
               "motion at several speeds"),
-             linear("viscous_friction.coefficient", "N·m·s/rad", slope, 0.0)),
+             _linear(joint, "viscous_friction.coefficient", "N·m·s/rad", slope, 0.0)),
         _one("coulomb_friction", joint, Enters.FORCE,
              ("dry friction: a torque of constant size against the motion", "τ = τ_c·sgn q̇", FRICTION,
               "motion both ways"),
-             linear("coulomb_friction.level", "N·m", level, 0.0)),
+             _linear(joint, "coulomb_friction.level", "N·m", level, 0.0)),
         _one("stribeck_friction", joint, Enters.FORCE,
              ("dry friction that falls from its break-away value as motion sets in",
               "τ = τ_st·exp(−|q̇|/q̇_s)·sgn q̇", FRICTION, "creeping motion and reversals"),
@@ -102,24 +106,30 @@ def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
              with_terms=("coulomb_friction",)),
         _one("quadratic_viscous_friction", joint, Enters.FORCE,
              ("friction that grows with the square of velocity", "τ = c₂·q̇·|q̇|", FRICTION, "fast motion"),
-             linear("quadratic_viscous_friction.coefficient", "N·m·s²/rad²", slope / speed)),
+             _linear(joint, "quadratic_viscous_friction.coefficient", "N·m·s²/rad²", slope / speed)),
         _one("cubic_viscous_friction", joint, Enters.FORCE,
              ("friction that grows with the cube of velocity (falls off, where negative)", "τ = c₃·q̇³",
               FRICTION, "fast motion"),
-             linear("cubic_viscous_friction.coefficient", "N·m·s³/rad³", slope / speed**2)),
+             _linear(joint, "cubic_viscous_friction.coefficient", "N·m·s³/rad³", slope / speed**2)),
         _one("friction_asymmetry", joint, Enters.FORCE,
              ("friction that differs with the direction of motion", "τ = c_a·|q̇|",
               "even part of a friction curve; its constant part is the same as an offset of the current",
               "several speeds both ways"),
-             linear("friction_asymmetry.coefficient", "N·m·s/rad", slope)),
+             _linear(joint, "friction_asymmetry.coefficient", "N·m·s/rad", slope)),
+    )  # fmt: skip
+
+
+def _other_friction(level: float, joint: int) -> tuple[Term, ...]:
+    """Friction that depends on place, load, temperature or what came before."""
+    return (
         _one("position_dependent_friction", joint, Enters.FORCE,
              ("dry friction that changes along the way", "τ = s·q·sgn q̇", "first-order expansion of τ_c(q)",
               "the same speeds at different places"),
-             linear("position_dependent_friction.slope", "N·m/rad", level)),
+             _linear(joint, "position_dependent_friction.slope", "N·m/rad", level)),
         _one("load_dependent_friction", joint, Enters.FORCE,
              ("dry friction that grows with the load on the gear", "τ = μ·|τ_load|·sgn q̇",
               "efficiency of the gear; τ_load is the rigid body's torque", "motion under different loads"),
-             linear("load_dependent_friction.coefficient", "1", SHARE)),
+             _linear(joint, "load_dependent_friction.coefficient", "1", SHARE)),
         _one("temperature_dependent_friction", joint, Enters.FORCE,
              ("viscous friction that falls as the joint warms",
               "c(T) = c·exp(−α·(T − T_0)), T_0 the first temperature", "viscosity of grease",

@@ -1,8 +1,8 @@
 """Torque constants as the controller of an arm has them: what current it plans for what torque.
 
 i*_j = (τ*_j + friction_j(q̇))/K_j + offset. The controller computes its planned current from its planned
-torque and a friction model of its own, so that K is what both tell where no one has measured it. Whether
-the drive has that constant nobody knows; it is the manufacturer's calibration.
+torque and a friction model of its own, so that both together give K where no one has measured it. It is the
+manufacturer's calibration; whether the drive has that constant is not known.
 """
 
 from __future__ import annotations
@@ -47,26 +47,26 @@ class ControllerConstants:
 
 
 def controller_constants(record: Record) -> ControllerConstants | None:
-    """What planned torques and currents tell; None where they are not recorded, or tell too little."""
-    found = [_of_joint(record, joint) for joint in range(record.outputs.shape[1])]
-    known = [each for each in found if each is not None]
-    if len(known) < len(found):
+    """Constants by planned torques and currents; None where these are not recorded, or show too little."""
+    constants = [_of_joint(record, joint) for joint in range(record.outputs.shape[1])]
+    known = [constant for constant in constants if constant is not None]
+    if len(known) < len(constants):
         return None
     value, error = np.array(known).T
     return ControllerConstants(value, error)
 
 
-def notes_on(found: ControllerConstants, stated: Sequence[float] | None, taken: bool) -> tuple[str, ...]:
-    """What a person should know of the controller's constants beside those that a rig file states."""
-    said = ", ".join(f"{v:.4g} ± {e:.2g}" for v, e in zip(found.value, found.error, strict=True))
+def notes_on(constants: ControllerConstants, stated: Sequence[float] | None, taken: bool) -> tuple[str, ...]:
+    """Notes for people on the controller's constants beside those that a rig file states."""
+    listing = ", ".join(f"{v:.4g} ± {e:.2g}" for v, e in zip(constants.value, constants.error, strict=True))
     if taken:
         return (
-            f"Torque constants are the controller's, from its planned torques and currents: {said} N·m/A.",
+            f"Torque constants are the controller's, from its planned torques and currents: {listing} N·m/A.",
         )
-    if stated is None or np.all(np.abs(found.value / np.array(stated) - 1.0) < APART):
+    if stated is None or np.all(np.abs(constants.value / np.array(stated) - 1.0) < APART):
         return ()
     return (
-        f"The controller plans with torque constants of {said} N·m/A; [known] has others, with "
+        f"The controller plans with torque constants of {listing} N·m/A; [known] has others, with "
         "which masses and frictions grow. Without them, and without masses, the controller's are taken.",
     )
 
@@ -88,8 +88,10 @@ def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:
     shares, _, rank, _ = np.linalg.lstsq(columns, current)
     if rank < columns.shape[1]:
         return None
-    left = current - columns @ shares
+    residuals = current - columns @ shares
     inverse = float(shares[0] / size[0])
-    variance = memory(left, LEAST_INDEPENDENT) * left.var() * np.linalg.inv(columns.T @ columns)[0, 0]
+    variance = (
+        memory(residuals, LEAST_INDEPENDENT) * residuals.var() * np.linalg.inv(columns.T @ columns)[0, 0]
+    )
     error = float(np.sqrt(variance) / size[0])
     return (1.0 / inverse, error / inverse**2) if inverse > 0.0 and error < POOREST * inverse else None

@@ -42,7 +42,7 @@ class FirstEstimate:
 
     def inertial(self, values: FloatArray) -> FloatArray:
         """All inertial parameters with these values (P,) of the grouped ones."""
-        return self.begin + self.grouped.embedded(values - self.begun)
+        return self.begin + self.grouped.embed(values - self.begun)
 
 
 def first_estimate(
@@ -59,45 +59,45 @@ def first_estimate(
     """
     motion = record.motion
     judged = motion.judged[record.places] if motion is not None else np.ones(record.outputs.shape, dtype=bool)
-    everything = grouped(links)
+    candidates = grouped(links)
     full = motion_view.rigid(upright(), 0.0)
     measured = record.outputs - full @ links.begin / torque_constant
-    rigid = full[:, :, list(everything.kept)] / torque_constant[None, :, None]
+    rigid = full[:, :, list(candidates.kept)] / torque_constant[None, :, None]
     others = _joint_columns(motion_view, None, torque_constant, laws)
     columns = np.concatenate([rigid, others], axis=2)
-    own = len(everything.kept)
-    values = np.zeros(own)
-    chosen = list(range(own))
+    count = len(candidates.kept)
+    values = np.zeros(count)
+    chosen = list(range(count))
     for _ in range(PASSES):
         equations = NormalEquations.of(columns, measured, judged)
-        found, _ = equations.solved(list(range(columns.shape[2])))
-        inflation = memory((measured - columns @ found) * judged)
-        chosen = significant(equations, own, inflation)
-        kept = chosen + list(range(own, columns.shape[2]))
-        found, covariance = equations.solved(kept)
-        values = found[: len(chosen)]
-        inertial = links.begin + everything.only(chosen).embedded(values)
+        estimate, _ = equations.solve(list(range(columns.shape[2])))
+        inflation = memory((measured - columns @ estimate) * judged)
+        chosen = significant(equations, count, inflation)
+        kept = chosen + list(range(count, columns.shape[2]))
+        estimate, covariance = equations.solve(kept)
+        values = estimate[: len(chosen)]
+        inertial = links.begin + candidates.only(chosen).embed(values)
         others = _joint_columns(motion_view, inertial, torque_constant, laws)
         columns = np.concatenate([rigid, others], axis=2)
     errors = np.sqrt(inflation * np.maximum(np.diag(covariance), 0.0))[: len(chosen)]
-    own_only = everything.only(chosen)
-    return FirstEstimate(own_only, values + own_only.shares @ links.begin, errors, links.begin)
+    shown = candidates.only(chosen)
+    return FirstEstimate(shown, values + shown.shares @ links.begin, errors, links.begin)
 
 
-def best_of(links: Chain, found: Sequence[FirstEstimate]) -> FirstEstimate:
+def best_of(links: Chain, estimates: Sequence[FirstEstimate]) -> FirstEstimate:
     """What several recordings show, each by itself: they may differ in what the arm carries.
 
-    Whatever one of them can tell is among it, as the one that knows it best has it.
+    A parameter that one of them shows is included, with the value of the recording that knows it best.
     """
     known: dict[int, tuple[float, float]] = {}
-    for each in found:
-        for column, value, error in zip(each.grouped.kept, each.values, each.errors, strict=True):
+    for estimate in estimates:
+        for column, value, error in zip(estimate.grouped.kept, estimate.values, estimate.errors, strict=True):
             if column not in known or error < known[column][1]:
                 known[column] = (float(value), float(error))
-    everything = grouped(links)
-    chosen = [i for i, column in enumerate(everything.kept) if column in known]
-    values, errors = zip(*(known[everything.kept[i]] for i in chosen), strict=True) if chosen else ((), ())
-    return FirstEstimate(everything.only(chosen), np.array(values), np.array(errors), links.begin)
+    candidates = grouped(links)
+    chosen = [i for i, column in enumerate(candidates.kept) if column in known]
+    values, errors = zip(*(known[candidates.kept[i]] for i in chosen), strict=True) if chosen else ((), ())
+    return FirstEstimate(candidates.only(chosen), np.array(values), np.array(errors), links.begin)
 
 
 def _joint_columns(
@@ -106,11 +106,11 @@ def _joint_columns(
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
     blocks = []
     for joint in range(len(torque_constant)):
-        own = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws]
+        columns = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws]
         if inertial is not None:
-            own.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
-        own.append(np.ones(len(own[0])))
-        block = np.zeros((len(own[0]), len(torque_constant), len(own)))
-        block[:, joint] = np.column_stack(own)
+            columns.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
+        columns.append(np.ones(len(columns[0])))
+        block = np.zeros((len(columns[0]), len(torque_constant), len(columns)))
+        block[:, joint] = np.column_stack(columns)
         blocks.append(block)
     return np.concatenate(blocks, axis=2)

@@ -1,10 +1,10 @@
-"""Rigid-body parameters that motion can tell where no masses are known: grouped inertial parameters.
+"""Rigid-body parameters that motion identifies where no masses are known: grouped inertial parameters.
 
 Of an arm's inertial parameters (60 of six joints) some have no effect and some act only together (Gautier
 1990). A pivoted QR decomposition of the regressor of random motions finds a smallest set of columns that
 span all others; each kept parameter then stands for itself plus a fixed combination of those left out.
-Those that a given record cannot tell from zero are left out as well, the least significant first, as long
-as any is: they would carry noise to other motions.
+Those that do not differ from zero in a given record are left out as well, the least significant first, as
+long as any is: they would carry noise to other motions.
 """
 
 from __future__ import annotations
@@ -60,15 +60,15 @@ class Grouped:
 
     def names(self) -> list[tuple[str, str, int]]:
         """Name, unit and link (from 0) of each."""
-        found = [(*KINDS[c % PER_LINK][:2], c // PER_LINK) for c in self.kept]
-        return [(f"grouped_{name}", unit, link) for name, unit, link in found]
+        entries = [(*KINDS[c % PER_LINK][:2], c // PER_LINK) for c in self.kept]
+        return [(f"grouped_{name}", unit, link) for name, unit, link in entries]
 
     def column(self, name: str, link: int) -> int:
         """Place among the 60 inertial parameters of one of them by name and link."""
         kinds = [f"grouped_{kind}" for kind, _, _ in KINDS]
         return PER_LINK * link + kinds.index(name)
 
-    def embedded(self, values: FloatArray) -> FloatArray:
+    def embed(self, values: FloatArray) -> FloatArray:
         """Inertial parameters (60,) that act like these ``values`` (P,), everything else zero."""
         out = np.zeros(self.shares.shape[1])
         out[list(self.kept)] = values
@@ -100,11 +100,11 @@ def grouped(links: Chain, seed: int = 0) -> Grouped:
     return Grouped(tuple(kept), tuple(_combination(kept[i], share[i]) for i in range(len(kept))), share)
 
 
-def _combination(own: int, shares: FloatArray) -> str:
+def _combination(kept: int, shares: FloatArray) -> str:
     """In words: the parameter itself and, with factors, those that act only together with it."""
-    text = _symbol(own)
+    text = _symbol(kept)
     for c in np.flatnonzero(np.abs(shares) > 1e-6):
-        if c == own:
+        if c == kept:
             continue
         factor = float(shares[c])
         size = "" if abs(abs(factor) - 1.0) < 1e-6 else f"{abs(factor):.4g}·"
@@ -140,7 +140,7 @@ class NormalEquations:
             judged.sum(axis=0).astype(np.float64),
         )
 
-    def solved(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def solve(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
         """Values and covariance of the chosen columns, each joint weighted by its own residuals' spread.
 
         What the data do not know at all comes out as zero with a huge variance.
@@ -183,19 +183,19 @@ def independent(equations: NormalEquations, candidates: int) -> list[int]:
 
 
 def significant(equations: NormalEquations, candidates: int, memory: float) -> list[int]:
-    """Which of the first ``candidates`` columns these data can tell from zero.
+    """Which of the first ``candidates`` columns differ from zero in these data.
 
     Of those that act alike one is left; then the least significant is taken out as long as it is under
     ``SIGNIFICANT`` standard errors. Variances are ``memory`` times those of white residuals.
     """
     chosen = independent(equations, candidates)
     while True:
-        values, covariance = equations.solved(chosen)
+        values, covariance = equations.solve(chosen)
         ratio = np.abs(values) / np.sqrt(memory * np.maximum(np.diag(covariance), 1e-300))
-        own = [i for i, c in enumerate(chosen) if c < candidates]
-        weakest = min(own, key=lambda i: ratio[i], default=None)
+        removable = [i for i, c in enumerate(chosen) if c < candidates]
+        weakest = min(removable, key=lambda i: ratio[i], default=None)
         if weakest is None or ratio[weakest] > SIGNIFICANT:
-            return [chosen[i] for i in own]
+            return [chosen[i] for i in removable]
         del chosen[weakest]
 
 

@@ -20,10 +20,16 @@ from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_esti
 from labhil.physics.arm.grouped import grouped
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
 from labhil.physics.arm.links import UR5, inertial_of, links_of
-from labhil.physics.arm.motion import Motion, PreparedRecord, as_it_is, cut_off_of, prepared, temperatures
+from labhil.physics.arm.motion import (
+    Motion,
+    PreparedRecord,
+    cut_off_of,
+    prepare_record,
+    temperatures,
+)
 from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, own_parameters
 from labhil.physics.arm.rigid_body import PER_LINK, upright
-from labhil.physics.arm.view import Remembered, View
+from labhil.physics.arm.view import RecordViews, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows, index_of
 from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed
@@ -93,8 +99,7 @@ class ArmModel:
         warm = None if record is None else temperatures(record)
         self._temperature = np.zeros(self.joints) if warm is None else warm.mean(axis=0)
         size = KEPT * (1 if record is None else len(record.begins))
-        self._seen: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
-        self._views: Remembered[View] = Remembered(size)
+        self._views = RecordViews(self._temperature, size)
         self.first = self._first(record)
         everything = catalogue(sizes, self._gear_ratio(rig), self.output_unit)
         self._known = {p.key: p.scale for term in everything.values() for p in term.known}
@@ -142,14 +147,14 @@ class ArmModel:
         if self.links.inertial is not None:
             return None
         if record is None:
-            every = grouped(self.links)
+            group = grouped(self.links)
             begin = self.links.begin
-            return FirstEstimate(every, every.shares @ begin, np.ones(len(every.kept)), begin)
-        found = [
+            return FirstEstimate(group, group.shares @ begin, np.ones(len(group.kept)), begin)
+        estimates = [
             first_estimate(self.links, ready, self._view(ready), self._constant, self.first_laws)
             for ready in map(self.prepare, record.recordings())
         ]
-        return found[0] if len(found) == 1 else best_of(self.links, found)
+        return estimates[0] if len(estimates) == 1 else best_of(self.links, estimates)
 
     @property
     def combinations(self) -> Mapping[str, str]:
@@ -162,11 +167,11 @@ class ArmModel:
     @property
     def blocks(self) -> Mapping[str, tuple[int, ...]]:
         """Which joints' currents each parameter touches, by key."""
-        found = {}
+        joints = {}
         for p in self.parameters:
             alone = p.joint is not None and not p.name.startswith("grouped_") and p.name != COMPLIANCE
-            found[p.key] = self._reach(p) if not alone or p.joint is None else (p.joint,)
-        return found
+            joints[p.key] = self._reach(p) if not alone or p.joint is None else (p.joint,)
+        return joints
 
     def _reach(self, parameter: Parameter) -> tuple[int, ...]:
         """Joints whose currents a parameter of the rigid body or of the whole arm touches."""
@@ -180,9 +185,9 @@ class ArmModel:
         """
         if self.first is None:
             return {}
-        own = self.first.grouped
-        added = own.shares[:, LAST] @ inertial_of(mass, tuple(centre))
-        return {keyed(n, link): float(a) for (n, _, link), a in zip(own.names(), added, strict=True)}
+        group = self.first.grouped
+        added = group.shares[:, LAST] @ inertial_of(mass, tuple(centre))
+        return {keyed(n, link): float(a) for (n, _, link), a in zip(group.names(), added, strict=True)}
 
     def with_force(self, force: ExtraForce) -> ArmModel:
         """The same arm under one more torque on one joint, N·m, beside those that it is under."""
@@ -196,7 +201,7 @@ class ArmModel:
 
     def prepare(self, record: Record) -> PreparedRecord:
         """Filter and thin out, see ``physics.arm.motion``; RecordingError when nothing moves."""
-        return record if isinstance(record, PreparedRecord) else prepared(record, self.cut_off)
+        return record if isinstance(record, PreparedRecord) else prepare_record(record, self.cut_off)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
         """There are none: (w, 0)."""
@@ -299,27 +304,10 @@ class ArmModel:
         return np.asarray(known + self._payload(theta))
 
     def _motion(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
-        """The record's inputs, the motion behind them and the places of its rows there, remembered."""
-        # records of the same inputs share their motion: a bootstrap replaces outputs only
-        key = id(record.inputs)
-        found = self._seen.of(key, lambda: self._looked_at(record))
-        if found[0] is not record.inputs:
-            self._seen.forget(key)
-            found = self._seen.of(key, lambda: self._looked_at(record))
-        return found
-
-    def _looked_at(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
-        if isinstance(record, PreparedRecord) and record.motion is not None:
-            return record.inputs, record.motion, record.places
-        return record.inputs, as_it_is(record), np.arange(len(record))
+        return self._views.motion(record)
 
     def _view(self, record: Record) -> View:
-        inputs, motion, rows = self._motion(record)
-        view = self._views.of(id(inputs), lambda: View(self.links, motion, rows, self._temperature))
-        if view.rows is not rows:
-            self._views.forget(id(inputs))
-            return self._view(record)
-        return view
+        return self._views.of(self.links, record)
 
     def _delay(self, theta: FloatArray) -> float:
         return self._number(theta, "clock_offset.offset")
@@ -329,7 +317,7 @@ class ArmModel:
         compliance = self._of_joints(theta, COMPLIANCE)
         if not np.any(compliance):
             return view.rigid(gravity, delay)
-        return view.bent(compliance, self._load_inertial(theta), gravity, delay)
+        return view.elastic_regressor(compliance, self._load_inertial(theta), gravity, delay)
 
     def _rigid(self, theta: FloatArray, record: Record) -> FloatArray:
         """Torques of the rigid body (n, 6), N·m; remembered, since most of a fit is about friction."""
@@ -344,7 +332,7 @@ class ArmModel:
         compliance = self._of_joints(theta, COMPLIANCE)
         if not np.any(compliance):
             return view.straight_torques(gravity, delay, inertial)
-        return view.bent_torques(compliance, self._load_inertial(theta), gravity, delay, inertial)
+        return view.elastic_torques(compliance, self._load_inertial(theta), gravity, delay, inertial)
 
     def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
         """Torques of the drives (n, 6), N·m."""
@@ -360,7 +348,7 @@ class ArmModel:
         lengths, delay = self._of_joints(theta, LENGTH), self._delay(theta)
         for force in self._forces:
             assert force.joint is not None
-            torques[:, force.joint] -= view.pushed(force, float(lengths[force.joint]), delay)
+            torques[:, force.joint] -= view.push(force, float(lengths[force.joint]), delay)
         return torques
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
@@ -392,8 +380,8 @@ class ArmModel:
             out[:, joint] = gain[joint] * self._law(theta, view, joint, parameter.name)
         else:
             assert self.first is not None
-            one = self.first.grouped.column(parameter.name, joint)
-            out[:] = gain * self._rigid_regressor(theta, record)[:, :, one]
+            column = self.first.grouped.column(parameter.name, joint)
+            out[:] = gain * self._rigid_regressor(theta, record)[:, :, column]
 
     def _effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray], joint: int) -> FloatArray:
         q, qd = coordinates[f"actual_q_{joint}"], coordinates[f"actual_qd_{joint}"]

@@ -7,7 +7,7 @@ third of the sampling rate. Accelerations are central differences of the filtere
 step (dry friction, ripple) are computed at the full rate and then filtered too. What is kept is every so
 many samples, 2.5 times the cut-off per second, so that neighbours know little of each other.
 
-Where a joint rests, dry friction takes any value within its level and no model can tell the current:
+Where a joint rests, dry friction takes any value within its level and no model can predict the current:
 such samples (|q̇| below ``REST`` within the filter's reach) are not judged. Where all joints rest,
 near the ends, and where samples are missing, nothing is kept at all.
 """
@@ -71,11 +71,11 @@ class LowPass:
             2.0 * columns[:1] - columns[edge:0:-1],
             2.0 * columns[-1:] - columns[-2 : -edge - 2 : -1],
         )
-        found = np.concatenate([before, columns, after])
+        padded = np.concatenate([before, columns, after])
         at_rest = at_rest.reshape(*at_rest.shape, *[1] * (columns.ndim - 1))
         for _ in range(2):
-            found = signal.sosfilt(sections, found, axis=0, zi=at_rest * found[0])[0][::-1]
-        return np.ascontiguousarray(found[edge:-edge])
+            padded = signal.sosfilt(sections, padded, axis=0, zi=at_rest * padded[0])[0][::-1]
+        return np.ascontiguousarray(padded[edge:-edge])
 
     def autocovariance(self, n: int, correlation: float = 0.0) -> FloatArray:
         """What unit noise is like behind the filter, by distance in samples (n,), away from the ends.
@@ -87,9 +87,9 @@ class LowPass:
         impulse[m] = 1.0
         kernel = self(impulse)
         doubled = np.correlate(kernel, kernel, mode="full")
-        apart = np.abs(np.arange(len(doubled)) - 2 * m)
-        found = signal.fftconvolve(correlation**apart, doubled, mode="same") if correlation else doubled
-        return np.asarray(found[2 * m : 2 * m + n])
+        distance = np.abs(np.arange(len(doubled)) - 2 * m)
+        response = signal.fftconvolve(correlation**distance, doubled, mode="same") if correlation else doubled
+        return np.asarray(response[2 * m : 2 * m + n])
 
 
 @lru_cache
@@ -106,7 +106,7 @@ def _sections(share: float) -> tuple[FloatArray, FloatArray]:
 class Motion:
     """Filtered angles, velocities, accelerations, temperatures (n, 6) at ``t`` (n,), evenly spaced.
 
-    ``judged`` (n, 6) tells where a joint moves; ``low_pass`` is None for a record that was not prepared.
+    ``judged`` (n, 6) marks where a joint moves; ``low_pass`` is None for a record that was not prepared.
     """
 
     t: FloatArray
@@ -148,16 +148,16 @@ class PreparedRecord(Record):
         """The samples first … last − 1, with the motions of their recordings."""
         # the parent by its name: a class with slots is not the one that super() looks for
         motions = tuple(self.motions[k] for k in self.within(first, last)) if self.motions else ()
-        found = Record.part(self, first, last)
-        assert isinstance(found, PreparedRecord)
-        return replace(found, motions=motions)
+        selected = Record.part(self, first, last)
+        assert isinstance(selected, PreparedRecord)
+        return replace(selected, motions=motions)
 
     def followed_by(self, others: Sequence[Record]) -> PreparedRecord:
         """This recording and others that were prepared too."""
-        every = [each for each in (self, *others) if isinstance(each, PreparedRecord)]
-        found = Record.followed_by(self, others)
-        assert isinstance(found, PreparedRecord)
-        return replace(found, motions=tuple(motion for each in every for motion in each.motions))
+        records = [record for record in (self, *others) if isinstance(record, PreparedRecord)]
+        combined = Record.followed_by(self, others)
+        assert isinstance(combined, PreparedRecord)
+        return replace(combined, motions=tuple(motion for record in records for motion in record.motions))
 
     @property
     def alike(self) -> tuple[float, ...]:
@@ -166,8 +166,8 @@ class PreparedRecord(Record):
         if low_pass is None or len(self) < FEWEST:
             return WHITE
         every = int(np.median(np.diff(self.places)))
-        left = low_pass.autocovariance(3 * every + 1)
-        return tuple((left[::every] / left[0]).tolist())
+        correlation = low_pass.autocovariance(3 * every + 1)
+        return tuple((correlation[::every] / correlation[0]).tolist())
 
     @property
     def places(self) -> np.ndarray:
@@ -177,7 +177,7 @@ class PreparedRecord(Record):
 
 def cut_off_of(record: Record | None) -> float:
     """Cut-off (Hz) that leaves the trajectory of a record alone, those of all its recordings."""
-    return LOWEST_CUT_OFF if record is None else max(_cut_off(each) for each in record.recordings())
+    return LOWEST_CUT_OFF if record is None else max(_cut_off(recording) for recording in record.recordings())
 
 
 def _cut_off(record: Record) -> float:
@@ -193,7 +193,7 @@ def _cut_off(record: Record) -> float:
     return float(np.clip(BANDWIDTHS * edge, LOWEST_CUT_OFF, max(HIGHEST_SHARE / period, LOWEST_CUT_OFF)))
 
 
-def as_it_is(record: Record) -> Motion:
+def unfiltered_motion(record: Record) -> Motion:
     """The motion of a record that was not prepared: nothing filtered, accelerations by differences."""
     joints = record.outputs.shape[1]
     q, qd = record.inputs[:, :joints], record.inputs[:, joints : 2 * joints]
@@ -201,7 +201,7 @@ def as_it_is(record: Record) -> Motion:
     return Motion(record.t, q, qd, qdd, _warmth(record), np.ones(q.shape, dtype=bool), None)
 
 
-def prepared(record: Record, cut_off: float) -> PreparedRecord:
+def prepare_record(record: Record, cut_off: float) -> PreparedRecord:
     """Filter a recording and keep what can be judged; RecordingError when nothing moves for long enough."""
     period, joints = record.period, record.outputs.shape[1]
     grid = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
@@ -213,9 +213,9 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
     even = replace(record, t=grid, inputs=inputs, outputs=outputs, auxiliary=auxiliary)
     q, qd = low_pass(inputs[:, :joints]), low_pass(inputs[:, joints : 2 * joints])
     qdd = np.gradient(qd, period, axis=0)
-    moving = _eroded(np.abs(qd) > REST, low_pass.reach)
+    moving = _erode(np.abs(qd) > REST, low_pass.reach)
     motion = Motion(grid, q, qd, qdd, low_pass(_warmth(even)), moving, low_pass)
-    rows = _kept(record.t, motion)
+    rows = _kept_rows(record.t, motion)
     if len(rows) < FEWEST:
         raise RecordingError(
             f"too little motion for inverse dynamics: {len(rows)} samples are left where a joint moves "
@@ -237,20 +237,20 @@ def prepared(record: Record, cut_off: float) -> PreparedRecord:
     )
 
 
-def _kept(t: FloatArray, motion: Motion) -> np.ndarray:
+def _kept_rows(t: FloatArray, motion: Motion) -> np.ndarray:
     """Samples to keep: thinned out, away from ends and gaps, where at least one joint moves."""
     low_pass = motion.low_pass
     assert low_pass is not None
     every = max(1, round(1.0 / (KEPT_PER_CUT_OFF * low_pass.cut_off * low_pass.period)))
     after = np.clip(np.searchsorted(t, motion.t), 1, len(t) - 1)
-    there = _eroded((t[after] - t[after - 1] < GAP * low_pass.period)[:, None], low_pass.reach)[:, 0]
-    there[: 3 * low_pass.reach] = there[-3 * low_pass.reach :] = False
-    keep = there & motion.judged.any(axis=1)
+    usable = _erode((t[after] - t[after - 1] < GAP * low_pass.period)[:, None], low_pass.reach)[:, 0]
+    usable[: 3 * low_pass.reach] = usable[-3 * low_pass.reach :] = False
+    keep = usable & motion.judged.any(axis=1)
     rows = np.arange(0, len(keep), every)
     return np.asarray(rows[keep[rows]])
 
 
-def _eroded(flags: np.ndarray, reach: int) -> np.ndarray:
+def _erode(flags: np.ndarray, reach: int) -> np.ndarray:
     """Flags (n, k) that hold within ``reach`` samples on both sides too."""
     wrong = np.cumsum(np.vstack([np.zeros((1, flags.shape[1]), dtype=np.int64), ~flags]), axis=0)
     n = len(flags)
@@ -272,5 +272,5 @@ def temperatures(record: Record) -> FloatArray | None:
 
 
 def _warmth(record: Record) -> FloatArray:
-    found = temperatures(record)
-    return np.zeros(record.outputs.shape) if found is None else found
+    measured = temperatures(record)
+    return np.zeros(record.outputs.shape) if measured is None else measured

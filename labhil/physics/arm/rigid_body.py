@@ -69,7 +69,7 @@ def torques_of_links(
     rotation = np.empty((6, 3, 3))
     step = np.empty((6, 3))
     w, dw, acc = np.empty(3), np.empty(3), np.empty(3)
-    wrench, own, total = np.empty((6, PER_LINK)), np.empty((6, 6)), np.empty((6, 1))
+    wrench, loads, total = np.empty((6, PER_LINK)), np.empty((6, 6)), np.empty((6, 1))
     for n in range(q.shape[0]):
         w[:] = 0.0
         dw[:] = 0.0
@@ -80,11 +80,11 @@ def torques_of_links(
             _place(d[i], a[i], alpha[i], step[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
             newton_euler(w, dw, acc, wrench)
-            weighted(wrench, inertial, i, own[i])
+            weighted(wrench, inertial, i, loads[i])
         total[:, 0] = 0.0
         for j in range(5, -1, -1):
             for k in range(6):
-                total[k, 0] += own[j, k]
+                total[k, 0] += loads[j, k]
             _carry(rotation[j], step[j], total)
             out[n, j] = total[5, 0]
 

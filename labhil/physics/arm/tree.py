@@ -44,11 +44,11 @@ class Tree:
 
     def loaded(self, link: int) -> Sequence[int]:
         """Joints between a link and the base."""
-        found = []
+        path = []
         while link >= 0:
-            found.append(link)
+            path.append(link)
             link = int(self.carrier[link])
-        return sorted(found)
+        return sorted(path)
 
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
         """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,) in the base."""
@@ -85,22 +85,22 @@ def torques_of_tree(
     """Fill ``out`` (m, n); carriers come before what they carry."""
     joints = carrier.size
     rotation, moving = np.empty((joints, 3, 3)), np.empty((joints, 3, 3))
-    wrench, own, handed = np.empty((6, PER_LINK)), np.empty((joints, 6)), np.empty((6, 1))
+    wrench, loads, load = np.empty((6, PER_LINK)), np.empty((joints, 6)), np.empty((6, 1))
     for m in range(q.shape[0]):
         for i in range(joints):
-            turned(turn[i], axis[i], q[m, i], rotation[i])
-            carried(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
-            hinged(axis[i], qd[m, i], qdd[m, i], moving[i])
+            rotate(turn[i], axis[i], q[m, i], rotation[i])
+            carry(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
+            add_hinge(axis[i], qd[m, i], qdd[m, i], moving[i])
             newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
-            weighted(wrench, inertial, i, own[i])
+            weighted(wrench, inertial, i, loads[i])
         for i in range(joints - 1, -1, -1):
-            out[m, i] = axis[i, 0] * own[i, 3] + axis[i, 1] * own[i, 4] + axis[i, 2] * own[i, 5]
+            out[m, i] = axis[i, 0] * loads[i, 3] + axis[i, 1] * loads[i, 4] + axis[i, 2] * loads[i, 5]
             if carrier[i] >= 0:
                 for k in range(6):
-                    handed[k, 0] = own[i, k]
-                handed_down(rotation[i], offset[i], handed)
+                    load[k, 0] = loads[i, k]
+                hand_down(rotation[i], offset[i], load)
                 for k in range(6):
-                    own[carrier[i], k] += handed[k, 0]
+                    loads[carrier[i], k] += load[k, 0]
 
 
 @inlined
@@ -122,9 +122,9 @@ def columns_of_tree(
     wrench = np.empty((6, PER_LINK))
     for m in range(q.shape[0]):
         for i in range(joints):
-            turned(turn[i], axis[i], q[m, i], rotation[i])
-            carried(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
-            hinged(axis[i], qd[m, i], qdd[m, i], moving[i])
+            rotate(turn[i], axis[i], q[m, i], rotation[i])
+            carry(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
+            add_hinge(axis[i], qd[m, i], qdd[m, i], moving[i])
             newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
             j = i
             while j >= 0:
@@ -132,12 +132,12 @@ def columns_of_tree(
                     out[m, j, PER_LINK * i + c] = (
                         axis[j, 0] * wrench[3, c] + axis[j, 1] * wrench[4, c] + axis[j, 2] * wrench[5, c]
                     )
-                handed_down(rotation[j], offset[j], wrench)
+                hand_down(rotation[j], offset[j], wrench)
                 j = carrier[j]
 
 
 @inlined
-def turned(turn: FloatArray, axis: FloatArray, q: float, out: FloatArray) -> None:
+def rotate(turn: FloatArray, axis: FloatArray, q: float, out: FloatArray) -> None:
     """``out`` (3, 3) = turn · rotation by q about the unit vector ``axis`` (Rodrigues)."""
     s, c = np.sin(q), np.cos(q)
     x, y, z = axis[0], axis[1], axis[2]
@@ -150,7 +150,7 @@ def turned(turn: FloatArray, axis: FloatArray, q: float, out: FloatArray) -> Non
 
 
 @inlined
-def carried(
+def carry(
     carrier: int,
     moving: FloatArray,
     gravity: FloatArray,
@@ -178,7 +178,7 @@ def carried(
 
 
 @inlined
-def hinged(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
+def add_hinge(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
     """Add the joint's own turning, in place."""
     x, y, z = axis[0], axis[1], axis[2]
     wx, wy, wz = of[0, 0], of[0, 1], of[0, 2]
@@ -189,7 +189,7 @@ def hinged(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
 
 
 @inlined
-def handed_down(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
+def hand_down(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
     """Turn forces and moments about a link's origin into those about its carrier's."""
     for c in range(wrench.shape[1]):
         f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]

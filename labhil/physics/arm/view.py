@@ -11,8 +11,9 @@ import numpy as np
 from labhil.kinds import JOINTS
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
-from labhil.physics.arm.motion import Motion
+from labhil.physics.arm.motion import Motion, PreparedRecord, unfiltered_motion
 from labhil.physics.extra_force import CurveArgument, ExtraForce, along_positive
+from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
 LAWS_REMEMBERED = 15 * JOINTS
@@ -23,28 +24,62 @@ Value = TypeVar("Value")
 
 
 class Remembered(Generic[Value]):
-    """The last few results of something that takes long; several threads may ask."""
+    """The last few results of something that takes long; safe for several threads."""
 
     def __init__(self, size: int) -> None:
         self._size = size
         self._known: dict[Hashable, Value] = {}
         self._lock = Lock()
 
-    def of(self, key: Hashable, made: Callable[[], Value]) -> Value:
-        """What is known under ``key``, or what ``made`` makes."""
-        found = self._known.get(key)
-        if found is None:
-            found = made()
+    def of(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """What is known under ``key``, or what ``make`` makes."""
+        value = self._known.get(key)
+        if value is None:
+            value = make()
             with self._lock:
                 if len(self._known) >= self._size:
                     self._known.pop(next(iter(self._known)))
-                self._known[key] = found
-        return found
+                self._known[key] = value
+        return value
 
     def forget(self, key: Hashable) -> None:
         """Make it anew the next time."""
         with self._lock:
             self._known.pop(key, None)
+
+
+class RecordViews:
+    """The motions behind the last few records and their views; ``reference`` as of :class:`View`."""
+
+    def __init__(self, reference: FloatArray, size: int) -> None:
+        self._reference = reference
+        self._motions: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
+        self._views: Remembered[View] = Remembered(size)
+
+    def motion(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
+        """The record's inputs, the motion behind them and the places of its rows there."""
+        # records of the same inputs share their motion: a bootstrap replaces outputs only
+        key = id(record.inputs)
+        entry = self._motions.of(key, lambda: _motion_of(record))
+        if entry[0] is not record.inputs:
+            self._motions.forget(key)
+            entry = self._motions.of(key, lambda: _motion_of(record))
+        return entry
+
+    def of(self, links: Chain, record: Record) -> View:
+        """The view of a record's motion with these rigid bodies."""
+        inputs, motion, rows = self.motion(record)
+        view = self._views.of(id(inputs), lambda: View(links, motion, rows, self._reference))
+        if view.rows is not rows:
+            self._views.forget(id(inputs))
+            return self.of(links, record)
+        return view
+
+
+def _motion_of(record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
+    if isinstance(record, PreparedRecord) and record.motion is not None:
+        return record.inputs, record.motion, record.places
+    return record.inputs, unfiltered_motion(record), np.arange(len(record))
 
 
 class Between:
@@ -84,7 +119,7 @@ class View:
         self._laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
         self._whole_laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
         self._regressors: Remembered[FloatArray] = Remembered(4)
-        self._bent: Remembered[FloatArray] = Remembered(4)
+        self._elastic: Remembered[FloatArray] = Remembered(4)
         self._loads: Remembered[FloatArray] = Remembered(4)
         self._pushed: Remembered[FloatArray] = Remembered(FORCES_REMEMBERED)
 
@@ -92,19 +127,19 @@ class View:
         """Columns (m, …) of the whole motion at the rows, (n, …)."""
         if delay == 0.0:
             return np.ascontiguousarray(columns[self.rows])
-        return self._between.of(delay, lambda: self._behind(delay, len(columns))).read(columns)
+        return self._between.of(delay, lambda: self._delayed_places(delay, len(columns))).read(columns)
 
-    def _behind(self, delay: float, m: int) -> Between:
+    def _delayed_places(self, delay: float, m: int) -> Between:
         return Between(np.clip(self.rows - delay / self.motion.period, 0.0, m - 1.0), m)
 
     def rigid(self, gravity: FloatArray, delay: float) -> FloatArray:
         """Regressor (n, 6, 60) of the rigid body, torque per inertial parameter."""
 
-        def made() -> FloatArray:
+        def compute() -> FloatArray:
             m = self.motion
             return self.links.regressor(*self._at((m.q, m.qd, m.qdd), delay), gravity)
 
-        return self._regressors.of((gravity.tobytes(), delay), made)
+        return self._regressors.of((gravity.tobytes(), delay), compute)
 
     def straight_torques(self, gravity: FloatArray, delay: float, inertial: FloatArray) -> FloatArray:
         """Torques (n, 6) of the rigid body at these inertial parameters (60,)."""
@@ -122,11 +157,11 @@ class View:
         law = LAWS[name]
         key = (joint, name, shape if law.shaped_by else 0.0, length if law.dry else 0.0)
 
-        def made() -> FloatArray:
-            whole = self._whole_laws.of(key, lambda: self._column(law, joint, shape, length))
-            return self.at_rows(whole, delay)
+        def compute() -> FloatArray:
+            full_rate = self._whole_laws.of(key, lambda: self._column(law, joint, shape, length))
+            return self.at_rows(full_rate, delay)
 
-        return self._laws.of((*key, delay), made)
+        return self._laws.of((*key, delay), compute)
 
     def _column(self, law: Law, joint: int, shape: float, length: float) -> FloatArray:
         m = self.motion
@@ -139,7 +174,7 @@ class View:
     def _direction(self, joint: int, length: float) -> FloatArray:
         return directions(self.motion.q[:, joint], self.motion.qd[:, joint], length)
 
-    def pushed(self, force: ExtraForce, length: float, delay: float) -> FloatArray:
+    def push(self, force: ExtraForce, length: float, delay: float) -> FloatArray:
         """Torque (n,) of one more force on its joint; ``length`` rad of bristles where it is dry friction."""
         grid, values = force.grid.tobytes(), force.values.tobytes()
         key = (force.joint, force.of, force.acts, grid, values, length, delay)
@@ -162,26 +197,26 @@ class View:
         """|τ_load|·s of one joint (n,): the rigid body's torque along the direction of dry friction."""
         key = (joint, length, inertial.tobytes(), gravity.tobytes())
 
-        def made() -> FloatArray:
+        def compute() -> FloatArray:
             torque = np.abs(self._whole(inertial, gravity)[:, joint])
-            whole = self._whole_laws.of(
+            full_rate = self._whole_laws.of(
                 key, lambda: self.motion.filtered(torque * self._direction(joint, length))
             )
-            return self.at_rows(whole, delay)
+            return self.at_rows(full_rate, delay)
 
-        return self._laws.of((*key, delay), made)
+        return self._laws.of((*key, delay), compute)
 
-    def bent(
+    def elastic_regressor(
         self, compliance: FloatArray, inertial: FloatArray, gravity: FloatArray, delay: float
     ) -> FloatArray:
         """Regressor (n, 6, 60) where links hang ``compliance`` (6,) rad/(N·m) times their load behind."""
 
-        def made() -> FloatArray:
-            return self.links.regressor(*self._hung(compliance, inertial, gravity, delay), gravity)
+        def compute() -> FloatArray:
+            return self.links.regressor(*self._elastic_motion(compliance, inertial, gravity, delay), gravity)
 
-        return self._bent.of((compliance.tobytes(), inertial.tobytes(), gravity.tobytes(), delay), made)
+        return self._elastic.of((compliance.tobytes(), inertial.tobytes(), gravity.tobytes(), delay), compute)
 
-    def bent_torques(
+    def elastic_torques(
         self,
         compliance: FloatArray,
         loading: FloatArray,
@@ -190,10 +225,10 @@ class View:
         inertial: FloatArray,
     ) -> FloatArray:
         """Torques (n, 6) of such links at ``inertial`` (60,); ``loading`` (60,) is what bends them."""
-        hung = self._hung(compliance, loading, gravity, delay)
-        return self.links.torques(*hung, gravity, inertial)
+        motion = self._elastic_motion(compliance, loading, gravity, delay)
+        return self.links.torques(*motion, gravity, inertial)
 
-    def _hung(
+    def _elastic_motion(
         self, compliance: FloatArray, inertial: FloatArray, gravity: FloatArray, delay: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Motion of the links at the rows."""
@@ -206,8 +241,8 @@ class View:
     def _whole(self, inertial: FloatArray, gravity: FloatArray) -> FloatArray:
         """Rigid torques (m, 6) of the whole motion."""
 
-        def made() -> FloatArray:
+        def compute() -> FloatArray:
             m = self.motion
             return self.links.torques(m.q, m.qd, m.qdd, gravity, inertial)
 
-        return self._loads.of((inertial.tobytes(), gravity.tobytes()), made)
+        return self._loads.of((inertial.tobytes(), gravity.tobytes()), compute)

@@ -2,7 +2,7 @@
 
 A parameter is one number for the whole arm, or six, one a joint: ``coulomb_friction.level`` then stands
 for all joints and ``coulomb_friction.level[2]`` for joint 2 alone (joints count from 0). An effect may
-likewise be asked for on one joint only: ``load_dependent_friction[1]``.
+likewise be given to one joint only: ``load_dependent_friction[1]``.
 """
 
 from __future__ import annotations
@@ -187,8 +187,11 @@ class Values:
 
 def parameters_of(effect: str) -> dict[str, float | Six]:
     """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
-    found = EVERY[effect]
-    return {f"{effect}.{name}": value for name, value in (*found.strengths.items(), *found.shapes.items())}
+    definition = EVERY[effect]
+    return {
+        f"{effect}.{name}": value
+        for name, value in (*definition.strengths.items(), *definition.shapes.items())
+    }
 
 
 def all_parameters() -> dict[str, float | Six]:
@@ -212,7 +215,7 @@ def resolve(terms: Iterable[str], overrides: Given) -> Values:
             values[parameter] = _array(default)
             if parameter.partition(".")[2] in EVERY[name].strengths and values[parameter].size > 1:
                 values[parameter][[j for j in range(JOINTS) if j not in of_joints]] = 0.0
-    # what is said of all joints comes before what is said of one
+    # values of all joints come before those of one
     for key, value in sorted(overrides.items(), key=lambda item: "[" in item[0]):
         _put(values, key, value, chosen)
     _check(values)
@@ -236,7 +239,7 @@ def split(key: str) -> tuple[str, int | None]:
 
 def _joints_of(terms: tuple[str, ...]) -> dict[str, set[int]]:
     """Which joints have each effect."""
-    found: dict[str, set[int]] = {}
+    joints: dict[str, set[int]] = {}
     for term in terms:
         name, joint = split(term)
         if name not in EVERY:
@@ -244,8 +247,8 @@ def _joints_of(terms: tuple[str, ...]) -> dict[str, set[int]]:
         six = any(isinstance(value, tuple) for value in EVERY[name].strengths.values())
         if joint is not None and not six:
             raise UsageError(f"{term}: {name} belongs to the whole arm and takes no joint")
-        found.setdefault(name, set()).update(range(JOINTS) if joint is None else (joint,))
-    return found
+        joints.setdefault(name, set()).update(range(JOINTS) if joint is None else (joint,))
+    return joints
 
 
 def _array(value: float | Sequence[float]) -> FloatArray:

@@ -84,7 +84,7 @@ class ElasticBody:
 
         They are those of the last step's balance, drawn on to its end along those of the step before.
         """
-        end = self._torque
+        final = self._torque
         if steps:
             k, d, step = self._springs.stiffness, self._springs.damping, h / steps
             share = self._shares(step)
@@ -100,12 +100,12 @@ class ElasticBody:
                 pull = k * (angle - ahead) + d * (rate - speed)
                 gain = step * self._body.accelerations(ahead, speed, pull)
                 torque = pull - held_back * gain / step
-                end = torque + (1.0 - share) * (torque - self._torque)
+                final = torque + (1.0 - share) * (torque - self._torque)
                 self._link[0] += step * (speed + share * gain)
                 self._link[1] += gain
                 self._torque = torque
         self._drive[:] = q, qd
-        return end
+        return final
 
     def _shares(self, step: float) -> FloatArray:
         """At which share of a step each spring is balanced (6,): from one half, slow, to one, fast."""

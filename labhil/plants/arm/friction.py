@@ -138,7 +138,7 @@ def side_of(v: float) -> float:
 
 
 @compiled
-def relaxed(z: float, q: float, v: float, h: float, load: float, j: int, f: Friction) -> float:
+def relax(z: float, q: float, v: float, h: float, load: float, j: int, f: Friction) -> float:
     """Return the bristles' deflection (rad) after h (s) at steady v: ż = v − (σ₀|v|/g)·z, solved exactly."""
     level = dry_level(q, abs(v), side_of(v), load, j, f)
     if level < LEAST_LEVEL:
@@ -175,7 +175,7 @@ def remember(q: float, v: float, h: float, load: float, j: int, m: Memory, f: Fr
         speed = begin + (k + 0.5) / MOMENTS * (v - begin) + missing
         angle += 0.5 * d * speed
         if f.stiffness[j] > 0.0:
-            m.bristle[j] = relaxed(m.bristle[j], angle, speed, d, load, j, f)
+            m.bristle[j] = relax(m.bristle[j], angle, speed, d, load, j, f)
         else:
             m.stuck[j] = min(max(m.stuck[j] + d * speed / STICK, -1.0), 1.0)
         angle += 0.5 * d * speed
@@ -188,7 +188,7 @@ def rub(
     qd: FloatArray,
     h: FloatArray,
     load: FloatArray,
-    other: FloatArray,
+    other_torque: FloatArray,
     m: Memory,
     f: Friction,
     w: Warmth,
@@ -197,7 +197,7 @@ def rub(
 ) -> None:
     """Walk a motion (n, 6), row i ``h[i]`` s after the one before; write friction N·m and temperatures °C.
 
-    ``load`` and ``other`` (n, 6) N·m are what the drive carries beside: the rigid body's torque, which
+    ``load`` and ``other_torque`` (n, 6) N·m are what the drive carries beside: the rigid body's torque, which
     dry friction may depend on, and all else. Both warm the windings.
     """
     for i in range(h.size):
@@ -207,7 +207,7 @@ def rub(
             temperature = m.temperature[j]
             torque = dry_torque(q[i, j], qd[i, j], load[i, j], j, m, f)
             torque += viscous_torque(qd[i, j], temperature, j, f)
-            current = (load[i, j] + other[i, j] + torque) / w.torque_constant[j]
+            current = (load[i, j] + other_torque[i, j] + torque) / w.torque_constant[j]
             heat = abs(torque * qd[i, j]) + w.resistance[j] * current * current
             final = w.ambient + w.warming[j] * heat
             m.temperature[j] = final + (temperature - final) * kept

@@ -56,7 +56,7 @@ class Moment(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """What the sensors of an arm say, (6,) each: rad, rad/s, A, °C; the supply's voltage, V.
+    """Readings of an arm's sensors, (6,) each: rad, rad/s, A, °C; the supply's voltage, V.
 
     ``target_current`` A and ``target_moment`` N·m are what the controller expects of the plan, by its own
     model; ``friction`` (6,) N·m is the truth, which nobody measures.
@@ -154,7 +154,7 @@ class LiveArm:
             behind = self._earlier()
         state = self._state
         if self._elastic is not None:
-            motion = track(_motion(behind), self._h, self._bandwidth, _copied(self._behind))
+            motion = track(_motion(behind), self._h, self._bandwidth, _copy(self._behind))
             state.body[:] = self._elastic.torques(motion, self._h)[0]
         advance(
             plan, behind, self._h, self._bandwidth, self._seen, self._behind, self._elastic is None,
@@ -162,7 +162,7 @@ class LiveArm:
             state,
         )  # fmt: skip
         self._temperature = self._memory.temperature
-        return self._sampled()
+        return self._sample()
 
     def _earlier(self) -> Moment:
         """The plan as it was ``clock_offset`` ago, on straight lines between ticks."""
@@ -173,7 +173,7 @@ class LiveArm:
         share = min(max((wanted - begin) / (end - begin), 0.0), 1.0)
         return Moment(*(a + share * (b - a) for a, b in zip(first, last, strict=True)))
 
-    def _sampled(self) -> Sample:
+    def _sample(self) -> Sample:
         """Measure; arrays are the caller's own."""
         sensors, constant, state = self._sensors, self._warmth.torque_constant, self._state
         current = state.torque / constant
@@ -194,7 +194,7 @@ def _motion(moment: Moment) -> Motion:
     return Motion(ONE, moment.q[None], moment.qd[None], moment.qdd[None])
 
 
-def _copied(lag: Lag) -> Lag:
+def _copy(lag: Lag) -> Lag:
     return Lag(lag.error.copy(), lag.rate.copy(), lag.planned.copy())
 
 
@@ -216,25 +216,25 @@ def advance(
     state: State,
 ) -> None:
     """Carry the world over one tick, in place; ``state.body`` is given where the joints are not rigid."""
-    one = (1, 6)
-    q, qd, qdd = np.empty(one), np.empty(one), np.empty(one)
+    shape = (1, 6)
+    q, qd, qdd = np.empty(shape), np.empty(shape), np.empty(shape)
     walk(as_row(plan.q), as_row(plan.qd), as_row(plan.qdd), h, bandwidth, seen_lag, q, qd, qdd)
     state.q[:], state.qd[:] = q[0], qd[0]
     walk(as_row(behind.q), as_row(behind.qd), as_row(behind.qdd), h, bandwidth, behind_lag, q, qd, qdd)
     if rigid:
         recursion(body, q[0], qd[0], qdd[0], state.body)
     recursion(expected, plan.q, plan.qd, plan.qdd, state.expected)
-    other, rubbed, warm = np.empty(one), np.empty(one), np.empty(one)
+    other_torque, rubbed, warm = np.empty(shape), np.empty(shape), np.empty(shape)
     for j in range(6):
-        other[0, j] = (
+        other_torque[0, j] = (
             extra.amplitude[j] * np.sin(extra.order[j] * q[0, j] + extra.phase[j])
             + extra.inertia[j] * qdd[0, j]
             + extra.force[j]
         )
-    rub(q, qd, h, as_row(state.body), other, memory, friction, warmth, rubbed, warm)
+    rub(q, qd, h, as_row(state.body), other_torque, memory, friction, warmth, rubbed, warm)
     for j in range(6):
         state.friction[j] = rubbed[0, j]
-        state.torque[j] = state.body[j] + rubbed[0, j] + other[0, j]
+        state.torque[j] = state.body[j] + rubbed[0, j] + other_torque[0, j]
 
 
 @compiled

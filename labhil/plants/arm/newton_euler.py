@@ -60,11 +60,11 @@ class Table(NamedTuple):
         """Add a point mass (kg) in the flange's frame (m) to the last link."""
         if mass == 0.0:
             return
-        own, at = self.mass[-1], self.centre[-1].copy()
-        both = (own * at + mass * np.array(centre)) / (own + mass)
-        self.inertia[-1] += own * _point(at - both) + mass * _point(np.array(centre) - both)
+        link_mass, at = self.mass[-1], self.centre[-1].copy()
+        common = (link_mass * at + mass * np.array(centre)) / (link_mass + mass)
+        self.inertia[-1] += link_mass * _point(at - common) + mass * _point(np.array(centre) - common)
         self.mass[-1] += mass
-        self.centre[-1] = both
+        self.centre[-1] = common
 
 
 def _matrix(inertia: tuple[float, float, float, float, float, float]) -> FloatArray:
@@ -153,7 +153,7 @@ def recursion(table: Table, q: FloatArray, qd: FloatArray, qdd: FloatArray, out:
 
 @compiled
 def mass_matrix(table: Table, q: FloatArray, out: FloatArray) -> None:
-    """Write M(q) (6, 6) kg·m²: what a unit acceleration of each joint asks for, without weight."""
+    """Write M(q) (6, 6) kg·m²: the torques of a unit acceleration of each joint, without weight."""
     weight, column, still = np.zeros(6), np.zeros(6), np.zeros(6)
     recursion(table, q, still, still, weight)
     for i in range(6):

@@ -199,13 +199,13 @@ class ArmPlant:
         if self._late > 0.0:
             behind = track(plan.at(stamps - self._late), h, self._bandwidth, self._behind)
         body = self._body_torque(behind, h)
-        other = self._other_torque(behind)
-        friction, temperature = self._rub(behind, h, body, other)
+        other_torque = self._other_torque(behind)
+        friction, temperature = self._rub(behind, h, body, other_torque)
         self._temperature = self._memory.temperature.copy()
-        torque = body + friction + other
+        torque = body + friction + other_torque
         current = torque / self._warmth.torque_constant
         truth = Truth(seen.q, seen.qd, seen.qdd, body, friction, torque, current, temperature)
-        return self._sampled(target, truth)
+        return self._sample(target, truth)
 
     def _body_torque(self, motion: Motion, h: FloatArray) -> FloatArray:
         """Torques (n, 6) N·m of the links, payload and cable under a motion of the drives."""
@@ -224,17 +224,17 @@ class ArmPlant:
         )
 
     def _rub(
-        self, motion: Motion, h: FloatArray, load: FloatArray, other: FloatArray
+        self, motion: Motion, h: FloatArray, load: FloatArray, other_torque: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return friction N·m and temperatures °C of a motion, (n, 6) each."""
         friction, temperature = np.empty_like(load), np.empty_like(load)
         rub(
-            motion.q, motion.qd, h, load, other, self._memory, self._friction, self._warmth,
+            motion.q, motion.qd, h, load, other_torque, self._memory, self._friction, self._warmth,
             friction, temperature,
         )  # fmt: skip
         return friction, temperature
 
-    def _sampled(self, target: Motion, truth: Truth) -> Trajectory:
+    def _sample(self, target: Motion, truth: Truth) -> Trajectory:
         """Measure all that the controller reports, and add what it planned and expected."""
         constant = self._warmth.torque_constant
         moment = self._expected.torques(target.q, target.qd, target.qdd)

@@ -63,7 +63,7 @@ class RigidBody:
 
     def __init__(self, links: Links, load: Load | None = None) -> None:
         engine = physics_engine()
-        self.model = engine.MjModel.from_xml_string(described(links, load or Load()))
+        self.model = engine.MjModel.from_xml_string(describe(links, load or Load()))
         self.data = engine.MjData(self.model)
         self._inverse = engine.mj_inverse
         self._forward = engine.mj_forward
@@ -102,7 +102,7 @@ def physics_engine() -> Any:
     return load_optional("mujoco", "the simulated arm")
 
 
-def described(links: Links, load: Load) -> str:
+def describe(links: Links, load: Load) -> str:
     """Return the arm as an MJCF document, one body a link, in the frames of the table of links."""
     inner = _payload(load) + _site("flange", CABLE_ON_FLANGE)
     for number in reversed(range(JOINTS)):

@@ -63,14 +63,14 @@ class Sensors:
         """Measure currents (n, 6) A; the noise of a sample remembers the one before."""
         noise = self.random.standard_normal(current.shape)
         colour(noise, self.memory, self.state)
-        return rounded(
+        return round_to(
             self.gain * current + self.offset + self.current_noise * noise, self.current_resolution
         )
 
     def temperatures(self, temperature: FloatArray) -> FloatArray:
         """Measure temperatures (n, 6) °C."""
         noise = self.temperature_noise * self.random.standard_normal(temperature.shape)
-        return rounded(temperature + noise, self.temperature_resolution)
+        return round_to(temperature + noise, self.temperature_resolution)
 
     def voltage(self, power: FloatArray) -> FloatArray:
         """Measure the supply's voltage (n,) under a power (n,) W; power that comes back does not raise it."""
@@ -78,7 +78,7 @@ class Sensors:
         return np.asarray(self.supply - sag + self.voltage_noise * self.random.standard_normal(power.shape))
 
 
-def rounded(values: FloatArray, resolution: float) -> FloatArray:
+def round_to(values: FloatArray, resolution: float) -> FloatArray:
     """Round to whole steps of ``resolution``; 0 leaves the values as they are."""
     return values if resolution == 0.0 else np.rint(values / resolution) * resolution
 

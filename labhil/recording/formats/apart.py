@@ -104,7 +104,7 @@ class _Process:
 
     def ask(self, request: dict[str, Any], path: Path) -> dict[str, Any]:
         """Send a request and return the answer; TableError where the process ends over it."""
-        child = self._started()
+        child = self._running_child()
         assert child.stdin is not None
         wall = WALL_FACTOR * request["cpu_seconds"]
         watch = threading.Timer(wall, child.kill)
@@ -116,8 +116,8 @@ class _Process:
         except (EOFError, OSError, ValueError) as error:
             timed_out = not watch.is_alive()
             self.stop()
-            found = _end(child.returncode, request, wall, timed_out)
-            raise TableError(f"{path}: cannot be read: {found}") from error
+            cause = _end(child.returncode, request, wall, timed_out)
+            raise TableError(f"{path}: cannot be read: {cause}") from error
         finally:
             watch.cancel()
 
@@ -129,7 +129,7 @@ class _Process:
         answer["arrays"] = _exactly(child, payload)
         return answer
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _running_child(self) -> subprocess.Popen[bytes]:
         child = self._child
         # a forked process shares the pipes of its parent: it needs a reader of its own
         if child is not None and self._owner == os.getpid() and child.poll() is None:

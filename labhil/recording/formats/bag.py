@@ -60,31 +60,34 @@ class BagColumns(Columns):
     @property
     def notes(self) -> tuple[str, ...]:
         """Which messages give the rows and which clock the time, and what was taken from others."""
-        clock = "the stamps in their headers" if self._stamped else "the times at which the bag received them"
-        beside = tuple(
-            f"{len(other.rows)} messages of {other.topic} are no rows: they name {_listed(other.names)}"
-            for other in self.sources[1:]
-            if other.topic == self.base.topic
+        clock = (
+            "the stamps in their headers" if self._has_stamps else "the times at which the bag received them"
         )
-        taken = tuple(
+        other_sources = tuple(
+            f"{len(source.rows)} messages of {source.topic} are no rows: "
+            f"they name {_list_names(source.names)}"
+            for source in self.sources[1:]
+            if source.topic == self.base.topic
+        )
+        resampled = tuple(
             f"{name} is another topic: its values are taken at the times of {self.base.topic}"
             for name in sorted(self.used)
         )
-        rows = f"rows are the messages of {self.base.topic}{_with_names(self.base) if beside else ''}"
-        return (f"{rows}; without a channel t the time is {clock}", *beside, *taken)
+        rows = f"rows are the messages of {self.base.topic}{_with_names(self.base) if other_sources else ''}"
+        return (f"{rows}; without a channel t the time is {clock}", *other_sources, *resampled)
 
     def find(self, source: str) -> tuple[int, ...]:
         """The numbers of the columns that bear this name; the first slash and ``.0`` for ``[0]`` are free.
 
         TableError for a place in an array whose elements change places.
         """
-        wanted = _plain(source)
-        found = tuple(place for place, name in enumerate(self.names or ()) if _plain(name) == wanted)
-        if found:
-            return found
-        if wanted in self.refused:
-            raise TableError(f"{self.path}: {source}: {self.refused[wanted]}")
-        return (self.numbered[wanted],) if wanted in self.numbered else ()
+        plain = _plain(source)
+        places = tuple(place for place, name in enumerate(self.names or ()) if _plain(name) == plain)
+        if places:
+            return places
+        if plain in self.refused:
+            raise TableError(f"{self.path}: {source}: {self.refused[plain]}")
+        return (self.numbered[plain],) if plain in self.numbered else ()
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is none.
@@ -104,18 +107,18 @@ class BagColumns(Columns):
             return source.values[way]
         names = _with_names(source) if source.topic == self.base.topic else ""
         self.used.add(f"{source.topic}{names}")
-        return _taken_at(self._times(self.base), self._times(source), source.values[way], hold)
+        return _resample(self._times(self.base), self._times(source), source.values[way], hold)
 
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
         return f"{self.numbers(column)[row]}"
 
     @property
-    def _stamped(self) -> bool:
+    def _has_stamps(self) -> bool:
         return self.base.stamps is not None
 
     def _times(self, source: Source) -> FloatArray:
-        stamps = source.stamps if self._stamped else None
+        stamps = source.stamps if self._has_stamps else None
         return source.received if stamps is None else stamps
 
 
@@ -145,31 +148,31 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
     listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
     if not listed:
         raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
-    asked = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
+    requested = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
     topics = {topic.lstrip("/"): topic for topic in first}
-    needed = [topics[name] for name in asked if name in topics] or [listed[0][0]]
+    needed = [topics[name] for name in requested if name in topics] or [listed[0][0]]
     read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
     base = _base(read, [_plain(name) for name in wanted])
     sources = [base, *(source for source in read if source is not base)]
-    found: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
+    places: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
     for place, source in enumerate(sources):
         for way in source.values:
-            found.setdefault(_name(source.topic, way), (place, way))
-    done = {source.topic for source in sources}
+            places.setdefault(_name(source.topic, way), (place, way))
+    read_topics = {source.topic for source in sources}
     for topic, way in listed:
-        if topic not in done:
-            found.setdefault(_name(topic, way), (None, way))
-    names = tuple(found)
+        if topic not in read_topics:
+            places.setdefault(_name(topic, way), (None, way))
+    names = tuple(places)
     return BagColumns(
         names=names,
         width=len(names),
         lines=base.rows + 1,
         counts=np.full(len(base.rows), len(names)),
         path=path,
-        places=tuple(found.values()),
+        places=tuple(places.values()),
         sources=tuple(sources),
-        numbered={plain: names.index(name) for plain, name in _numbered(sources)},
-        refused=dict(_refused(sources)),
+        numbered={plain: names.index(name) for plain, name in _numbered_names(sources)},
+        refused=dict(_refusals(sources)),
     )
 
 
@@ -186,59 +189,65 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
 
 def _base(sources: Sequence[Source], wanted: Sequence[str]) -> Source:
     """The source that gives the rows: of the first topic, and there of the first name that only one has."""
-    mine = [source for source in sources if source.topic == sources[0].topic]
+    candidates = [source for source in sources if source.topic == sources[0].topic]
     for name in wanted:
-        having = [one for one in mine if any(_plain(_name(one.topic, way)) == name for way in one.values)]
-        if len(having) == 1:
-            return having[0]
-    return mine[0]
+        matching = [
+            candidate
+            for candidate in candidates
+            if any(_plain(_name(candidate.topic, way)) == name for way in candidate.values)
+        ]
+        if len(matching) == 1:
+            return matching[0]
+    return candidates[0]
 
 
 def _by_place(source: Source) -> Iterator[tuple[str, str]]:
     """Of every array of named elements the plain name of a place in it, and the column it may mean."""
     for way in source.values:
-        at = next((k for k, step in enumerate(way) if isinstance(step, Named)), None)
-        if at is None:
+        index = next((k for k, step in enumerate(way) if isinstance(step, Named)), None)
+        if index is None:
             continue
-        label = way[at]
+        label = way[index]
         for labels in source.orders:
             if isinstance(label, Named) and label.name in labels:
-                place = (*way[:at], labels.index(label.name), *way[at + 1 :])
+                place = (*way[:index], labels.index(label.name), *way[index + 1 :])
                 yield _plain(_name(source.topic, place)), _name(source.topic, way)
 
 
 def _orders(sources: Sequence[Source], topic: str) -> dict[tuple[str, ...], int]:
-    return {labels: n for one in sources if one.topic == topic for labels, n in one.orders.items()}
+    return {labels: n for source in sources if source.topic == topic for labels, n in source.orders.items()}
 
 
-def _numbered(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+def _numbered_names(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
     """Places in arrays of named elements that mean one column, as the names never change places."""
     for source in sources:
         if len(_orders(sources, source.topic)) == 1:
             yield from _by_place(source)
 
 
-def _refused(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+def _refusals(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
     """Places in arrays of named elements that mean now one column, now another, and why."""
     for source in sources:
         orders = _orders(sources, source.topic)
         if len(orders) == 1:
             continue
-        told = "; ".join(f"{_listed(labels) or 'no names'} in {n} messages" for labels, n in orders.items())
+        counts = "; ".join(
+            f"{_list_names(labels) or 'no names'} in {n} messages" for labels, n in orders.items()
+        )
         for plain, name in _by_place(source):
             yield (
                 plain,
-                f"expected a name, since the elements change places: {told}; write the column as {name!r}",
+                f"expected a name, since the elements change places: {counts}; write the column as {name!r}",
             )
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
     return f"{', '.join(names[:MOST_NAMES])}{more}"
 
 
 def _with_names(source: Source) -> str:
-    return f" with {_listed(source.names)}" if source.names else ""
+    return f" with {_list_names(source.names)}" if source.names else ""
 
 
 def _name(topic: str, way: Way) -> str:
@@ -253,21 +262,21 @@ def _plain(name: str) -> str:
     return ".".join((topic.lstrip("/"), *steps)) if dot else name
 
 
-def _taken_at(at: FloatArray, times: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:
+def _resample(t: FloatArray, times: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:
     """The values of another topic at the times ``at``; NaN outside of it and in its gaps."""
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
-    taken = np.full(len(at), np.nan)
+    resampled = np.full(len(t), np.nan)
     if len(times) < 2:
-        return taken
-    before = np.searchsorted(times, at, side="right") - 1
-    inside = (before >= 0) & (at <= times[-1])
-    left = np.clip(before, 0, len(times) - 2)
-    step = times[left + 1] - times[left]
+        return resampled
+    before = np.searchsorted(times, t, side="right") - 1
+    inside = (before >= 0) & (t <= times[-1])
+    begin = np.clip(before, 0, len(times) - 2)
+    step = times[begin + 1] - times[begin]
     rising = np.diff(times)
     inside &= step <= LONGEST_GAP * np.median(rising[rising > 0]) if (rising > 0).any() else False
     held = values[np.clip(before, 0, len(times) - 1)]
-    share = np.divide(at - times[left], step, out=np.zeros_like(at), where=step > 0)
-    line = values[left] + share * (values[left + 1] - values[left])
-    taken[inside] = (held if hold is Hold.ZERO else line)[inside]
-    return taken
+    share = np.divide(t - times[begin], step, out=np.zeros_like(t), where=step > 0)
+    line = values[begin] + share * (values[begin + 1] - values[begin])
+    resampled[inside] = (held if hold is Hold.ZERO else line)[inside]
+    return resampled

@@ -74,9 +74,9 @@ def numbers_in(value: Any, way: Way = (), labels: Labels = ()) -> Iterator[tuple
             step = Named(labels[place]) if named else place
             yield from numbers_in(value[place], (*way, step), () if named else labels)
     elif dataclasses.is_dataclass(value):
-        own = labels_of(value) or labels
+        inner_labels = labels_of(value) or labels
         for part in dataclasses.fields(value):
-            yield from numbers_in(getattr(value, part.name), (*way, part.name), own)
+            yield from numbers_in(getattr(value, part.name), (*way, part.name), inner_labels)
 
 
 def labels_of(message: Any) -> Labels:
@@ -85,7 +85,11 @@ def labels_of(message: Any) -> Labels:
         value = getattr(message, part.name)
         if not (part.name == "name" or part.name.endswith("names")) or not isinstance(value, list):
             continue
-        if value and all(isinstance(one, str) and one for one in value) and len(set(value)) == len(value):
+        if (
+            value
+            and all(isinstance(label, str) and label for label in value)
+            and len(set(value)) == len(value)
+        ):
             return tuple(value)
     return ()
 
@@ -96,7 +100,7 @@ def _parallel_inside(value: Any, count: int) -> bool:
     if not dataclasses.is_dataclass(first) or labels_of(first):
         return False
     inner = (getattr(first, part.name) for part in dataclasses.fields(first))
-    return any(isinstance(one, (list, np.ndarray)) and len(one) == count for one in inner)
+    return any(isinstance(values, (list, np.ndarray)) and len(values) == count for values in inner)
 
 
 def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
@@ -109,27 +113,27 @@ def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
     columns: dict[Way, array[float]] = {}
     for time_ns, message in messages:
         count = len(received)
-        found = 0
+        width = 0
         for way, number in numbers_in(message):
             column = columns.get(way)
             if column is None:
                 column = columns[way] = array("d", [np.nan]) * count
             column.append(number)
-            found += 1
+            width += 1
         received.append(time_ns)
         labels.append(labels_of(message))
-        if found != len(columns):  # an array may be shorter, or its names others, than in another message
+        if width != len(columns):  # an array may be shorter, or its names others, than in another message
             for column in columns.values():
                 column.extend([np.nan] * (count + 1 - len(column)))
     values = {way: np.array(column) for way, column in columns.items()}
     seconds = np.array(received, dtype=np.float64) * 1e-9
     sources = []
     for group in _groups(labels):
-        rows = np.array([row for row, own in enumerate(labels) if own in group], dtype=np.int64)
-        orders = Counter(own for own in labels if own in group)
-        names = {name for own in group for name in own}
-        mine = {way: column[rows] for way, column in values.items() if _belongs(way, names)}
-        sources.append(Source(topic, rows, seconds[rows], mine, orders))
+        rows = np.array([row for row, order in enumerate(labels) if order in group], dtype=np.int64)
+        orders = Counter(order for order in labels if order in group)
+        names = {name for order in group for name in order}
+        group_columns = {way: column[rows] for way, column in values.items() if _belongs(way, names)}
+        sources.append(Source(topic, rows, seconds[rows], group_columns, orders))
     return sources
 
 
@@ -142,10 +146,10 @@ def _belongs(way: Way, names: set[str]) -> bool:
 def _groups(labels: Sequence[Labels]) -> list[set[Labels]]:
     """Sets of orders that have names in common, the most frequent first."""
     groups: list[set[Labels]] = []
-    for own in dict.fromkeys(labels):
-        names = set(own)
-        together = [group for group in groups if any(names & set(other) for other in group)]
+    for order in dict.fromkeys(labels):
+        names = set(order)
+        together = [group for group in groups if any(names & set(member) for member in group)]
         groups = [group for group in groups if group not in together]
-        groups.append({own}.union(*together))
+        groups.append({order}.union(*together))
     counts = Counter(labels)
-    return sorted(groups, key=lambda group: -sum(counts[own] for own in group))
+    return sorted(groups, key=lambda group: -sum(counts[order] for order in group))

@@ -61,8 +61,8 @@ def _write_stream(writer: Any, typesys: Any, store: Any, data: StreamData) -> No
             for width, place in columns
         ]
         sec, nanosec = divmod(t_ns, 10**9)
-        told = header(stamp=stamp(sec=sec, nanosec=nanosec), frame_id=data.device)
-        writer.write(connection, t_ns, store.serialize_cdr(message(told, seq, t, *values), name))
+        stamped_header = header(stamp=stamp(sec=sec, nanosec=nanosec), frame_id=data.device)
+        writer.write(connection, t_ns, store.serialize_cdr(message(stamped_header, seq, t, *values), name))
 
 
 def _camel(name: str) -> str:

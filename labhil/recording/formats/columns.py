@@ -122,9 +122,9 @@ def number_columns(
 def read_stamps(numbers: FloatArray, texts: Sequence[str]) -> Stamps:
     """The times of a column: its numbers, or its texts where more of these are dates or times of day."""
     finite = int(np.count_nonzero(np.isfinite(numbers)))
-    found = stamps_of(texts) if finite < len(texts) else None
-    if found is not None and np.count_nonzero(np.isfinite(found.values)) > finite:
-        return found
+    stamps = stamps_of(texts) if finite < len(texts) else None
+    if stamps is not None and np.count_nonzero(np.isfinite(stamps.values)) > finite:
+        return stamps
     return Stamps(numbers)
 
 

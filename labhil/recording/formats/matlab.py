@@ -48,7 +48,7 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
         with warnings.catch_warnings():
             # scipy calls every object "None"; objects_in finds them by their own names
             warnings.filterwarnings("ignore", 'Duplicate variable name "None"')
-            refuse_claim("the file", _claimed(path), path.stat().st_size)
+            refuse_claim("the file", _claimed_bytes(path), path.stat().st_size)
             variables: dict[str, Any] = loadmat(path, struct_as_record=False)
     except (ImplausibleError, MemoryError):
         raise
@@ -87,7 +87,7 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
 
 
-def _claimed(path: Path) -> int:
+def _claimed_bytes(path: Path) -> int:
     """Bytes that the variables of a MAT file would take as numbers."""
     from scipy.io import whosmat
 
@@ -102,11 +102,11 @@ def _part(name: str, value: Any) -> Part:
     """What scipy read as the variable ``name``, or as a part of it."""
     if hasattr(value, "_fieldnames"):
         inner = {key: getattr(value, key) for key in value._fieldnames}
-        return Part(fields={key: _part(f"{name}.{key}", each) for key, each in inner.items()})
+        return Part(fields={key: _part(f"{name}.{key}", field) for key, field in inner.items()})
     if not isinstance(value, np.ndarray):
         return Part(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
     if type(value).__name__ == "MatlabOpaque" and value.size:
-        return Part(reason=advice(name, _decoded(value.ravel()[0]["s2"])))
+        return Part(reason=advice(name, _decode(value.ravel()[0]["s2"])))
     if value.dtype == object and value.size:
         return _elements(name, list(value.ravel(order="F")))
     if value.dtype.kind in NUMBERS:
@@ -118,12 +118,12 @@ def _part(name: str, value: Any) -> Part:
 
 def _elements(name: str, values: Sequence[Any]) -> Part:
     """A struct, a struct array or a cell; of many elements no more than tell that they are too many."""
-    cell = not all(hasattr(one, "_fieldnames") for one in values)
+    cell = not all(hasattr(element, "_fieldnames") for element in values)
     single = not cell and len(values) == 1
     paths = (
         name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MOST_PARTS + 2)
     )
-    parts = [_part(path, one) for path, one in zip(paths, values, strict=False)]
+    parts = [_part(path, element) for path, element in zip(paths, values, strict=False)]
     if cell:
         return Part(elements=parts, braces="{}")
     return parts[0] if single else Part(elements=parts)
@@ -147,7 +147,7 @@ class _Hdf5:
         self._left -= 1
         if self._left < 0:  # parts may point to one another without an end
             return Part(reason=f"more than {MOST_PARTS_IN_ALL} parts in the file")
-        kind = _decoded(item.attrs.get("MATLAB_class", b""))
+        kind = _decode(item.attrs.get("MATLAB_class", b""))
         if "MATLAB_object_decode" in item.attrs and kind not in IN_WORDS:
             return Part(reason=advice(name, kind))
         if not hasattr(item, "dtype"):
@@ -159,7 +159,10 @@ class _Hdf5:
             return Part(reason="empty")
         if self._references(item.dtype):
             inner = self._values(name, item).ravel()[: MOST_PARTS + 1]
-            parts = [self.part(name, self._file[one]) if one else Part(reason="empty") for one in inner]
+            parts = [
+                self.part(name, self._file[reference]) if reference else Part(reason="empty")
+                for reference in inner
+            ]
             return Part(elements=parts, braces="{}" if kind == "cell" else "()")
         if item.dtype.kind not in NUMBERS or kind in IN_WORDS:
             text = "".join(map(chr, self._values(name, item).ravel()[:MOST_TEXT])) if kind == "char" else ""
@@ -185,5 +188,5 @@ def _struct(fields: Mapping[str, Part]) -> Part:
     return Part(elements=[Part(fields=dict(zip(fields, row, strict=True))) for row in rows])
 
 
-def _decoded(text: Any) -> str:
+def _decode(text: Any) -> str:
     return text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)

@@ -39,7 +39,7 @@ def objects_in(data: bytes) -> list[tuple[str, str]]:
     if data[126:128] not in (b"IM", b"MI"):
         return []
     order = "<" if data[126:128] == b"IM" else ">"
-    return [found for head in _heads(data, order) if (found := _object(head, order)) is not None]
+    return [item for head in _heads(data, order) if (item := _object(head, order)) is not None]
 
 
 def _heads(data: bytes, order: str) -> Iterator[bytes]:

@@ -56,7 +56,7 @@ class Notation:
             quick = texts if self.decimal == "." else everything.replace(self.decimal, ".").split("\n")
             try:
                 return np.array(list(map(float, quick)), dtype=np.float64)
-            except ValueError:
+            except ValueError:  # not all are numbers as Python writes them: each is read by itself
                 pass
         number = self._with_point if self == Notation() else self.number
         return np.array([number(text) for text in texts], dtype=np.float64)
@@ -69,23 +69,23 @@ class Notation:
             return self.number(text)
 
     def _value(self, plain: str) -> float:
-        found = self._pattern.fullmatch(plain)
-        if found is None:
+        match = self._pattern.fullmatch(plain)
+        if match is None:
             return math.nan
-        sign, whole, fraction, exponent, minus_behind = found.groups(default="")
+        sign, integer, fraction, exponent, minus_behind = match.groups(default="")
         if sign and minus_behind:
             return math.nan
-        digits = whole.replace(self.thousands, "") if self.thousands else whole
+        digits = integer.replace(self.thousands, "") if self.thousands else integer
         value = float(f"{digits or '0'}.{fraction or '0'}e{exponent or '0'}")
         return -value if "-" in (sign, minus_behind) else value
 
     @cached_property
     def _pattern(self) -> re.Pattern[str]:
-        whole, mark = r"\d+", re.escape(self.decimal)
+        integer, mark = r"\d+", re.escape(self.decimal)
         if self.thousands:
-            whole = rf"\d{{1,3}}(?:{re.escape(self.thousands)}\d{{3}})+|\d+"
+            integer = rf"\d{{1,3}}(?:{re.escape(self.thousands)}\d{{3}})+|\d+"
         return re.compile(
-            rf"([+-]?) ?(?=\d|{mark}\d)({whole})?(?:{mark}(\d*))?(?:[eEdD]([+-]?\d+))?(-?)", re.ASCII
+            rf"([+-]?) ?(?=\d|{mark}\d)({integer})?(?:{mark}(\d*))?(?:[eEdD]([+-]?\d+))?(-?)", re.ASCII
         )
 
 
@@ -96,16 +96,16 @@ def is_missing(text: str) -> bool:
 
 def other_notations(text: str, notation: Notation) -> list[tuple[Notation, str]]:
     """The notations in which a text is a number, each with the ``[table]`` keys that state it."""
-    found = []
+    notations = []
     for decimal in (".", ","):
         for thousands in (None, ".", ",", "'", " "):
-            other = Notation(decimal, thousands)
-            if thousands != decimal and math.isfinite(value := other.number(text)):
+            candidate = Notation(decimal, thousands)
+            if thousands != decimal and math.isfinite(value := candidate.number(text)):
                 keys = [] if decimal == notation.decimal else [f'decimal = "{decimal}"']
                 keys += [f'thousands = "{thousands}"'] if thousands else []
-                found.append((other, f"with [table] {' and '.join(keys)} it is {value:.12g}"))
+                notations.append((candidate, f"with [table] {' and '.join(keys)} it is {value:.12g}"))
                 break
-    return found
+    return notations
 
 
 def _plain(text: str) -> str:

@@ -74,10 +74,10 @@ def read_text(path: Path, data: bytes, table: Table, wanted: Collection[str]) ->
     ``wanted`` are the column names that the rig file asks for: they help to tell a header from data.
     TableError when there are no rows in it, or it is no text.
     """
-    return _read_text(path, _decoded(path, data), table, wanted)
+    return _read_text(path, _decode(path, data), table, wanted)
 
 
-def _decoded(path: Path, data: bytes) -> str:
+def _decode(path: Path, data: bytes) -> str:
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16", "replace")
     if b"\x00" in data:
@@ -108,8 +108,8 @@ def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> 
     counts = np.array([len(row) for row in rows], dtype=np.int64)
     width = len(names) if names is not None else int(np.bincount(counts).argmax())
     if not (counts == width).any():
-        found = f"{counts[0]} fields in line {lines[0]}" if len(rows) else "no rows below it"
-        raise TableError(f"{path}: expected {width} fields a row, as in its header, found {found}")
+        actual = f"{counts[0]} fields in line {lines[0]}" if len(rows) else "no rows below it"
+        raise TableError(f"{path}: expected {width} fields a row, as in its header, found {actual}")
     return TextColumns(names, width, lines, counts, rows, Notation.of(table), units)
 
 

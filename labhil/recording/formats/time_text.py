@@ -93,21 +93,21 @@ def _first(
     patterns: Sequence[re.Pattern[str]], text: str, seconds: Callable[[re.Match[str]], float]
 ) -> float:
     for pattern in patterns:
-        if found := pattern.fullmatch(text):
-            return seconds(found)
+        if match := pattern.fullmatch(text):
+            return seconds(match)
     return math.nan
 
 
-def _of_date(found: re.Match[str]) -> float:
-    part = found.groupdict()
+def _of_date(match: re.Match[str]) -> float:
+    part = match.groupdict()
     month = MONTHS.get(part["name"].lower()[:3], 0) if part.get("name") else int(part["mo"])
     year = int(part["y"]) + (CENTURY if len(part["y"]) == 2 else 0)
     day = _midnight(year, month, int(part["d"]))
     return day + _clock(part) - _zone(part.get("zone"))
 
 
-def _of_day(found: re.Match[str]) -> float:
-    part = found.groupdict()
+def _of_day(match: re.Match[str]) -> float:
+    part = match.groupdict()
     if part.get("s") is None and not part.get("half"):
         return math.nan  # 12:30 alone: hours and minutes, or minutes and seconds?
     return DAY * int(part.get("days") or 0) + _clock(part)

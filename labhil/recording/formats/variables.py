@@ -81,7 +81,7 @@ class VariableColumns(NumberColumns):
             by_reason[reason].append(name)
         if idle:
             by_reason["no channel asks for it"] = idle
-        return tuple(f"not used: {', '.join(found)} ({reason})" for reason, found in by_reason.items())
+        return tuple(f"not used: {', '.join(skipped)} ({reason})" for reason, skipped in by_reason.items())
 
     @property
     def left_out(self) -> str:
@@ -93,7 +93,7 @@ class VariableColumns(NumberColumns):
         names = self.names or ()
         wanted = _plain(source)
         exact = tuple(place for place, name in enumerate(names) if _plain(name) == wanted)
-        return exact or tuple(place for place, own in enumerate(self.labels) if source in own)
+        return exact or tuple(place for place, labels in enumerate(self.labels) if source in labels)
 
     def times(self, column: int) -> Stamps:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
@@ -113,12 +113,12 @@ def variables_of(parts: Mapping[str, Part]) -> list[Variable]:
 
 def _walk(name: str, part: Part, labels: tuple[str, ...], owner: str) -> Iterator[Variable]:
     if part.fields:
-        own = name if any(time in part.fields for time in TIME) else owner
+        inner_owner = name if any(time in part.fields for time in TIME) else owner
         label = part.fields["label"].text.strip() if "label" in part.fields else ""
         for key, inner in part.fields.items():
             # a scope's label names its values, every other field bears its own name too
-            named = (label, f"{own}.{label}") if label and key == "values" else (key,)
-            yield from _walk(f"{name}.{key}", inner, named, own)
+            named = (label, f"{inner_owner}.{label}") if label and key == "values" else (key,)
+            yield from _walk(f"{name}.{key}", inner, named, inner_owner)
     elif part.elements:
         if len(part.elements) > MOST_PARTS:
             yield Variable(name, None, f"{len(part.elements)} elements, at most {MOST_PARTS} are looked into")
@@ -146,10 +146,10 @@ def table_of(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -
     if not arrays:
         reasons = "; ".join(f"{variable.name}: {variable.reason}" for variable in variables) or "none"
         raise TableError(f"{path}: expected variables that are columns of numbers, found {reasons}")
-    asked = [variable for name in wanted for variable in arrays if _asks_for(name, variable)]
-    _refuse_other_times(path, asked, arrays)
-    owner = next((variable.owner for variable in asked if variable.owner and not _is_time(variable)), "")
-    rows = _rows(asked or arrays)
+    requested = [variable for name in wanted for variable in arrays if _asks_for(name, variable)]
+    _refuse_other_times(path, requested, arrays)
+    owner = next((variable.owner for variable in requested if variable.owner and not _is_time(variable)), "")
+    rows = _rows(requested or arrays)
     names: list[str] = []
     columns: list[FloatArray] = []
     labels: list[tuple[str, ...]] = []
@@ -160,11 +160,11 @@ def table_of(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -
             unused.append((variable.name, f"{variable.shape}, where the table has {rows} rows"))
             continue
         count = upright.shape[1]
-        ends = [""] if count == 1 else [f"_{column}" for column in range(count)]
-        names += [f"{variable.name}{end}" for end in ends]
+        suffixes = [""] if count == 1 else [f"_{column}" for column in range(count)]
+        names += [f"{variable.name}{suffix}" for suffix in suffixes]
         # of several times the one that goes with what is wanted is called just that
         known = () if owner and _is_time(variable) and variable.owner != owner else variable.labels
-        labels += [tuple(f"{label}{end}" for label in known) for end in ends]
+        labels += [tuple(f"{label}{suffix}" for label in known) for suffix in suffixes]
         columns += list(upright.T)
     counts = np.full(rows, len(names))
     return VariableColumns(
@@ -207,33 +207,41 @@ def _is_time(variable: Variable) -> bool:
     return bool(variable.owner) and variable.name.removeprefix(variable.owner)[1:] in TIME
 
 
-def _refuse_other_times(path: Path, asked: Sequence[Variable], arrays: Sequence[Variable]) -> None:
+def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Sequence[Variable]) -> None:
     """TableError where wanted variables have times that differ."""
     times = {variable.owner: variable for variable in arrays if _is_time(variable)}
-    signals = [variable.owner for variable in asked if not _is_time(variable)]
+    signals = [variable.owner for variable in requested if not _is_time(variable)]
     owners = dict.fromkeys(owner for owner in signals if owner in times)
     first, *others = owners or [""]
-    for other in others:
-        one, two = times[first], times[other]
-        if one.array is None or two.array is None or np.array_equal(one.array.ravel(), two.array.ravel()):
+    for second in others:
+        reference, differing = times[first], times[second]
+        if (
+            reference.array is None
+            or differing.array is None
+            or np.array_equal(reference.array.ravel(), differing.array.ravel())
+        ):
             continue
         raise TableError(
-            f"{path}: expected signals with one time, found {one.name} ({one.shape}) and {two.name} "
-            f"({two.shape}), which differ; take the signals of one of them, or resample in MATLAB (interp1)"
+            f"{path}: expected signals with one time, found {reference.name} ({reference.shape}) and "
+            f"{differing.name} ({differing.shape}), which differ; take the signals of one of them, or "
+            "resample in MATLAB (interp1)"
         )
 
 
 def _asks_for(name: str, variable: Variable) -> bool:
     plain = _plain(name)
-    own = (_plain(variable.name), *variable.labels)
-    return any(one in {name, plain} or re.fullmatch(rf"{re.escape(one)}_\d+", name) for one in own)
+    names = (_plain(variable.name), *variable.labels)
+    return any(
+        candidate in {name, plain} or re.fullmatch(rf"{re.escape(candidate)}_\d+", name)
+        for candidate in names
+    )
 
 
 def _plain(name: str) -> str:
     """A path with every index written as ``(2)``: ``{2}`` counts from 1 too, ``[1]`` and ``.1`` from 0."""
 
-    def plain(found: re.Match[str]) -> str:
-        one_based = found[1] or found[3]
-        return f"({int(one_based)})" if one_based else f"({int(found[2] or found[4]) + 1})"
+    def plain(match: re.Match[str]) -> str:
+        one_based = match[1] or match[3]
+        return f"({int(one_based)})" if one_based else f"({int(match[2] or match[4]) + 1})"
 
     return _INDEX.sub(plain, name)

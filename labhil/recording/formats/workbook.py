@@ -49,12 +49,12 @@ class SheetColumns(Columns):
     def times(self, column: int) -> Stamps:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
         cells = self._cells(column)
-        found = read_stamps(self.numbers(column), [cell_text(cell) for cell in cells])
-        if found.kind is not TimeKind.NUMBER:
-            return found
+        stamps = read_stamps(self.numbers(column), [cell_text(cell) for cell in cells])
+        if stamps.kind is not TimeKind.NUMBER:
+            return stamps
         kinds = {datetime: TimeKind.DATE, time: TimeKind.OF_DAY}
         first = next((cell for cell in cells if cell is not None), None)
-        return Stamps(found.values, kinds.get(type(first), TimeKind.NUMBER))
+        return Stamps(stamps.values, kinds.get(type(first), TimeKind.NUMBER))
 
     def missing(self, column: int) -> NDArray[np.bool_]:
         """Where a column has no value at all, shape (rows,)."""
@@ -70,8 +70,8 @@ class SheetColumns(Columns):
     def text(self, column: int, row: int) -> str:
         """What stands there, for messages."""
         cells = self.rows[row]
-        found = cells[column] if column < len(cells) else None
-        return "an empty cell" if found is None else repr(found)
+        cell = cells[column] if column < len(cells) else None
+        return "an empty cell" if cell is None else repr(cell)
 
     def _cells(self, column: int) -> list[Any]:
         return [row[column] if column < len(row) else None for row in self.rows]
@@ -148,15 +148,15 @@ def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
     sheet = book[names[0] if table.sheet is None else table.sheet]
     if not hasattr(sheet, "iter_rows"):
         raise TableError(f"{path}: sheet {sheet.title!r}: expected cells, found a chart")
-    found = []
+    rows = []
     for number, row in _rows(path, sheet):
         cells = [None if isinstance(cell, str) and not cell.strip() else cell for cell in row]
         while cells and cells[-1] is None:
             cells.pop()
         commented = table.comment and cells and str(cells[0]).startswith(table.comment)
         if number > table.skip_rows and cells and not commented:
-            found.append((number, cells))
-    return found
+            rows.append((number, cells))
+    return rows
 
 
 def _rows(path: Path, sheet: Any) -> Iterator[tuple[int, list[Any]]]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labhil.analysis.schema import ComparedChannel, ComparedModel, ComparisonPart, SharedParameter
-from labhil.report.comparison import on_what
-from labhil.report.html.element import Content, Markup, joined, tag
-from labhil.report.html.model import named, names, recordings_table, warning
+from labhil.report.comparison import comparison_basis
+from labhil.report.html.element import Content, Markup, join, tag
+from labhil.report.html.model import name_code, names, recordings_table, warning
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.quantity import NOTHING, interval, p_value, percent, quantity
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
@@ -15,63 +15,64 @@ from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 AGREE = {True: "agree", False: "disagree", None: "not known"}
 
 
-def comparison_page(found: ComparisonPart, foot: str, pictures: Sequence[Markup] = ()) -> Page:
+def comparison_page(comparison: ComparisonPart, foot: str, pictures: Sequence[Markup] = ()) -> Page:
     """The page of a comparison; without ``pictures`` where there are no samples to draw."""
-    best = found.best_model
-    alike = sum(not model.worse_than_best for model in found.models)
+    best = comparison.best_model
+    n_best = sum(not model.worse_than_best for model in comparison.models)
     headline = (
-        f"{found.best} explains the data best."
-        if found.verdict == "one_best"
-        else f"{alike} of {len(found.models)} models explain the data alike."
+        f"{comparison.best} explains the data best."
+        if comparison.verdict == "one_best"
+        else f"{n_best} of {len(comparison.models)} models explain the data alike."
     )
     return Page(
-        kind=f"Comparison of models · {found.rig}",
+        kind=f"Comparison of models · {comparison.rig}",
         title="Comparison of models",
         headline=headline,
         tone="no_mismatch" if best.adequacy == "explained" else "missing_physics",
-        lead=_lead(found),
+        lead=_lead(comparison),
         sections=present(
             section(
-                "What to do next", bullets(map(with_code, found.next_steps)) if found.next_steps else None
+                "What to do next",
+                bullets(map(with_code, comparison.next_steps)) if comparison.next_steps else None,
             ),
             section("Measurement and models", *pictures),
-            section("How well each predicts", _models(found), _terms(found)),
-            _parameters(found),
-            section("Data", recordings_table(found.recordings), _facts(found)),
+            section("How well each predicts", _models(comparison), _terms(comparison)),
+            _parameters(comparison),
+            section("Data", recordings_table(comparison.recordings), _facts(comparison)),
         ),
         foot=foot,
     )
 
 
-def _lead(found: ComparisonPart) -> tuple[Content, ...]:
-    best = found.best_model
-    worst = max(found.models, key=lambda model: model.times_best or float("inf"))
+def _lead(comparison: ComparisonPart) -> tuple[Content, ...]:
+    best = comparison.best_model
+    worst = max(comparison.models, key=lambda model: model.times_best or float("inf"))
     entries: list[tuple[str, Content, Content]] = [
         ("Smallest error", quantity(best.rmse_over_noise, digits=3), "noise levels"),
         ("Largest error", quantity(worst.rmse_over_noise, digits=3), f"noise levels, {worst.name}"),
-        ("Model to take", found.preferred, "the simplest of those that are as good as the best"),
+        ("Model to take", comparison.preferred, "the simplest of those that are as good as the best"),
     ]
-    statement = tag("p", found.statement, class_="lead")
-    return (statement, *map(warning, found.notes), tiles(entries))
+    statement = tag("p", comparison.statement, class_="lead")
+    return (statement, *map(warning, comparison.notes), tiles(entries))
 
 
-def _models(found: ComparisonPart) -> Markup:
+def _models(comparison: ComparisonPart) -> Markup:
     columns = (
         *text("Model", "Output"),
         *numbers("RMSE", "Noise floor", "Noise levels", "R²", "Parameters", "× best", "p"),
     )
     rows = [
-        _model(model, row, best=model.name == found.best)
-        for model in found.models
+        _model(model, row, best=model.name == comparison.best)
+        for model in comparison.models
         for row in model.per_channel
     ]
-    return table(f"{on_what(found)}; p: of being no worse than the best", columns, rows)
+    return table(f"{comparison_basis(comparison)}; p: of being no worse than the best", columns, rows)
 
 
 def _model(model: ComparedModel, row: ComparedChannel, *, best: bool) -> Sequence[Content]:
     return (
         tag("strong", model.name) if best else model.name,
-        named(row.channel, row.joint),
+        name_code(row.channel, row.joint),
         quantity(row.rmse, row.unit),
         quantity(row.noise_floor, row.unit),
         quantity(row.rmse_over_noise, digits=3),
@@ -82,23 +83,23 @@ def _model(model: ComparedModel, row: ComparedChannel, *, best: bool) -> Sequenc
     )
 
 
-def _terms(found: ComparisonPart) -> Markup:
+def _terms(comparison: ComparisonPart) -> Markup:
     pairs: list[tuple[Content, Content]] = [
         (
             model.name,
-            joined((names(model.terms), tag("span", f" ({model.made_by} {model.path})", class_="remark"))),
+            join((names(model.terms), tag("span", f" ({model.made_by} {model.path})", class_="remark"))),
         )
-        for model in found.models
+        for model in comparison.models
     ]
     return facts(pairs)
 
 
-def _parameters(found: ComparisonPart) -> Section | None:
-    if not found.parameters:
+def _parameters(comparison: ComparisonPart) -> Section | None:
+    if not comparison.parameters:
         return None
-    columns = (*text("Parameter"), *numbers(*(model.name for model in found.models)), *text("Values"))
+    columns = (*text("Parameter"), *numbers(*(model.name for model in comparison.models)), *text("Values"))
     caption = "Parameters that two models or more have: value, and 99 % interval under it"
-    rows = [_parameter(row, found.models) for row in found.parameters]
+    rows = [_parameter(row, comparison.models) for row in comparison.parameters]
     remark = tag(
         "p",
         "The errors of two fits are added as if they were independent; fits of one recording share its "
@@ -112,31 +113,35 @@ def _parameter(row: SharedParameter, models: Sequence[ComparedModel]) -> Sequenc
     z = "" if row.z is None else f", z {quantity(row.z, digits=2)}"
     verdict = f"{AGREE[row.agree]}{z}"
     return (
-        joined((named(row.name, row.joint), f", {row.unit}" if row.unit not in ("", "1") else "")),
+        join((name_code(row.name, row.joint), f", {row.unit}" if row.unit not in ("", "1") else "")),
         *(_value(row, model.name) for model in models),
         tag("strong", verdict) if row.agree is False else verdict,
     )
 
 
 def _value(row: SharedParameter, model: str) -> Content:
-    value = next((each for each in row.values if each.model == model), None)
-    if value is None:
+    estimate = next((candidate for candidate in row.values if candidate.model == model), None)
+    if estimate is None:
         return NOTHING
-    if value.held:
-        about = "held"
-    elif not value.identifiable:
-        about = "not identifiable"
+    if estimate.held:
+        remark = "held"
+    elif not estimate.identifiable:
+        remark = "not identifiable"
     else:
-        about = interval(value.ci99)
-    return joined((quantity(value.value), tag("br"), tag("span", about, class_="remark")))
+        remark = interval(estimate.ci99)
+    return join((quantity(estimate.value), tag("br"), tag("span", remark, class_="remark")))
 
 
-def _facts(found: ComparisonPart) -> Markup:
-    horizon = "inverse dynamics" if found.horizon is None else f"windows of {quantity(found.horizon, 's')}"
+def _facts(comparison: ComparisonPart) -> Markup:
+    horizon = (
+        "inverse dynamics"
+        if comparison.horizon is None
+        else f"windows of {quantity(comparison.horizon, 's')}"
+    )
     return facts(
         (
-            ("Metric", f"{found.metric.replace('_', ' ')}, {horizon}"),
-            ("False alarms", f"{quantity(found.alpha, digits=2)} of each question"),
-            ("Time taken", quantity(found.seconds, "s", digits=3)),
+            ("Metric", f"{comparison.metric.replace('_', ' ')}, {horizon}"),
+            ("False alarms", f"{quantity(comparison.alpha, digits=2)} of each question"),
+            ("Time taken", quantity(comparison.seconds, "s", digits=3)),
         )
     )

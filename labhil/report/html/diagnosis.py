@@ -15,14 +15,14 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
 from labhil.physics.terms import keyed
-from labhil.report.absent import OfJoints, joints_in, of_joints, silences
+from labhil.report.absent import JointLimits, group_undecided, joints_in, limits_by_joint
 from labhil.report.html.curve import curve_picture
-from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.model import (
     bars,
-    channel_named,
+    channel_name,
     intervals_picture,
-    named,
+    name_code,
     names,
     parameters_table,
     recordings_table,
@@ -57,18 +57,20 @@ def diagnosis_page(
             section("What to do next", bullets(map(with_code, diagnosis.next_steps))),
             section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
             section("Sizes that gave way", *(tag("p", size.statement) for size in diagnosis.collapsed)),
-            section("What is missing", *(_missing(item, diagnosis.rivals) for item in diagnosis.missing)),
-            _changed(diagnosis),
+            section(
+                "What is missing", *(_missing_effect(item, diagnosis.rivals) for item in diagnosis.missing)
+            ),
+            _changes(diagnosis),
             _location(diagnosis.location),
             _improvement(diagnosis.improvement, pictures),
             section(
                 "The estimated curve",
-                *(curve_picture(album, each) for each in (diagnosis.curve, *diagnosis.further_curves)),
+                *(curve_picture(album, curve) for curve in (diagnosis.curve, *diagnosis.further_curves)),
             ),
-            _final(diagnosis, album),
+            _final_model(diagnosis, album),
             _rivals(diagnosis.rivals),
-            _excluded(diagnosis),
-            _undecided(diagnosis),
+            _exclusions(diagnosis),
+            _undecided_terms(diagnosis),
             _method(diagnosis),
         ),
         foot=foot,
@@ -76,50 +78,62 @@ def diagnosis_page(
 
 
 def _lead(diagnosis: DiagnosisPart) -> tuple[Content, ...]:
-    found = [keyed(item.term, item.joint) for item in diagnosis.missing]
-    what = tag("p", "Found: ", names(found), ".", class_="lead") if found else None
-    where = diagnosis.location
-    statement = tag("p", where.statement, class_="lead") if where else None
-    rest = diagnosis.remainder
-    remains = tag("p", rest.statement, class_="lead") if rest else None
-    return what, statement, remains, _figures(diagnosis)
+    missing = [keyed(item.term, item.joint) for item in diagnosis.missing]
+    effects = tag("p", "Found: ", names(missing), ".", class_="lead") if missing else None
+    location = diagnosis.location
+    statement = tag("p", location.statement, class_="lead") if location else None
+    remainder = diagnosis.remainder
+    unexplained = tag("p", remainder.statement, class_="lead") if remainder else None
+    return effects, statement, unexplained, _figures(diagnosis)
 
 
 def _figures(diagnosis: DiagnosisPart) -> Markup:
-    better = diagnosis.improvement
+    improvement = diagnosis.improvement
     entries: list[tuple[str, Content, Content]] = [
-        ("p that the baseline suffices", p_value(diagnosis.p_value), joined(_p_remark(diagnosis)))
+        ("p that the baseline suffices", p_value(diagnosis.p_value), join(_p_value_method(diagnosis)))
         if diagnosis.asks_baseline
         else ("The baseline", NOTHING, NOT_ASKED)
     ]
-    if better is not None:
-        unit = better.unit
+    if improvement is not None:
+        unit = improvement.unit
         entries += [
-            ("RMSE before", quantity(better.rmse_before, unit), _over_floor(better.rmse_before, better)),
-            ("RMSE after", quantity(better.rmse_after, unit), _over_floor(better.rmse_after, better)),
-            ("R² after", percent(better.r2_after), f"{percent(better.r2_before)} before, {_judged(better)}"),
+            (
+                "RMSE before",
+                quantity(improvement.rmse_before, unit),
+                _floor_multiple(improvement.rmse_before, improvement),
+            ),
+            (
+                "RMSE after",
+                quantity(improvement.rmse_after, unit),
+                _floor_multiple(improvement.rmse_after, improvement),
+            ),
+            (
+                "R² after",
+                percent(improvement.r2_after),
+                f"{percent(improvement.r2_before)} before, {_test_data(improvement)}",
+            ),
         ]
     return tiles(entries)
 
 
-def _over_floor(rmse: float | None, better: Improvement) -> str:
-    return f"{multiple(rmse, better.noise_floor)} the noise floor"
+def _floor_multiple(rmse: float | None, improvement: Improvement) -> str:
+    return f"{multiple(rmse, improvement.noise_floor)} the noise floor"
 
 
-def _judged(better: Improvement) -> str:
-    return "on the test recording" if better.data == "test" else "on held-out data"
+def _test_data(improvement: Improvement) -> str:
+    return "on the test recording" if improvement.data == "test" else "on held-out data"
 
 
-def _p_remark(diagnosis: DiagnosisPart) -> list[Content]:
+def _p_value_method(diagnosis: DiagnosisPart) -> list[Content]:
     method = (
         "extrapolated from the tail" if diagnosis.p_value_method == "tail_extrapolated" else "by bootstrap"
     )
     return [method if diagnosis.p_value_method in P_VALUES else diagnosis.p_value_method]
 
 
-def _missing(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
+def _missing_effect(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
     evidence = item.evidence
-    told = facts(
+    evidence_facts = facts(
         (
             ("ΔBIC, with against without", quantity(evidence.delta_bic)),
             ("Gain on held-out data", quantity(evidence.heldout_loglik_gain, "nats")),
@@ -127,7 +141,7 @@ def _missing(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
         ),
         "row",
     )
-    instead = [r for r in rivals if (r.instead_of, r.joint) == (item.term, item.joint)]
+    alternatives = [r for r in rivals if (r.instead_of, r.joint) == (item.term, item.joint)]
     return tag(
         "article",
         tag(
@@ -138,25 +152,25 @@ def _missing(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
         tag("p", item.statement),
         tag("p", item.equation, class_="equation") if item.equation else None,
         parameters_table(item.parameters, f"Parameters of {keyed(item.term, item.joint)}"),
-        told,
-        _or_rather(instead),
+        evidence_facts,
+        _alternatives(alternatives),
         class_="card",
     )
 
 
-def _or_rather(rivals: Sequence[Rival]) -> Markup | None:
+def _alternatives(rivals: Sequence[Rival]) -> Markup | None:
     if not rivals:
         return None
     others = ", ".join(f"{keyed(r.term, r.joint)} ({chance(r.probability)})" for r in rivals)
     return tag("p", f"It might be, instead: {others}.")
 
 
-def _changed(diagnosis: DiagnosisPart) -> Section | None:
+def _changes(diagnosis: DiagnosisPart) -> Section | None:
     if not diagnosis.changed:
         return None
     rows = [
         (
-            named(change.name, change.joint, change.recording),
+            name_code(change.name, change.joint, change.recording),
             quantity(change.before, change.unit),
             quantity(change.after, change.unit),
             interval(change.ci99, change.unit),
@@ -168,14 +182,14 @@ def _changed(diagnosis: DiagnosisPart) -> Section | None:
     return section("Parameters that have changed", table("Against the reference model", columns, rows))
 
 
-def _location(where: Location | None) -> Section | None:
-    if where is None:
+def _location(location: Location | None) -> Section | None:
+    if location is None:
         return None
-    times = ", ".join(_time(span, where.times_in[i : i + 1]) for i, span in enumerate(where.times))
-    told = facts(
+    times = ", ".join(_time(span, location.times_in[i : i + 1]) for i, span in enumerate(location.times))
+    details = facts(
         (
-            ("Channel", tag("code", keyed(where.channel, where.joint))),
-            ("It enters by", where.enters),
+            ("Channel", tag("code", keyed(location.channel, location.joint))),
+            ("It enters by", location.enters),
             *((("Times", times),) if times else ()),
         )
     )
@@ -187,11 +201,11 @@ def _location(where: Location | None) -> Section | None:
             quantity(r.high, r.unit),
             percent(r.share_of_excess),
         )
-        for r in where.regimes
+        for r in location.regimes
     ]
     columns = (*text("Effect", "Coordinate"), *numbers("From", "To", "Share of the excess"))
     regimes = table("Where each effect lives", columns, rows) if rows else None
-    return section("Where the mismatch is", told, regimes)
+    return section("Where the mismatch is", details, regimes)
 
 
 def _time(span: Interval, recording: Sequence[int]) -> str:
@@ -199,8 +213,8 @@ def _time(span: Interval, recording: Sequence[int]) -> str:
     return interval(span, "s") + "".join(f" of @{number}" for number in recording)
 
 
-def _improvement(better: Improvement | None, pictures: Sequence[Markup]) -> Section | None:
-    if better is None:
+def _improvement(improvement: Improvement | None, pictures: Sequence[Markup]) -> Section | None:
+    if improvement is None:
         return section("How much better the model predicts", *pictures)
     columns = (
         *text("Channel"),
@@ -209,34 +223,35 @@ def _improvement(better: Improvement | None, pictures: Sequence[Markup]) -> Sect
         *numbers("R² before", "R² after"),
     )
     caption = "Before above after; the line is the noise floor, which a perfect model would reach"
-    rows = [_channel(channel, better.metric) for channel in better.per_channel]
-    for own in better.per_recording:
-        rows += [_channel(channel, better.metric, own.recording) for channel in own.per_channel]
+    rows = [_channel(channel, improvement.metric) for channel in improvement.per_channel]
+    for recording in improvement.per_recording:
+        rows += [
+            _channel(channel, improvement.metric, recording.recording) for channel in recording.per_channel
+        ]
     return section(
         "How much better the model predicts",
-        tag("p", _scored(better)),
+        tag("p", _scoring(improvement)),
         table(caption, columns, rows) if rows else None,
         *pictures,
     )
 
 
-def _scored(better: Improvement) -> str:
-    many = len(better.per_recording) > 1 and not better.parts
-    if better.data == "test":
+def _scoring(improvement: Improvement) -> str:
+    many = len(improvement.per_recording) > 1 and not improvement.parts
+    if improvement.data == "test":
         data = "the test recordings" if many else "the test recording"
     else:
         data = "the held-out end of each recording" if many else "the held-out end of the recording"
-    unseen = f"the parts of {data} that" if better.parts else f"{data}, which"
-    if better.metric == "inverse_dynamics":
+    unseen = f"the parts of {data} that" if improvement.parts else f"{data}, which"
+    if improvement.metric == "inverse_dynamics":
         return f"Scored by inverse dynamics on {unseen} the search never saw."
-    return (
-        f"Scored by simulating windows of {quantity(better.horizon, 's')} of {unseen} the search never saw."
-    )
+    horizon = quantity(improvement.horizon, "s")
+    return f"Scored by simulating windows of {horizon} of {unseen} the search never saw."
 
 
 def _channel(channel: ChannelImprovement, metric: str, recording: int | None = None) -> list[Content]:
     return [
-        channel_named(channel, metric, recording),
+        channel_name(channel, metric, recording),
         quantity(channel.rmse_before, channel.unit),
         quantity(channel.rmse_after, channel.unit),
         quantity(channel.noise_floor, channel.unit),
@@ -246,12 +261,12 @@ def _channel(channel: ChannelImprovement, metric: str, recording: int | None = N
     ]
 
 
-def _final(diagnosis: DiagnosisPart, album: Album) -> Section | None:
-    final, apart = diagnosis.final, disagreement(diagnosis.scale_factor)
+def _final_model(diagnosis: DiagnosisPart, album: Album) -> Section | None:
+    final, disagreement_note = diagnosis.final, disagreement(diagnosis.scale_factor)
     return section(
         "Final model",
         tag("p", "Its terms: ", names(final.terms), "."),
-        tag("p", apart) if apart else None,
+        tag("p", disagreement_note) if disagreement_note else None,
         parameters_table(diagnosis.judged_rows, "Parameters of the final model, fitted to the search data"),
         intervals_picture(album, diagnosis.judged_rows),
     )
@@ -279,10 +294,10 @@ def _rivals(rivals: Sequence[Rival]) -> Section | None:
     return section("Rivals", table("What would explain the data about as well", columns, rows))
 
 
-def _excluded(diagnosis: DiagnosisPart) -> Section | None:
+def _exclusions(diagnosis: DiagnosisPart) -> Section | None:
     if not diagnosis.excluded:
         return None
-    whole = [item for item in diagnosis.excluded if item.joint is None]
+    without_joint = [item for item in diagnosis.excluded if item.joint is None]
     columns = (*text("Effect"), *numbers("Largest that could hide", "Confidence"))
     rows = [
         (
@@ -290,17 +305,17 @@ def _excluded(diagnosis: DiagnosisPart) -> Section | None:
             quantity(item.largest_hidden, item.unit, digits=3),
             f"{100 * item.confidence:.4g}\N{NO-BREAK SPACE}%" if item.confidence is not None else None,
         )
-        for item in whole
+        for item in without_joint
     ]
     caption = "Effects that are absent, or smaller than this in their main parameter"
     return section(
         "What is not there",
         table(caption, columns, rows) if rows else None,
-        _excluded_of_joints(of_joints(diagnosis.excluded)),
+        _exclusions_by_joint(limits_by_joint(diagnosis.excluded)),
     )
 
 
-def _excluded_of_joints(limits: Sequence[OfJoints]) -> Markup | None:
+def _exclusions_by_joint(limits: Sequence[JointLimits]) -> Markup | None:
     if not limits:
         return None
     joints = joints_in(limits)
@@ -316,19 +331,19 @@ def _excluded_of_joints(limits: Sequence[OfJoints]) -> Markup | None:
     return table("The same by joint, with 99 % confidence", columns, rows)
 
 
-def _undecided(diagnosis: DiagnosisPart) -> Section | None:
+def _undecided_terms(diagnosis: DiagnosisPart) -> Section | None:
     if not diagnosis.undecided:
         return None
     lines = [
-        joined(
+        join(
             (
-                tag("code", silence.name),
-                f": {silence.reason}",
-                f"; it needs {', '.join(silence.needs)}" if silence.needs else None,
+                tag("code", term.name),
+                f": {term.reason}",
+                f"; it needs {', '.join(term.needs)}" if term.needs else None,
                 ".",
             )
         )
-        for silence in silences(diagnosis.undecided)
+        for term in group_undecided(diagnosis.undecided)
     ]
     return section("What these data cannot decide", bullets(lines))
 

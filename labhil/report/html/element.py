@@ -24,7 +24,7 @@ Content = Markup | str | int | None
 
 
 def clean(text: str) -> str:
-    """Text with a replacement character for each that no page can hold."""
+    """Replace each character that no page can hold."""
     return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
@@ -33,26 +33,26 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
 
     Attributes that are None are left out.
     """
-    told = "".join(
-        f' {key.rstrip("_").replace("_", "-")}="{_escaped(str(value))}"'
+    attribute_text = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{_escape(str(value))}"'
         for key, value in attributes.items()
         if value is not None
     )
     if name in VOID:
-        return Markup(f"<{name}{told}>")
-    return Markup(f"<{name}{told}>{joined(content).text}</{name}>")
+        return Markup(f"<{name}{attribute_text}>")
+    return Markup(f"<{name}{attribute_text}>{join(content).text}</{name}>")
 
 
-def joined(content: Iterable[Content]) -> Markup:
-    """Pieces one after another, as one."""
+def join(content: Iterable[Content]) -> Markup:
+    """Concatenate pieces of content."""
     return Markup("".join(_html(piece) for piece in content))
 
 
 def _html(piece: Content) -> str:
     if piece is None:
         return ""
-    return piece.text if isinstance(piece, Markup) else _escaped(str(piece))
+    return piece.text if isinstance(piece, Markup) else _escape(str(piece))
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     return html.escape(clean(text), quote=True)

@@ -12,7 +12,7 @@ from labhil.analysis.schema import ChannelErrors, FitPart, Identifiability, Para
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
-    channel_named,
+    channel_name,
     intervals_picture,
     names,
     parameters_table,
@@ -53,37 +53,41 @@ def fit_page(fit: FitPart, foot: str, album: Album, pictures: Sequence[Markup] =
     )
 
 
-def _judge(fit: FitPart) -> tuple[Score, str]:
+def _headline_score(fit: FitPart) -> tuple[Score, str]:
     return (
         (fit.train, "the data it was fitted to") if fit.test is None else (fit.test, "data it has not seen")
     )
 
 
 def _headline(fit: FitPart) -> str:
-    judge, data = _judge(fit)
+    score, data = _headline_score(fit)
     number = len(fit.parameters)
-    what = "1 parameter" if number == 1 else f"{number} parameters"
-    found = f"A model of {fit.rig} with {what}: R² {percent(judge.r2)} on {data}."
-    return found if fit.statement is None else f"{fit.statement} {found}"
+    size = "1 parameter" if number == 1 else f"{number} parameters"
+    summary = f"A model of {fit.rig} with {size}: R² {percent(score.r2)} on {data}."
+    return summary if fit.statement is None else f"{fit.statement} {summary}"
 
 
 def _lead(fit: FitPart) -> tuple[Content, ...]:
-    judge, data = _judge(fit)
-    known = fit.identifiability
+    score, data = _headline_score(fit)
+    identifiability = fit.identifiability
     figures = tiles(
         (
-            ("RMSE", quantity(judge.rmse, judge.unit), f"on {data}"),
-            ("Noise floor", quantity(judge.noise_floor, judge.unit), "what a perfect model would reach"),
-            ("RMSE ÷ noise floor", multiple(judge.rmse, judge.noise_floor), "1 × is as good as can be"),
-            ("Parameters known", f"{known.rank} of {known.of}", "identifiable from these data"),
+            ("RMSE", quantity(score.rmse, score.unit), f"on {data}"),
+            ("Noise floor", quantity(score.noise_floor, score.unit), "what a perfect model would reach"),
+            ("RMSE ÷ noise floor", multiple(score.rmse, score.noise_floor), "1 × is as good as can be"),
+            (
+                "Parameters known",
+                f"{identifiability.rank} of {identifiability.of}",
+                "identifiable from these data",
+            ),
         )
     )
     terms = tag("p", "Terms: ", names(fit.terms), ".", class_="lead")
     unsettled = None if fit.converged else warning("The search stopped before it had settled.")
-    return terms, *map(warning, fit.doubts), unsettled, _incomplete(fit), figures
+    return terms, *map(warning, fit.doubts), unsettled, _misfit_warning(fit), figures
 
 
-def _incomplete(fit: FitPart) -> Markup | None:
+def _misfit_warning(fit: FitPart) -> Markup | None:
     """What intervals stand for where the model leaves more than noise."""
     if fit.verdict in (None, "explained"):
         return None
@@ -107,16 +111,20 @@ def _parameters(fit: FitPart, album: Album) -> Section | None:
     )
 
 
-def _identifiability(known: Identifiability) -> Section | None:
+def _identifiability(identifiability: Identifiability) -> Section | None:
     lines: list[Content] = []
-    if known.combinations:
+    if identifiability.combinations:
         lines.append(tag("p", "Where single values are not known, these combinations are:"))
-        lines.append(bullets(tag("code", name) for name in known.combinations))
-    if known.would_help:
-        lines.append(tag("p", f"It would help to know or to record: {', '.join(known.would_help)}."))
-    everything = "These data know every parameter." if known.rank == known.of else None
-    some = f"These data know {known.rank} of {known.of} directions among the parameters."
-    return section("What the data can know", tag("p", everything or some), *lines)
+        lines.append(bullets(tag("code", name) for name in identifiability.combinations))
+    if identifiability.would_help:
+        lines.append(
+            tag("p", f"It would help to know or to record: {', '.join(identifiability.would_help)}.")
+        )
+    complete = "These data know every parameter." if identifiability.rank == identifiability.of else None
+    partial = (
+        f"These data know {identifiability.rank} of {identifiability.of} directions among the parameters."
+    )
+    return section("What the data can know", tag("p", complete or partial), *lines)
 
 
 def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
@@ -137,15 +145,17 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
 def _channels(data: str, score: Score) -> list[list[Content]]:
     """All channels, then those of each recording."""
     rows = [_channel(data, channel, score) for channel in score.per_channel]
-    for own in score.per_recording:
-        rows += [_channel(f"{data} @{own.recording}", channel, score) for channel in own.per_channel]
+    for recording in score.per_recording:
+        rows += [
+            _channel(f"{data} @{recording.recording}", channel, score) for channel in recording.per_channel
+        ]
     return rows
 
 
 def _channel(data: str, channel: ChannelErrors, score: Score) -> list[Content]:
     return [
         data,
-        channel_named(channel, score.metric),
+        channel_name(channel, score.metric),
         quantity(channel.rmse, channel.unit),
         quantity(channel.noise_floor, channel.unit),
         multiple(channel.rmse, channel.noise_floor),
@@ -257,7 +267,7 @@ def _write_numbers(axes: Axes, correlation: FloatArray) -> None:
 
 
 def _method(fit: FitPart) -> Section | None:
-    told = facts(
+    details = facts(
         (
             ("Estimator", f"{fit.estimator}, seed {fit.seed}" if fit.estimator else "not told"),
             ("Fitted windows", quantity(fit.window, "s")),
@@ -265,4 +275,4 @@ def _method(fit: FitPart) -> Section | None:
             ("Time taken", quantity(fit.seconds, "s", digits=3)),
         )
     )
-    return section("Recordings and method", recordings_table(fit.recordings), told)
+    return section("Recordings and method", recordings_table(fit.recordings), details)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labhil.analysis.schema import ChannelErrors, ChannelImprovement, Parameter, Source
 from labhil.physics.terms import keyed, listed
-from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.picture import Album
 from labhil.report.html.quantity import NOTHING, count, percent, quantity
 from labhil.report.html.table import numbers, table, text
@@ -34,25 +34,27 @@ def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool
     """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
     if not rows:
         return None
-    shown = [each.page for each in COLUMNS if each.page is not None and (reference or not each.reference)]
+    shown = [
+        column.page for column in COLUMNS if column.page is not None and (reference or not column.reference)
+    ]
     columns = (*text("Parameter"), *numbers(*(title for title, _ in shown)), *text("Remark"))
     cells: list[Sequence[Content]] = [
-        (named(row.name, row.joint, row.recording), *(cell(row) for _, cell in shown), remark(row))
+        (name_code(row.name, row.joint, row.recording), *(cell(row) for _, cell in shown), remark(row))
         for row in rows
     ]
     return table(caption, columns, cells)
 
 
 def remark(row: Parameter) -> str:
-    """What has to be known of an estimate beside its numbers."""
+    """What a reader has to know of an estimate beside its numbers."""
     if row.held:
         return "held"
     if not row.identifiable:
         return "not identifiable"
-    found = ["at its bound"] if row.at_bound else []
+    remarks = ["at its bound"] if row.at_bound else []
     if row.significant is not None:
-        found.append("significant" if row.significant else "not significant")
-    return ", ".join(found) or NOTHING
+        remarks.append("significant" if row.significant else "not significant")
+    return ", ".join(remarks) or NOTHING
 
 
 def intervals_picture(album: Album, rows: Sequence[Parameter]) -> Markup | None:
@@ -66,22 +68,22 @@ def intervals_picture(album: Album, rows: Sequence[Parameter]) -> Markup | None:
     return album.picture(caption, lambda: intervals_figure(rows))
 
 
-def named(name: str, joint: int | None = None, recording: int | None = None) -> Markup:
+def name_code(name: str, joint: int | None = None, recording: int | None = None) -> Markup:
     """A name as code, which a narrow column may break behind its dots."""
-    first, *others = keyed(name, joint, recording).split(".")
-    return tag("code", first, *(joined((".", tag("wbr"), other)) for other in others))
+    first, *parts = keyed(name, joint, recording).split(".")
+    return tag("code", first, *(join((".", tag("wbr"), part)) for part in parts))
 
 
-def channel_named(
+def channel_name(
     row: ChannelErrors | ChannelImprovement, metric: str, recording: int | None = None
 ) -> Content:
     """A channel's name, with its metric where that is not the headline's ``metric``."""
-    name = named(row.channel, row.joint, recording)
+    name = name_code(row.channel, row.joint, recording)
     if row.metric in (None, metric):
         return name
     share = row.relative_error if isinstance(row, ChannelErrors) else None
     error = "" if share is None else f", {percent(share)} of the RMS"
-    return joined((name, f" ({str(row.metric).replace('_', ' ')}{error})"))
+    return join((name, f" ({str(row.metric).replace('_', ' ')}{error})"))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:
@@ -114,4 +116,4 @@ def names(terms: Sequence[str]) -> Markup:
     pieces: list[Content] = []
     for i, term in enumerate(listed(terms)):
         pieces += [", " if i else None, tag("code", term)]
-    return joined(pieces)
+    return join(pieces)

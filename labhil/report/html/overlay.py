@@ -23,7 +23,7 @@ from labhil.report.html.signals import envelope
 from labhil.signals import FloatArray, IntArray
 
 COLOURS = ("#c8553d", "#1f5f8b", "#2a7f62", "#b07aa1", "#8a5a00", "#17a2b8", "#7c3a85", "#57606a")
-"""Of the models, in their order; style.css has the same for the legend."""
+"""Colours of the models in their order; style.css has the same for the legend."""
 
 DASHES = ("-", "-", "-", "-", "--", "--", "--", "--")
 MOST_PICTURES = 12
@@ -32,60 +32,68 @@ FAR_OFF = 15.0
 """Noise floors from which on an error needs a logarithmic scale to be seen beside the noise."""
 
 LINEAR = 3.0
-"""Noise floors up to which that scale is linear."""
+"""Noise floors up to which the logarithmic scale is linear."""
 
 WINDOW_STEP = 2
-"""What is missing from the numbers of samples where a window ends: there the line has a gap."""
+"""Jump in the sample numbers between two windows, which leaves a gap in the line."""
 
 
-def overlays(found: ComparisonResult, album: Album) -> tuple[Markup, ...]:
+def overlays(comparison: ComparisonResult, album: Album) -> tuple[Markup, ...]:
     """A legend with switches, then a picture of each output of each recording."""
-    places = [(r, j) for r, each in enumerate(found.recordings) for j in range(each.record.outputs.shape[1])]
-    pictures = [_picture(album, found, r, j) for r, j in places[:MOST_PICTURES]]
-    left = len(places) - len(pictures)
-    more = tag("p", f"{left} further outputs are in the table only.", class_="remark") if left else None
-    return (tag("div", *switches(found.names), *pictures, more, class_="overlay"),)
+    outputs = [
+        (r, j)
+        for r, recording in enumerate(comparison.recordings)
+        for j in range(recording.record.outputs.shape[1])
+    ]
+    pictures = [_picture(album, comparison, r, j) for r, j in outputs[:MOST_PICTURES]]
+    n_omitted = len(outputs) - len(pictures)
+    more = (
+        tag("p", f"{n_omitted} further outputs are in the table only.", class_="remark")
+        if n_omitted
+        else None
+    )
+    return (tag("div", *switches(comparison.names), *pictures, more, class_="overlay"),)
 
 
 def switches(names: Sequence[str]) -> list[Markup]:
     """A checkbox for each model, with its label; they stand before what they switch."""
-    found = []
+    elements = []
     for number, name in enumerate(("measured", *names)):
-        found += [
+        elements += [
             tag("input", type="checkbox", id=f"show-{number}", class_=f"show-{number}", checked="checked"),
             tag("label", tag("span", class_=f"swatch swatch-{number}"), name, for_=f"show-{number}"),
         ]
-    return found
+    return elements
 
 
-def _picture(album: Album, found: ComparisonResult, r: int, j: int) -> Markup:
-    one = found.recordings[r]
-    channel = one.scores[0].channels[j]
+def _picture(album: Album, comparison: ComparisonResult, r: int, j: int) -> Markup:
+    recording = comparison.recordings[r]
+    channel = recording.scores[0].channels[j]
     name = keyed(channel.channel, channel.joint)
-    where = f" of {one.source.path}" if len(found.recordings) > 1 else ""
+    where = f" of {recording.source.path}" if len(comparison.recordings) > 1 else ""
     caption = (
         f"{name}{where}: measurement and simulations above, each model's error (simulated − measured) below, "
         "with the noise floor as a grey band."
     )
-    return album.picture(caption, lambda: _draw(one, j))
+    return album.picture(caption, lambda: _draw(recording, j))
 
 
-def _draw(one: ComparedRecording, j: int) -> Figure:
+def _draw(recording: ComparedRecording, j: int) -> Figure:
     figure = figure_of((10.5, 5.6))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    first = one.scores[0]
+    first = recording.scores[0]
     channel = first.channels[j]
-    t, measured = one.record.t[first.rows], one.record.outputs[first.rows, j]
+    t, measured = recording.record.t[first.rows], recording.record.outputs[first.rows, j]
     window = first.window
     _line(above, t, measured, window, "model-0-measured", color=MEASURED, lw=2.6, alpha=0.45)
-    for number, score in enumerate(one.scores, 1):
+    for number, score in enumerate(recording.scores, 1):
         style: dict[str, Any] = {"color": COLOURS[number - 1], "ls": DASHES[number - 1]}
         errors = score.errors[:, j]
         _line(above, t, measured + errors, window, f"model-{number}-simulated", lw=1.1, **style)
         _line(below, t, errors, window, f"model-{number}-error", lw=0.9, **style)
-    floor = min(score.channels[j].noise_floor for score in one.scores)
+    floor = min(score.channels[j].noise_floor for score in recording.scores)
     below.axhspan(-floor, floor, color="k", alpha=0.14, lw=0)
-    worst = max(score.channels[j].rmse for score in one.scores)
+    worst = max(score.channels[j].rmse for score in recording.scores)
     name = label("error", channel.unit)
     if worst > FAR_OFF * floor:
         below.set_yscale("symlog", linthresh=LINEAR * floor, linscale=1.2)
@@ -102,14 +110,14 @@ def _line(
     axes: Axes, t: FloatArray, values: FloatArray, window: IntArray, identifier: str, **style: Any
 ) -> None:
     """A line with a gap where a new window begins, of few points however long it is."""
-    known = np.where(np.isfinite(values), values, np.nan)
-    x, y = envelope(t, known, WINDOW_STEP * window + np.arange(len(t)))
+    finite = np.where(np.isfinite(values), values, np.nan)
+    x, y = envelope(t, finite, WINDOW_STEP * window + np.arange(len(t)))
     axes.plot(x, y, gid=identifier, **style)
 
 
 def _limit(axes: Axes, measured: FloatArray, room: float) -> None:
     """Hold the picture at the measurement, so that a simulation that runs away does not flatten it."""
     low, high = float(measured.min()), float(measured.max())
-    space = room * max(high - low, 1e-12)
+    margin = room * max(high - low, 1e-12)
     bottom, top = axes.get_ylim()
-    axes.set_ylim(max(bottom, low - space), min(top, high + space))
+    axes.set_ylim(max(bottom, low - margin), min(top, high + margin))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
-from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.report.html.element import Content, Markup, join, tag
 from labhil.version import __version__
 from labhil.whole import whole
 
@@ -98,7 +98,7 @@ def _contents(page: Page) -> Markup:
 
 
 def _footer(page: Page) -> Markup:
-    return tag("footer", tag("p", joined((page.foot, f" Written by labhil {__version__}."))))
+    return tag("footer", tag("p", join((page.foot, f" Written by labhil {__version__}."))))
 
 
 def _file(name: str) -> str:

@@ -27,13 +27,13 @@ SETTINGS: dict[Any, Any] = {
     "axes.spines.right": False,
 }
 MOST_DOTS = 500
-"""A scatter of more dots than that is embedded as pixels: each dot would be an element."""
+"""A scatter of more dots is embedded as pixels: each dot would be an element."""
 
 LONGEST_LABEL = 72
 """Characters at an axis; a longer text leaves no room for the picture beside it."""
 
 PLACES = 65
-"""Along an axis that is not linear, at which its values are given."""
+"""Points along a nonlinear axis at which its values are given."""
 
 LONG_DECIMAL = re.compile(r"(\.\d\d)\d+")
 
@@ -63,18 +63,18 @@ def _svg(figure: Figure, prefix: str, title: str) -> Markup:
         axes.set_gid(f"plot_{number}")
     file = io.StringIO()
     figure.savefig(file, format="svg", dpi=150, metadata=NO_METADATA)
-    drawn = file.getvalue()
-    drawn = drawn[drawn.index("<svg") :]
-    drawn = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", drawn, count=1)
-    drawn = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", drawn, count=1)
+    svg = file.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     plots = [_place(figure, axes, f"{prefix}plot_{k}") for k, axes in enumerate(figure.axes) if axes.axison]
-    label = tag("svg", role="img", aria_label=title, data_axes=json.dumps(plots)).text
-    label = label.removeprefix("<svg").removesuffix("></svg>")
-    return Markup(_prefixed(_slim(drawn.replace("<svg", f"<svg{label}", 1)), prefix))
+    attributes = tag("svg", role="img", aria_label=title, data_axes=json.dumps(plots)).text
+    attributes = attributes.removeprefix("<svg").removesuffix("></svg>")
+    return Markup(_prefix_ids(_slim(svg.replace("<svg", f"<svg{attributes}", 1)), prefix))
 
 
 def _place(figure: Figure, axes: Axes, gid: str) -> dict[str, Any]:
-    """Where a plot stands in its drawing, in points from the upper left, and what its axes say there."""
+    """Position of a plot in its drawing, in points from the upper left, and the values along its axes."""
     width, height = 72.0 * figure.get_size_inches()
     box = axes.get_position()
     left, top = box.x0 * width, (1.0 - box.y1) * height
@@ -95,7 +95,7 @@ def _place(figure: Figure, axes: Axes, gid: str) -> dict[str, Any]:
 
 
 def _table(places: FloatArray, values: FloatArray) -> dict[str, list[float]]:
-    """Places (points) and the values there; the ends alone of what is straight between."""
+    """Places (points) and the values there; of a linear axis only its ends."""
     straight = np.interp(places, places[[0, -1]], values[[0, -1]])
     if np.allclose(values, straight, rtol=0.0, atol=1e-9 * np.ptp(values)):
         places, values = places[[0, -1]], values[[0, -1]]
@@ -103,13 +103,13 @@ def _table(places: FloatArray, values: FloatArray) -> dict[str, list[float]]:
 
 
 def _slim(svg: str) -> str:
-    """The same drawing without what the page's own style says, and with coordinates to a hundredth."""
+    """The same drawing without styles that the page has, and with coordinates to a hundredth."""
     svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)
     svg = re.sub(r" font-family: [^;\"]*sans-serif;", "", svg)
     return re.sub(r' d="[^"]*"', lambda path: LONG_DECIMAL.sub(r"\1", path[0].replace("\n", "")), svg)
 
 
-def _prefixed(svg: str, prefix: str) -> str:
+def _prefix_ids(svg: str, prefix: str) -> str:
     """The same drawing with all its identifiers, and what refers to them, under a prefix."""
     svg = re.sub(r'(\sid=")', rf"\g<1>{prefix}", svg)
     svg = re.sub(r'((?:xlink:)?href="#)', rf"\g<1>{prefix}", svg)
@@ -118,5 +118,5 @@ def _prefixed(svg: str, prefix: str) -> str:
 
 def label(text: str, unit: str = "") -> str:
     """What stands at an axis: name and unit."""
-    whole = clean(f"{text}, {unit}" if unit else text)
-    return whole if len(whole) <= LONGEST_LABEL else f"{whole[:LONGEST_LABEL]}…"
+    full = clean(f"{text}, {unit}" if unit else text)
+    return full if len(full) <= LONGEST_LABEL else f"{full[:LONGEST_LABEL]}…"

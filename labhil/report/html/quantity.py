@@ -25,15 +25,15 @@ def quantity(value: float | None, unit: str = "", digits: int = 4) -> str:
     if value is None or not math.isfinite(value):
         return NOTHING
     if THOUSANDS[0] <= abs(value) < THOUSANDS[1]:
-        whole = round(float(f"{value:.{digits}g}"))
-        return _with_unit(count(whole).replace("-", "−"), unit)
+        rounded = round(float(f"{value:.{digits}g}"))
+        return _with_unit(count(rounded).replace("-", "−"), unit)
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
     power = f"·10{str(int(exponent)).translate(SUPERSCRIPTS)}" if exponent else ""
     return _with_unit(mantissa.replace("-", "−") + power, unit)
 
 
-def _with_unit(written: str, unit: str) -> str:
-    return f"{written}\N{NO-BREAK SPACE}{unit}" if unit not in ("", "1") else written
+def _with_unit(number: str, unit: str) -> str:
+    return f"{number}\N{NO-BREAK SPACE}{unit}" if unit not in ("", "1") else number
 
 
 def interval(ends: tuple[float | None, float | None] | None, unit: str = "") -> str:

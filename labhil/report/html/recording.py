@@ -21,7 +21,7 @@ MOST_GAPS = 20
 MOST_EVENTS = 60
 MOST_CHARACTERS = 20_000
 ROUTINE = frozenset({"status"})
-"""Topics of messages that tell every second that nothing happened."""
+"""Topics of periodic messages without news."""
 
 
 def recording_page(recording: Recording, foot: str, album: Album) -> Page:
@@ -113,12 +113,12 @@ def _gaps(recording: Recording) -> Iterator[Markup]:
         if not len(rows):
             continue
         lost = np.diff(data.seq)[rows] - 1
-        first = [
+        gaps = [
             (quantity(float(data.t[row]), "s", digits=6), quantity(float(data.t[row + 1]), "s", digits=6), n)
             for row, n in zip(rows[:MOST_GAPS].tolist(), lost.tolist(), strict=False)
         ]
         more = f", the first {MOST_GAPS} of {len(rows)}" if len(rows) > MOST_GAPS else ""
-        yield table(f"Gaps of {_name(data)}{more}", numbers("After", "Until", "Samples lost"), first)
+        yield table(f"Gaps of {_name(data)}{more}", numbers("After", "Until", "Samples lost"), gaps)
 
 
 def _signals(data: StreamData, album: Album) -> Section | None:
@@ -142,23 +142,25 @@ def _signal_rows(data: StreamData, name: str) -> Iterator[list[Content]]:
         values = columns[:, column]
         values = values[np.isfinite(values)]
         with np.errstate(over="ignore", invalid="ignore"):  # of the largest doubles; shown as no number
-            told = [float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)]
+            statistics = [
+                float(f(values)) if len(values) else None for f in (np.min, np.max, np.mean, np.std)
+            ]
         yield [
             tag("code", title),
             signal.direction.value,
             signal.unit,
-            *(quantity(number) for number in told),
+            *(quantity(number) for number in statistics),
             signal.description,
         ]
 
 
 def _events(recording: Recording) -> Section | None:
-    told = [event for event in recording.events if event.topic not in ROUTINE]
-    if not told:
+    events = [event for event in recording.events if event.topic not in ROUTINE]
+    if not events:
         return None
     columns = (*numbers("Time"), *text("From", "Kind", "Message"))
-    more = f", the first {MOST_EVENTS} of {len(told)}" if len(told) > MOST_EVENTS else ""
-    rows = [_event(event) for event in told[:MOST_EVENTS]]
+    more = f", the first {MOST_EVENTS} of {len(events)}" if len(events) > MOST_EVENTS else ""
+    rows = [_event(event) for event in events[:MOST_EVENTS]]
     return section("What happened", table(f"Events of the run{more}", columns, rows))
 
 
@@ -178,26 +180,26 @@ def _event(event: Event) -> list[Content]:
 def _attachment(name: str, content: bytes) -> Section | None:
     """An attached file: as text where it is text, else by its size."""
     try:
-        whole = content.decode("utf-8")
+        decoded = content.decode("utf-8")
     except UnicodeDecodeError:
         return section(f"Attached: {name}", tag("p", f"{count(len(content))} bytes that are no text."))
-    cut = None
-    if len(whole) > MOST_CHARACTERS:
-        cut = tag(
-            "p", f"The first {count(MOST_CHARACTERS)} of {count(len(whole))} characters.", class_="quiet"
+    note = None
+    if len(decoded) > MOST_CHARACTERS:
+        note = tag(
+            "p", f"The first {count(MOST_CHARACTERS)} of {count(len(decoded))} characters.", class_="quiet"
         )
-    return section(f"Attached: {name}", cut, tag("pre", whole[:MOST_CHARACTERS]))
+    return section(f"Attached: {name}", note, tag("pre", decoded[:MOST_CHARACTERS]))
 
 
 def _metadata(recording: Recording) -> Section | None:
     parts: list[Content] = []
     for name, entries in recording.metadata.items():
         parts += _entries(name, entries)
-    told: list[Mapping[str, str]] = []
+    shown: list[Mapping[str, str]] = []
     for data in recording.streams:
-        if data.metadata and data.metadata not in told:
+        if data.metadata and data.metadata not in shown:
             parts += _entries(_name(data), data.metadata)
-            told.append(data.metadata)
+            shown.append(data.metadata)
     return section("Metadata", *parts)
 
 

@@ -11,8 +11,8 @@ from labhil.analysis.schema import (
     DiagnosisPart,
     VerificationPart,
     any_result_of,
-    checked,
     json_of,
+    validate,
 )
 from labhil.bounds import read_file
 from labhil.errors import ModelFileError, RecordingError, UsageError
@@ -43,7 +43,7 @@ def report_page(path: Path, run: int | None = None) -> Page:
         raise UsageError(f"--run {run}: expected a recording, found {path}")
     plain = json_of(data, str(path))
     if isinstance(plain, dict) and plain.get("schema") == COMPARISON:
-        return comparison_page(checked(ComparisonPart, plain, str(path)), foot)
+        return comparison_page(validate(ComparisonPart, plain, str(path)), foot)
     result = any_result_of(plain, str(path))
     if isinstance(result, VerificationPart):
         return verification_page(result, foot)

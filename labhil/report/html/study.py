@@ -13,7 +13,7 @@ from labhil.report.html.element import Markup
 from labhil.report.html.fit import fit_page
 from labhil.report.html.page import write_page
 from labhil.report.html.picture import Album
-from labhil.report.plots import channel_figure, diagnosis_figure, located
+from labhil.report.plots import channel_figure, diagnosis_figure, worst_output
 
 
 def write_fit_page(result: FitResult, path: Path) -> None:
@@ -24,8 +24,8 @@ def write_fit_page(result: FitResult, path: Path) -> None:
         "the errors are distributed, and how the fitted residuals are correlated in time."
     )
     drawn = album.picture(caption, lambda: fit_figure(result.fit, result.material.judge, columns=2))
-    fit = result.part
-    write_page(fit_page(fit, foot_of(fit), album, (drawn,)), path)
+    part = result.part
+    write_page(fit_page(part, foot_of(part), album, (drawn,)), path)
 
 
 def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
@@ -35,12 +35,12 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
         "Windows simulated before and after, their errors over time with the noise floor, each effect that "
         "the baseline leaves out over the coordinate where it lives, and how the errors are distributed."
     )
-    found = result.diagnosis
-    drawn = [album.picture(caption, lambda: diagnosis_figure(found))]
-    others = [j for j in range(len(found.after.channels)) if j != located(found)]
+    diagnosis = result.diagnosis
+    drawn = [album.picture(caption, lambda: diagnosis_figure(diagnosis))]
+    others = [j for j in range(len(diagnosis.after.channels)) if j != worst_output(diagnosis)]
     drawn += [_channel_picture(album, result, j) for j in others]
-    diagnosis = result.part
-    write_page(diagnosis_page(diagnosis, foot_of(diagnosis), album, drawn), path)
+    part = result.part
+    write_page(diagnosis_page(part, foot_of(part), album, drawn), path)
 
 
 def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from labhil.report.html.element import Content, Markup, joined, tag
+from labhil.report.html.element import Content, Markup, join, tag
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +29,13 @@ def numbers(*titles: str) -> tuple[Column, ...]:
 def table(caption: str, columns: Sequence[Column], rows: Iterable[Sequence[Content]]) -> Markup:
     """A table; the first cell of a row is its header. On a narrow screen it scrolls by itself."""
     heading = tag("tr", *(tag("th", c.title, scope="col", class_=_class(c)) for c in columns))
-    whole = tag(
+    element = tag(
         "table",
         tag("caption", caption),
         tag("thead", heading),
         tag("tbody", *(_row(columns, row) for row in rows)),
     )
-    return tag("div", whole, class_="wide", role="region", aria_label=caption, tabindex=0)
+    return tag("div", element, class_="wide", role="region", aria_label=caption, tabindex=0)
 
 
 def _row(columns: Sequence[Column], cells: Sequence[Content]) -> Markup:
@@ -53,8 +53,8 @@ def _class(column: Column) -> str | None:
 
 def facts(pairs: Iterable[tuple[Content, Content]], class_: str | None = None) -> Markup:
     """Names and values, one pair under another; in one row with the class "row"."""
-    told = (tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs)
-    return tag("dl", *told, class_=class_)
+    entries = (tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs)
+    return tag("dl", *entries, class_=class_)
 
 
 def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
@@ -71,7 +71,7 @@ def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
 
 def with_code(text: str) -> Markup:
     """A text whose commands stand between backticks."""
-    return joined(tag("code", piece) if i % 2 else piece for i, piece in enumerate(text.split("`")))
+    return join(tag("code", piece) if i % 2 else piece for i, piece in enumerate(text.split("`")))
 
 
 def bullets(lines: Iterable[Content]) -> Markup:

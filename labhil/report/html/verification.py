@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labhil.analysis.schema import ChannelVerdict, ValueChange, VerificationPart
 from labhil.report.html.element import Content, Markup, tag
-from labhil.report.html.model import named, names, recordings_table, warning
+from labhil.report.html.model import name_code, names, recordings_table, warning
 from labhil.report.html.page import Page, Section, present, section
 from labhil.report.html.quantity import multiple, p_value, quantity
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
@@ -15,53 +15,63 @@ CONSISTENT = "The recording is consistent with the model."
 CONTRADICTED = "The recording contradicts the model."
 
 
-def verification_page(found: VerificationPart, foot: str) -> Page:
+def verification_page(verification: VerificationPart, foot: str) -> Page:
     """The page of a verification."""
     return Page(
-        kind=f"Verification of a model · {found.rig}",
+        kind=f"Verification of a model · {verification.rig}",
         title="Verification",
-        headline=CONSISTENT if found.consistent else CONTRADICTED,
-        tone="no_mismatch" if found.consistent else "missing_physics",
-        lead=_lead(found),
+        headline=CONSISTENT if verification.consistent else CONTRADICTED,
+        tone="no_mismatch" if verification.consistent else "missing_physics",
+        lead=_lead(verification),
         sections=present(
-            section("What contradicts", bullets(found.reasons) if found.reasons else None),
-            _channels(found),
-            _values(found.parameters, found),
-            _windows(found),
-            section("Recording and model", recordings_table(found.recordings), _facts(found)),
+            section("What contradicts", bullets(verification.reasons) if verification.reasons else None),
+            _channels(verification),
+            _values(verification.parameters, verification),
+            _windows(verification),
+            section("Recording and model", recordings_table(verification.recordings), _facts(verification)),
         ),
         foot=foot,
     )
 
 
-def _lead(found: VerificationPart) -> tuple[Content, ...]:
-    worst = max(found.channels, key=lambda row: row.ratio or 0.0, default=None)
+def _lead(verification: VerificationPart) -> tuple[Content, ...]:
+    worst = max(verification.channels, key=lambda row: row.ratio or 0.0, default=None)
     entries: list[tuple[str, Content, Content]] = [
-        ("p of the model", p_value(found.p_value), f"contradicted below {quantity(found.alpha, digits=2)}"),
+        (
+            "p of the model",
+            p_value(verification.p_value),
+            f"contradicted below {quantity(verification.alpha, digits=2)}",
+        ),
     ]
     if worst is not None:
         limit = quantity(worst.limit, digits=3)
         entries.append(("RMSE ÷ noise floor", multiple(worst.rmse, worst.noise_floor), f"limit {limit}"))
-    entries.append(("p of the values", p_value(found.values_p), "all parameters together"))
-    statement = tag("p", found.statement, class_="lead")
-    doubtful = (*(fault.statement for fault in found.faults), *found.doubts, *found.notes)
+    entries.append(("p of the values", p_value(verification.values_p), "all parameters together"))
+    statement = tag("p", verification.statement, class_="lead")
+    doubtful = (
+        *(fault.statement for fault in verification.faults),
+        *verification.doubts,
+        *verification.notes,
+    )
     return (statement, *map(warning, doubtful), tiles(entries))
 
 
-def _channels(found: VerificationPart) -> Section | None:
+def _channels(verification: VerificationPart) -> Section | None:
     columns = (
         *text("Output"),
         *numbers("RMSE", "Noise floor", "Ratio", "Limit", "p", "p of residuals and input"),
     )
-    horizon = found.score.horizon
+    horizon = verification.score.horizon
     how = "inverse dynamics" if horizon is None else f"simulated windows of {quantity(horizon, 's')}"
     caption = f"Each output with the values as they are, {how}"
-    return section("How well it predicts", table(caption, columns, [_channel(row) for row in found.channels]))
+    return section(
+        "How well it predicts", table(caption, columns, [_channel(row) for row in verification.channels])
+    )
 
 
 def _channel(row: ChannelVerdict) -> Sequence[Content]:
     return (
-        named(row.channel, row.joint),
+        name_code(row.channel, row.joint),
         quantity(row.rmse, row.unit),
         quantity(row.noise_floor, row.unit),
         quantity(row.ratio, digits=3),
@@ -71,7 +81,7 @@ def _channel(row: ChannelVerdict) -> Sequence[Content]:
     )
 
 
-def _values(rows: Sequence[ValueChange], found: VerificationPart) -> Section | None:
+def _values(rows: Sequence[ValueChange], verification: VerificationPart) -> Section | None:
     if not rows:
         return None
     columns = (
@@ -79,15 +89,14 @@ def _values(rows: Sequence[ValueChange], found: VerificationPart) -> Section | N
         *numbers("Accepted", "Refitted", "± of the difference", "z", "p"),
         *text(""),
     )
-    caption = (
-        f"Values, refitted on windows of {quantity(found.window, 's')}; p allows for all that were looked at"
-    )
+    window = quantity(verification.window, "s")
+    caption = f"Values, refitted on windows of {window}; p allows for all that were looked at"
     return section("Whether its values hold", table(caption, columns, [_value(row) for row in rows]))
 
 
 def _value(row: ValueChange) -> Sequence[Content]:
     return (
-        named(row.name, row.joint),
+        name_code(row.name, row.joint),
         quantity(row.before, row.unit),
         quantity(row.after, row.unit),
         quantity(row.std_error, digits=2),
@@ -97,23 +106,23 @@ def _value(row: ValueChange) -> Sequence[Content]:
     )
 
 
-def _windows(found: VerificationPart) -> Section | None:
-    if found.score.horizon is None or not found.worst_windows:
+def _windows(verification: VerificationPart) -> Section | None:
+    if verification.score.horizon is None or not verification.worst_windows:
         return None
     rows = [
-        (f"{quantity(each.begin, 's')} to {quantity(each.end, 's')}", quantity(each.ratio, digits=3))
-        for each in found.worst_windows
+        (f"{quantity(window.begin, 's')} to {quantity(window.end, 's')}", quantity(window.ratio, digits=3))
+        for window in verification.worst_windows
     ]
     columns = (*text("When"), *numbers("RMSE ÷ noise floor"))
     return section("Where it is worst", table("The windows that are simulated worst", columns, rows))
 
 
-def _facts(found: VerificationPart) -> Markup:
+def _facts(verification: VerificationPart) -> Markup:
     return facts(
         (
-            ("Model", tag("code", found.model)),
-            ("Terms", names(found.terms)),
-            ("False alarms", quantity(found.alpha, digits=2)),
-            ("Time taken", quantity(found.seconds, "s", digits=3)),
+            ("Model", tag("code", verification.model)),
+            ("Terms", names(verification.terms)),
+            ("False alarms", quantity(verification.alpha, digits=2)),
+            ("Time taken", quantity(verification.seconds, "s", digits=3)),
         )
     )

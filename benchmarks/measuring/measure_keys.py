@@ -1,0 +1,201 @@
+"""How long a key of the terminal UI takes with three rigs streaming, all on one core. A command, no test:
+
+    python benchmarks/measuring/measure_keys.py --keys 200 -o benchmarks/results/keys.json
+
+``labhil serve`` keeps twins of ball and beam, DC motor and solenoid up and records them; ``labhil tui`` shows
+charts of them in a terminal of 160 x 50 characters. All of these processes keep to one core; the other one is
+left to this program, which presses the keys of two panes in turn and waits until the pane's words are drawn.
+``--busy`` adds a process that does nothing but compute on the same core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import platform
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from measured import tell
+
+LABHIL = [sys.executable, "-P", "-m", "labhil"]
+RIGS = ("ball_beam", "dc_motor", "solenoid")
+SHIPPED = Path(__file__).parents[2] / "recordings" / "ball_beam_test.mcap"
+PANES = {"2": rb"of \d+ signals", "4": SHIPPED.stem.encode()}
+"""Keys, and words that only the pane behind each draws."""
+ESCAPES = re.compile(rb"\x1b\[[0-9;?]*[a-zA-Z]")
+PATIENCE = 90.0
+PAUSE = 0.4
+SETTLE = 8.0
+
+
+class Screen:
+    """A terminal in which ``labhil tui`` runs, with the time at which each piece of it was drawn."""
+
+    def __init__(self, terminal: int) -> None:
+        self._terminal = terminal
+
+    def seconds_until(self, key: str, words: bytes) -> float:
+        """Press a key; how long it takes until the words are drawn, s."""
+        self.drain(0.0)
+        text, pressed = b"", time.perf_counter()
+        os.write(self._terminal, key.encode())
+        while not re.search(words, ESCAPES.sub(b"", text)):
+            if time.perf_counter() - pressed > PATIENCE:
+                raise TimeoutError(f"key {key}: {words!r} was not drawn within {PATIENCE:g} s")
+            text += self._read(0.1)
+        return time.perf_counter() - pressed
+
+    def drain(self, seconds: float) -> None:
+        """Read what is drawn for so long."""
+        until = time.perf_counter() + seconds
+        while self._read(max(0.0, until - time.perf_counter())) or time.perf_counter() < until:
+            pass
+
+    def _read(self, patience: float) -> bytes:
+        ready, _, _ = select.select([self._terminal], [], [], patience)
+        return os.read(self._terminal, 1 << 16) if ready else b""
+
+
+@contextmanager
+def lab(folder: Path) -> Iterator[tuple[psutil.Process, str]]:
+    """``labhil serve`` with three twins, and the endpoint of its bus."""
+    devices = [
+        f'[devices.{rig}]\nplugin = "{rig}"\naddress = "twin"\ntwin = {{ seed = 1 }}\n' for rig in RIGS
+    ]
+    (folder / "lab.toml").write_text('[lab]\nname = "keys"\n' + "".join(devices), encoding="utf-8")
+    with (folder / "serve.txt").open("w", encoding="utf-8") as errors:
+        command = [*LABHIL, "serve", "--config", "lab.toml"]
+        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=errors)
+    assert service.stdout is not None
+    try:
+        yield psutil.Process(service.pid), service.stdout.readline().strip()
+        service.send_signal(signal.SIGINT)
+        service.wait(PATIENCE)
+    finally:
+        service.kill()
+        service.wait()
+        service.stdout.close()
+
+
+@contextmanager
+def screen(folder: Path, endpoint: str, size: tuple[int, int]) -> Iterator[tuple[psutil.Process, Screen]]:
+    """``labhil tui`` in a terminal of so many columns and rows."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
+    environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
+    process = subprocess.Popen(
+        [*LABHIL, "tui", "--folder", str(folder), "--connect", endpoint],
+        stdin=theirs, stdout=theirs, stderr=theirs, env=environment, start_new_session=True,
+    )  # fmt: skip
+    os.close(theirs)
+    try:
+        yield psutil.Process(process.pid), Screen(ours)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(ours)
+
+
+@contextmanager
+def computing(cores: list[int], wanted: bool) -> Iterator[None]:
+    """A process beside that computes all the time, where it is wanted."""
+    if not wanted:
+        yield
+        return
+    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    psutil.Process(process.pid).cpu_affinity(cores)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def all_of(roots: list[psutil.Process]) -> list[psutil.Process]:
+    return [process for root in roots for process in (root, *root.children(recursive=True))]
+
+
+def processor_seconds(processes: list[psutil.Process]) -> float:
+    return sum(sum(process.cpu_times()[:2]) for process in processes if process.is_running())
+
+
+def measure(keys: int, size: tuple[int, int], busy: bool, folder: Path) -> dict[str, Any]:
+    """Press keys in turn; how long each took, and how busy the core was."""
+    (folder / SHIPPED.name).write_bytes(SHIPPED.read_bytes())
+    core = [os.cpu_count() - 1 if os.cpu_count() else 0]
+    with ExitStack() as stack:
+        service, endpoint = stack.enter_context(lab(folder))
+        shown, terminal = stack.enter_context(screen(folder, endpoint, size))
+        terminal.drain(SETTLE)
+        terminal.seconds_until("2", PANES["2"])
+        terminal.seconds_until("4", PANES["4"])
+        stack.enter_context(computing(core, busy))
+        processes = all_of([service, shown])
+        for process in processes:
+            for thread in process.threads():
+                os.sched_setaffinity(thread.id, core)
+        terminal.drain(SETTLE)
+        spent, began = processor_seconds(processes), time.perf_counter()
+        seconds = []
+        for k in range(keys):
+            key = list(PANES)[k % len(PANES)]
+            seconds.append(terminal.seconds_until(key, PANES[key]))
+            terminal.drain(PAUSE)
+        share = (processor_seconds(processes) - spent) / (time.perf_counter() - began)
+    milliseconds = 1e3 * np.array(seconds)
+    figures = dict(zip(("median", "p95", "p99"), np.percentile(milliseconds, (50, 95, 99)), strict=True))
+    return {
+        "keys": keys,
+        "milliseconds": {name: round(float(v), 1) for name, v in figures.items()}
+        | {"largest": round(float(milliseconds.max()), 1)},
+        "within_100_ms": int(np.sum(milliseconds <= 100.0)),
+        "share_of_the_core": round(share, 2),
+    }
+
+
+def main() -> None:
+    """Measure with the core to themselves and, if wanted, beside a computing process."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--keys", type=int, default=200)
+    parser.add_argument("--size", default="160x50", help="of the terminal")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    columns, rows = (int(part) for part in options.size.split("x"))
+    measured = {}
+    for name, busy in (("one core for all", False), ("and a process that computes on it", True)):
+        with tempfile.TemporaryDirectory() as directory:
+            os.environ["XDG_RUNTIME_DIR"] = directory
+            folder = Path(directory) / "lab"
+            folder.mkdir()
+            measured[name] = measure(options.keys, (columns, rows), busy, folder)
+    tell(
+        {
+            "schema": "labhil.keys/1",
+            "terminal": options.size,
+            "rigs": RIGS,
+            "machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+            "results": measured,
+        },
+        options.out,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Which rig file holds for recordings: the given one, or the one that they carry."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from labhil.analysis.simulator_names import refuse_other_names
+from labhil.errors import RecordingError
+from labhil.recording.recording import Recording
+from labhil.recording.rig_attachments import rig_name
+from labhil.rig import RigFile, load_rig
+
+RIG_SECTIONS = ("known", "nominal", "metric")
+
+
+def common_rig(recordings: Sequence[Recording], rig_file: Path | RigFile | None) -> RigFile:
+    """The rig file of all recordings: the given one, or the one that each of them carries.
+
+    Raises RecordingError where these are of different kinds, or state different things of the rig.
+    """
+    rigs = [rig_of(recording, rig_file) for recording in recordings]
+    first_rig, first_recording = rigs[0], recordings[0]
+    for rig, recording in zip(rigs[1:], recordings[1:], strict=True):
+        if rig.kind.name != first_rig.kind.name:
+            raise RecordingError(
+                f"{recording.path}: expected a recording of {first_rig.kind.name} as {first_recording.path}, "
+                f"found one of {rig.kind.name}"
+            )
+        for section in RIG_SECTIONS:
+            first_values, values = (_section_values(each, section) for each in (first_rig, rig))
+            for name in sorted(first_values.keys() | values.keys()):
+                first_value, value = first_values.get(name), values.get(name)
+                if first_value != value:
+                    raise RecordingError(
+                        f"{recording.path}: its rig file says [{section}] {name} = {_value_text(value)}, "
+                        f"that of {first_recording.path} {_value_text(first_value)}; give one for all "
+                        "with --rig"
+                    )
+    return first_rig
+
+
+def _section_values(rig: RigFile, section: str) -> dict[str, object]:
+    """The values of a section; a file that travels with the rig file counts by its content, not its path."""
+    values: dict[str, object] = dict(rig.model_dump()[section])
+    if section == "known":
+        values |= {
+            name: f"a file with SHA-256 {hashlib.sha256(content).hexdigest()}"
+            for name, content in rig.files.items()
+        }
+    return values
+
+
+def _value_text(value: object) -> str:
+    return "nothing" if value is None else str(value)
+
+
+def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
+    """The given rig file, or the one that the recording carries; RecordingError when it carries none."""
+    if rig_file is not None:
+        rig = rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
+        refuse_other_names(recording, rig)
+        return rig
+    if recording.rig is None:
+        if rig_name() in recording.ambiguous:
+            raise RecordingError(
+                f"{recording.path}: expected one rig file, found several that differ, as in files that were "
+                "merged; say which one holds with --rig RIG.toml"
+            )
+        damage = f" ({recording.damage})" if recording.damage else ""
+        raise RecordingError(
+            f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "
+            "simulator of your own always has to be given: files that came with a recording are not loaded)"
+        )
+    return recording.rig

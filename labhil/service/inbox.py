@@ -1,0 +1,59 @@
+"""What the bus hands to the thread that owns a device: requests, and setpoints that nobody waits for."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any
+
+from labhil.errors import BusError
+
+ANSWER_TIMEOUT = 1.0
+"""How long a command waits for the control thread, s."""
+
+
+@dataclass(slots=True)
+class Request:
+    """Something from the bus for the control thread; without ``answer`` nobody waits for one."""
+
+    name: str
+    payload: Any
+    answer: Future[dict[str, Any]] | None = None
+
+
+class Inbox:
+    """Requests to ``device``: put in by the threads of the bus, taken out by its control thread."""
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._requests: queue.Queue[Request] = queue.Queue()
+
+    def put_setpoints(self, _key: str, payloads: list[bytes]) -> None:
+        """Leave streamed setpoints, which nobody waits for."""
+        for payload in payloads:
+            self._requests.put(Request("setpoint", payload))
+
+    def ask(self, name: str, payload: Any) -> dict[str, Any]:
+        """Leave a request and return its answer; BusError when none comes within ``ANSWER_TIMEOUT`` s."""
+        answer: Future[dict[str, Any]] = Future()
+        self._requests.put(Request(name, payload, answer))
+        try:
+            return answer.result(ANSWER_TIMEOUT)
+        except TimeoutError:
+            raise BusError(
+                f"the host of {self._device!r} did not answer within {ANSWER_TIMEOUT:g} s"
+            ) from None
+
+    def take(self, patience: float) -> Iterator[Request]:
+        """Yield the requests that are there; where none is, wait up to ``patience`` s for the first."""
+        while True:
+            try:
+                request = (
+                    self._requests.get(timeout=patience) if patience > 0 else self._requests.get_nowait()
+                )
+            except queue.Empty:
+                return
+            patience = 0.0
+            yield request
