@@ -93,6 +93,7 @@ def test_a_note_says_what_else_one_has_to_know(monkeypatch: pytest.MonkeyPatch) 
         require("rtde_control", "commanding a UR arm")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("missing", "arguments", "extra"),
     [
@@ -117,6 +118,7 @@ def test_a_command_names_the_extra_that_it_lacks(
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("missing", "call", "extra"),
     [

@@ -26,6 +26,7 @@ ANALYSIS = ("numba", "scipy.optimize", "matplotlib", "statsmodels")
 ACQUISITION = ("zenoh", "serial", "labhil.bus", "labhil.service", "labhil.experiment", "labhil.plants")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.extended if name == "mypy" else ()) for name in CHECKS]
 )
@@ -70,6 +71,7 @@ def test_nothing_called_drivers_lands_in_an_installation(tmp_path: Path) -> None
         assert "ModuleNotFoundError" in done.stderr
 
 
+@pytest.mark.extended
 def test_a_run_plan_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
     code = (
         "import labhil.experiment.run, labhil.experiment.show\n"
@@ -89,12 +91,14 @@ def test_a_host_loads_nothing_of_the_analysis(tmp_path: Path) -> None:
     assert loaded(code, ANALYSIS, tmp_path) == []
 
 
+@pytest.mark.extended
 def test_the_analysis_loads_no_bus_and_no_device(tmp_path: Path) -> None:
     rooms = ("recording", "physics", "identify", "diagnose", "analysis", "report")
     names = [name for room in rooms for name in modules_of(f"labhil.{room}")]
     assert loaded(f"import {', '.join(names)}", ACQUISITION, tmp_path) == []
 
 
+@pytest.mark.extended
 def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
     code = (
         "import labhil.experiment.run, labhil.experiment.show, labhil.service.host, labhil.analysis.study\n"
@@ -104,6 +108,7 @@ def test_neither_a_run_nor_a_fit_loads_the_terminal_ui(tmp_path: Path) -> None:
     assert loaded(code, ("textual", "labhil.tui.app"), tmp_path) == []
 
 
+@pytest.mark.extended
 def test_the_screen_loads_nothing_that_works_for_it_elsewhere(tmp_path: Path) -> None:
     assert loaded("import labhil.tui.main", (*ANALYSIS, "labhil.experiment.run"), tmp_path) == []
 
@@ -122,6 +127,7 @@ def test_importing_labhil_loads_nothing_of_either_wing(tmp_path: Path) -> None:
     assert loaded("import labhil as lh\nassert 'fit' in dir(lh)", suspects, tmp_path) == []
 
 
+@pytest.mark.extended
 def test_acquiring_from_python_loads_no_analysis_and_reading_no_device(tmp_path: Path) -> None:
     code = "import labhil as lh\nlh.connect('dc_motor', 'twin')\nlh.run, lh.Experiment, lh.read"
     assert loaded(code, ANALYSIS, tmp_path) == []
@@ -163,6 +169,7 @@ def isolated(code: str, directory: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=directory, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.extended
 def test_everything_that_is_printed_goes_through_the_one_way_out() -> None:
     printed = []
     for path in [

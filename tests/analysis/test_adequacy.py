@@ -66,6 +66,7 @@ def test_a_speed_that_counts_backwards_is_worse_than_its_mean_or_unexplained_and
     assert "labhil diagnose" in text
 
 
+@pytest.mark.extended
 def test_an_incomplete_model_has_intervals_that_hold_how_far_its_estimates_move(motor):
     spikes = np.random.default_rng(0).choice(1000, 10, replace=False)
     hit = with_speed(motor, lambda speed: speed + 40.0 * np.isin(np.arange(len(speed)), spikes))

@@ -208,6 +208,7 @@ def test_every_term_is_neutral_at_zero(model, prepared):
             assert np.abs(simulated(model, theta, prepared) - quiet).max() > 0.0, key
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("lengths_only", [False, True], ids=["masses", "lengths only"])
 def test_the_regressor_is_the_slope_of_the_simulation_by_linear_parameters(bare, lengths_only, tmp_path):
     (tmp_path / "links.toml").write_text(LENGTHS)

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 KERNEL = """
 from typing import NamedTuple
 from labhil.compiled import compiled
@@ -29,6 +31,7 @@ def run(folder: Path, source: str) -> str:
     return done.stdout.split()[0]
 
 
+@pytest.mark.extended
 def test_an_index_that_names_a_class_that_is_no_more_is_none(tmp_path: Path) -> None:
     assert run(tmp_path, KERNEL.format(name="Beyond")) == "3.0"
     assert list(tmp_path.rglob("*.nbi"))

@@ -36,11 +36,13 @@ def factor_and_error(data: Data, fitted: Fitted) -> tuple[float, float]:
     return factor, abs(row.value - TRUE) / row.std_error
 
 
+@pytest.mark.extended
 def test_parts_of_a_complete_models_data_agree(model, acquire) -> None:
     found = [factor_and_error(*searched(model, acquire, ("viscous_friction",), {}, s)) for s in SEEDS]
     assert [factor for factor, _ in found] == [1.0] * len(SEEDS)
 
 
+@pytest.mark.extended
 def test_where_dry_friction_is_missing_slow_and_fast_windows_disagree(model, acquire) -> None:
     missing = {"coulomb_friction.level": 0.003}
     terms = ("viscous_friction", "coulomb_friction")

@@ -58,6 +58,7 @@ def diagnosed(kind, concealed=(), values=None, seed=1):
     )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "kind",
     [
@@ -138,6 +139,7 @@ def arm_diagnosed(concealed, values):
     )
 
 
+@pytest.mark.extended
 def test_a_load_on_the_gear_is_found_on_its_joint():
     share = tuple(0.1 * (joint == 1) for joint in range(6))
     found = arm_diagnosed(("load_dependent_friction",), {"load_dependent_friction.coefficient": share})

@@ -35,6 +35,7 @@ def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, flo
     return row.value, row.std_error, discrepancy_shifts(absent_effects(fitted)).get(KEY, 0.0)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("missing", MISSING)
 def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, missing: str) -> None:
     for seed in SEEDS:

@@ -276,6 +276,7 @@ def test_every_point_of_the_box_keeps_the_models_bounds(share):
     assert np.all((coordinates.start >= limits.lower) & (coordinates.start <= limits.upper))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", [name for name in ESTIMATORS if name not in ("nlse", "mcmc")])
 def test_a_search_of_the_nonlinear_parameters_ends_near_the_truth(name):
     problem = problem_of(Decay())

@@ -64,6 +64,7 @@ def test_the_fit_reaches_the_noise_on_data_it_never_saw(fitted):
     assert fitted.input_crosscorrelation_p > 1e-4
 
 
+@pytest.mark.extended
 def test_bounds_hold_and_a_term_that_is_not_there_stays_insignificant(model, acquire):
     record = acquire(("viscous_friction",), 5, duration=30.0, amplitude=0.3)
     result = fit(
@@ -89,6 +90,7 @@ def test_projection_leaves_what_the_windows_own_states_cannot_explain(model, acq
     assert np.allclose(mine, brute, atol=1e-5 * np.abs(lin.by_parameters).max())
 
 
+@pytest.mark.extended
 def test_only_the_ratio_is_known_when_neither_length_of_the_linkage_is(acquire):
     text = '[rig]\nkind = "ball_beam"\n[known]\nball_mass = 0.261\nball_radius = 0.02\n'
     model = BallBeamModel(parse_rig(text, Path("rig.toml")))

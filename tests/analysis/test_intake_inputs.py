@@ -181,6 +181,7 @@ def fed_back(controller, delay, seed, n=1000) -> Record:
     return Record(0.01 * np.arange(n), u[:, None], y, *names)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("samples", [0, 1, 2])
 @pytest.mark.parametrize("controller", [proportional, relay])
 def test_in_closed_loop_only_an_input_that_is_late_is_called_so(samples, controller):

@@ -34,6 +34,7 @@ def linear(seed: int, share: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.nd
     return J, J @ (beta - 1.0) - noise, beta
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("share", [0.0, 0.6])
 def test_bootstrap_intervals_cover_white_and_coloured_noise_alike(share):
     covered = []
@@ -134,6 +135,7 @@ def test_what_nothing_is_known_of_says_nothing():
     assert nonzero(np.array([6.0, 6.0]), np.diag([np.inf, 1.0]))
 
 
+@pytest.mark.extended
 def test_as_often_as_promised_nothing_is_told_from_zero():
     random = np.random.default_rng(3)
     covariance = np.array([[2.0, -1.0], [-1.0, 1.0]])

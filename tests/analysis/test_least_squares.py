@@ -132,6 +132,7 @@ def test_the_error_of_a_mean_of_correlated_noise_is_the_long_run_one(rho):
     assert np.mean(found) == pytest.approx(1.0 / (1.0 - rho) ** 2 / n, rel=0.15)
 
 
+@pytest.mark.extended
 def test_intervals_of_correlated_noise_cover_the_truth():
     random, hits = np.random.default_rng(8), 0
     for seed in range(150):

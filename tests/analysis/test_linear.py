@@ -75,6 +75,7 @@ def test_poles_of_a_known_system_are_found(name: str) -> None:
     assert model.describe()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("name", BASELINES)
 def test_without_noise_the_free_run_is_the_output(name: str) -> None:
     u, y = motor(1500, noise=0.0)

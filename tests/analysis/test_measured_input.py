@@ -78,6 +78,7 @@ QUIET = 0.85 + 0.25 * np.sin(8.2 * T) + 0.15 * np.sin(19.5 * T + 1.0) + 0.1 * np
 FRICTION = ("viscous_friction", "coulomb_friction")
 
 
+@pytest.mark.extended
 def test_what_the_noise_of_a_measured_input_makes_of_a_simulation_is_in_the_floor():
     record = pulled(0.004, QUIET)
     model = model_for(default_rig("solenoid"), record)

@@ -100,6 +100,7 @@ def test_a_twin_whose_physics_is_the_model_agrees_for_the_whole_run(bands):
     assert 3e-4 < found[0].noise[0] < 7e-4
 
 
+@pytest.mark.extended
 def test_a_twin_with_concealed_physics_is_left_soon_and_the_time_is_told(bands):
     data = played(32, 20.0, CONCEALED)
     shadow = shadow_of(bands)

@@ -88,6 +88,7 @@ def test_every_stick_and_slip_is_right_to_the_sample(omega, pull):
     assert np.all((seen >= T[moves]) & (seen <= T[moves + 1])), "each within its own sample"
 
 
+@pytest.mark.extended
 def test_a_part_that_coasts_stops_at_the_right_moment_and_place():
     viscous, dry, begun = 0.7, 0.4, 2.0
     x, v = slide(0.0, state=(0.0, begun), viscous=viscous, coulomb=dry)

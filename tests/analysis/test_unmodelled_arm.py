@@ -131,6 +131,7 @@ def test_nothing_is_found_where_nothing_is() -> None:
     assert curves_of(data, base) == ()
 
 
+@pytest.mark.extended
 def test_curves_of_a_file_are_part_of_the_model(tmp_path: Path) -> None:
     """What fit, diagnose and verify simulate with ``--model`` is what the diagnosis found."""
     data, curves = both()

@@ -46,6 +46,7 @@ def test_an_order_that_nobody_knows_is_among_the_starts(kind, orders):
         assert min(abs(k - order) for k in proposed) < 0.03 * order, proposed
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     "kind, order", [("dc_motor", 7.3), pytest.param("axis", 331.0, marks=pytest.mark.extended)]
 )

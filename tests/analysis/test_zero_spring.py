@@ -44,6 +44,7 @@ def records():
     return levitated(1500, random), levitated(1000, random)
 
 
+@pytest.mark.extended
 @pytest.mark.filterwarnings("error")
 def test_a_magnet_without_a_spring_is_fitted(records):
     model = model_for(parse_rig(RIG, Path("rig.toml")), records[0])

@@ -55,6 +55,8 @@ NAMES = [
 ]
 WITH_A_DEVICE = ("Bench", "Experiment", "connect", "run")
 """Their examples start simulated devices; they are run in tests/run."""
+OF_SECONDS = ("ArmSimulator", "Comparison", "diagnose", "recording")
+"""Their examples diagnose, or compile a simulator."""
 
 PIECES = [name for name in NAMES if name not in MODULES]
 
@@ -76,7 +78,14 @@ def test_each_is_there_and_described_with_an_example(name):
             assert section in text, f"{name}: {section}"
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in WITH_A_DEVICE])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.extended if name in OF_SECONDS else ())
+        for name in NAMES
+        if name not in WITH_A_DEVICE
+    ],
+)
 def test_the_example_is_true(name, monkeypatch):
     monkeypatch.chdir(ROOT)
     assert failures(name) == ""

@@ -18,6 +18,7 @@ from labhil.bus.subscribe import subscribe
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "measuring" / "intruder.py"
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("attack", ["malformed", "forged", "replayed", "flood"])
 def test_an_intruder_sends_what_it_is_told_to(attack: str) -> None:
     key, heard = event_key("bench"), list[bytes]()

@@ -201,6 +201,7 @@ def record_on_a_small_disk(path):
     os._exit(status)
 
 
+@pytest.mark.extended
 def test_a_full_disk_ends_the_recording_cleanly(tmp_path):
     path = tmp_path / "a.mcap"
     code = (

@@ -130,6 +130,7 @@ def test_names_that_the_kind_of_rig_does_not_have_are_refused(text: str, told: s
         check_policies(load_lab(path))
 
 
+@pytest.mark.extended
 def test_a_recording_that_cannot_be_read_and_a_study_that_does_not_end_stop_nothing(tmp_path: Path) -> None:
     said: list[str] = []
     with open_bus() as bus:

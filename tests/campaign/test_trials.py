@@ -499,6 +499,7 @@ def test_a_set_made_by_the_command_says_that_its_seed_is_fixed(tmp_path):
     )
 
 
+@pytest.mark.extended
 def test_an_oracle_learns_from_whole_recordings():
     random = np.random.default_rng(7)
     oracle = compose("axis", "0", random).oracle

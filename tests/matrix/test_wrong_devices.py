@@ -164,6 +164,7 @@ def web_server() -> Iterator[str]:
             thread.join()
 
 
+@pytest.mark.extended
 def test_a_port_that_talks_http(start: Callable[[str], subprocess.Popen[str]], tmp_path: Path) -> None:
     with web_server() as address:
         complaint = refused(start(address), tmp_path)
@@ -172,6 +173,7 @@ def test_a_port_that_talks_http(start: Callable[[str], subprocess.Popen[str]], t
     assert "48 54 54 50 2f 31 2e 31" in complaint
 
 
+@pytest.mark.extended
 def test_a_port_where_nobody_listens(start: Callable[[str], subprocess.Popen[str]], tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"socket://127.0.0.1:{server.getsockname()[1]}"

@@ -64,6 +64,7 @@ def test_gain_delay_and_friction_of_the_real_rig(labhil, recording):
         assert told in text
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("window", ACROSS_WINDOWS)
 def test_the_gain_stands_on_windows_of_one_and_two_seconds(labhil, recording, window):
     result, _ = fitted(labhil, recording, "--window", window)

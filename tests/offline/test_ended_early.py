@@ -28,6 +28,7 @@ def material() -> Dataset:
     return load_dataset([RECORDING], span=(0.0, 20.0))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("moment", ["fitting", "looking for other", "looking for lower", "statistics"])
 def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, moment: str) -> None:
     with Deadline() as deadline:
@@ -43,6 +44,7 @@ def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, mome
     assert result.json["train"]["rmse"] > 0.0
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("moment", ["fitting the baseline", "evidence of all"])
 def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(material: Dataset, moment: str) -> None:
     with Deadline() as deadline:

@@ -130,6 +130,7 @@ def test_json_that_is_nested_too_deeply_is_no_result_to_patch_from(tmp_path: Pat
         read_patch_source(tmp_path / "a.json")
 
 
+@pytest.mark.extended
 def test_readers_work_under_a_limit_of_memory_set_for_good(tmp_path: Path) -> None:
     """`ulimit -v` is a bound that a process cannot lift again."""
     from scipy.io import savemat

@@ -97,6 +97,7 @@ def test_the_json_of_a_fit_is_the_contracts(fit, shipped):
     assert [source["role"] for source in data["recordings"]] == ["train", "test"]
 
 
+@pytest.mark.extended
 def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
     from labhil.analysis.dataset import load_dataset
     from labhil.analysis.study import fit_study

@@ -100,6 +100,7 @@ def test_a_fit_of_one_begins_a_fit_of_several_and_the_other_way_round(labhil, ax
     assert mass["value"] == pytest.approx(120.0, rel=0.01)
 
 
+@pytest.mark.extended
 def test_every_recording_may_have_a_test_of_its_own(labhil, axis, tmp_path):
     a, b = axis("a"), axis("b")
     named = ("--per-recording", "moving_mass,constant_force")
@@ -141,6 +142,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_name_that_means_nothing_is_refused(labhil, axis, tmp_path, case):
     a, b = axis("a"), axis("b")
@@ -149,6 +151,7 @@ def test_a_name_that_means_nothing_is_refused(labhil, axis, tmp_path, case):
     assert told in labhil("fit", a, b, *arguments).refused()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("command", ["fit", "diagnose"])
 def test_recordings_that_do_not_belong_together_are_refused(labhil, axis, shipped, tmp_path, command):
     a = axis("a")

@@ -125,6 +125,7 @@ def test_held_out_errors_beside_the_published_figures(arm):
     assert np.all(found["rotors"][1] < 1.1 * found["nonlinear"][1]), found
 
 
+@pytest.mark.extended
 def test_a_mass_on_the_flange_shows_on_all_joints_that_lift_it(arm):
     """2.805 kg; the torque constants are estimates, and the mass can be no better than they are."""
     record = arm(LEARNED)

@@ -84,6 +84,7 @@ def answer(tmp_path: Path) -> dict[str, Any]:
     return json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} in a JSON file"))
 
 
+@pytest.mark.extended
 def test_a_recording_of_the_model_itself_passes(labhil, record, accepted, tmp_path):
     done = labhil("verify", record("a.mcap", carriage(1)), "--model", accepted(), "--json", "out.json")
     assert done.status == 0, done.out + done.err
@@ -99,6 +100,7 @@ def test_a_recording_of_the_model_itself_passes(labhil, record, accepted, tmp_pa
     assert not any(row["changed"] for row in found["parameters"])
 
 
+@pytest.mark.extended
 def test_more_friction_is_a_contradiction_that_is_named(labhil, record, accepted, tmp_path):
     stiff = carriage(2, {"viscous_friction.coefficient": 1.2 * 204.0})
     done = labhil("verify", record("b.mcap", stiff), "--model", accepted(), "--json", "out.json")

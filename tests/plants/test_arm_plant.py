@@ -61,6 +61,7 @@ def test_a_bare_arm_needs_the_rigid_bodys_torque_and_nothing_else():
     np.testing.assert_array_equal(run.truth.friction, 0.0)
 
 
+@pytest.mark.extended
 def test_signals_are_those_of_the_contract():
     run = followed(BARE)
     declared = {signal.name: signal for signal in kind_named("ur5").signals()}
@@ -391,6 +392,7 @@ def test_plans_that_are_none_are_refused(rows):
         ArmPlant().step(np.zeros(6), np.zeros(6), np.zeros(6), 0.0)
 
 
+@pytest.mark.extended
 def test_forty_seconds_are_simulated_in_much_less():
     plan, terms = (
         fourier(40.0),

@@ -73,6 +73,7 @@ def test_an_axis_with_dry_and_viscous_friction_coasts_to_a_stop_in_closed_form()
     assert x[-1] - x[400] == pytest.approx((v0 + dry) * (1.0 - np.exp(-rate * stop)) / rate - dry * stop)
 
 
+@pytest.mark.extended
 def test_a_mass_that_a_slow_spring_pulls_sticks_and_slips_when_the_closed_form_says():
     """Slips last 2(π − arctan(A·ω/V))/ω and sticks 2·A/V, with A the extra hold over the stiffness."""
     k, dry, extra, pace, h = 100.0, 2.0, 1.0, 0.05, 0.001
@@ -124,6 +125,7 @@ def test_a_plunger_leaves_a_stop_with_the_restitution_of_its_speed():
 CARRIED = ((*FRICTION, "presliding_friction"), (*FRICTION, "maxwell_slip_friction"))
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("terms", [(), FRICTION, *CARRIED, ("end_stop_contact",)])
 def test_no_plunger_goes_past_its_stops_and_pressed_ones_stay(terms):
     current = np.r_[0.0, np.full(300, 3.0), np.zeros(300)]
@@ -143,6 +145,7 @@ def test_the_magnetic_force_is_the_one_that_acts():
     assert seen.measured["magnetic_force"][-1] == pytest.approx(expected)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", PERIOD)
 def test_one_step_after_the_other_is_the_whole_simulation(kind):
     terms = [*FRICTION, "time_delay", "sensor_lag", "presliding_friction"]

@@ -148,6 +148,7 @@ def test_what_slips_lags_behind_the_level():
     assert held_force(s) == pytest.approx(LEVEL, rel=1e-9)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("load", [0.4 * LEVEL, 0.9 * LEVEL])
 def test_a_part_under_less_than_the_hold_stays_and_springs_back(load):
     """All of the way where no element has yielded, else what Masing's rule leaves."""

@@ -58,6 +58,7 @@ def info(path: Path) -> dict[str, Any]:
     return data
 
 
+@pytest.mark.extended
 def test_info_counts_rates_gaps_and_names_what_fits(tmp_path: Path) -> None:
     path = write(tmp_path / "a.mcap", tags=["cold"], marker="oil added")
     found = info(path)
@@ -171,6 +172,7 @@ def test_list_finds_by_tag_rig_time_and_text(tmp_path: Path) -> None:
     assert "\x1b" not in shown
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

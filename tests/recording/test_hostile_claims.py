@@ -175,6 +175,7 @@ def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_
     assert len(import_table(sheet(tmp_path / "a.xlsx"), TABLE_RIG)) == ROWS
 
 
+@pytest.mark.extended
 def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path, monkeypatch):
     path = sheet(tmp_path / "a.xlsx")
     with h5py.File(tmp_path / "a.h5", "w") as file:

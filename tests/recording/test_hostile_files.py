@@ -146,6 +146,7 @@ def spoil_recordings(tmp_path, cases):
             raise
 
 
+@pytest.mark.extended
 def test_a_spoilt_recording_is_read_or_refused(tmp_path):
     spoil_recordings(tmp_path, 100)
 

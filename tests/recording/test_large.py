@@ -51,6 +51,7 @@ def test_a_large_recording_is_read_as_a_small_one_is(path: Path, request: pytest
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_a_large_recording_is_exported_as_a_small_one_is(
     path: Path, tmp_path: Path, request: pytest.FixtureRequest, suffix: str
@@ -61,6 +62,7 @@ def test_a_large_recording_is_exported_as_a_small_one_is(
     assert large.read_bytes() == small.read_bytes()
 
 
+@pytest.mark.extended
 def test_a_large_broken_recording_is_recovered_to_the_last_whole_message(
     path: Path, tmp_path: Path, everything_is_large: None
 ) -> None:

@@ -61,6 +61,7 @@ def elsewhere(path, tmp_path_factory):
     return path.replace(tmp_path_factory.mktemp("another") / path.name)
 
 
+@pytest.mark.extended
 def test_links_and_force_maps_travel_in_an_import_and_through_recover(tmp_path, tmp_path_factory):
     for rig_path, name in ((arm(tmp_path), "links"), (plunger(tmp_path), "force_map")):
         path = elsewhere(imported(tmp_path, rig_path), tmp_path_factory)

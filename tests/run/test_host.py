@@ -115,6 +115,7 @@ def test_a_host_can_be_told_to_shut_down(bench: Any) -> None:
     assert "shut down" in bench.wait_for_event("stopped")["message"]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("fault", "error"), [("fault_reset_at", DeviceResetError), ("fault_silence_at", DeviceSilentError)]
 )

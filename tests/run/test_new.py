@@ -41,6 +41,7 @@ def test_what_is_written_can_be_planned(tmp_path: Path, kind: str, address: str)
     assert address == "twin" or not load_rig(rig).known
 
 
+@pytest.mark.extended
 def test_the_command_writes_two_files_and_overwrites_none(tmp_path: Path) -> None:
     done = new(tmp_path, "dc_motor", "--address", "/dev/ttyACM0", "-o", "bench")
     assert done.stdout.split() == ["bench/dc_motor.toml", "bench/dc_motor_identify.toml"]
@@ -50,6 +51,7 @@ def test_the_command_writes_two_files_and_overwrites_none(tmp_path: Path) -> Non
     assert "is there already" in again.stderr
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -126,6 +126,7 @@ def test_another_session_reads_back_what_the_recording_holds(recording: Recordin
     assert np.allclose(shown, recorded, atol=1e-3), "no faster and no slower than it was asked for"
 
 
+@pytest.mark.extended
 def test_a_hole_stays_a_hole_and_events_come_with_their_texts(recording: Recording) -> None:
     short = first_seconds(recording, 4.0)
     data = short.stream_with("ball_position")

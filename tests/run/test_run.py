@@ -223,6 +223,7 @@ def test_a_limit_that_trips_ends_the_run(cli: Cli) -> None:
     assert "tripped" in kinds(recording, "bench")
 
 
+@pytest.mark.extended
 def test_a_port_that_is_not_there_is_bad_input(cli: Cli) -> None:
     done = cli.run(experiment(address="/dev/ttyNOT_THERE"))
     assert done.returncode == 2

@@ -103,6 +103,7 @@ def test_what_is_wrong_with_a_lab_file_is_named(text: str, told: str, tmp_path: 
     assert str(path) in str(refused.value)
 
 
+@pytest.mark.extended
 def test_a_device_that_comes_late_is_looked_for_and_status_says_so(tmp_path: Path) -> None:
     (tmp_path / "ball_beam.toml").write_text(RIG.read_text())
     address = tmp_path / "ttyLATE"

@@ -33,6 +33,7 @@ def many_signals() -> Iterator[None]:
     signal.signal(signal.SIGUSR1, before)
 
 
+@pytest.mark.extended
 @pytest.mark.usefixtures("many_signals")
 def test_a_child_that_says_nothing_is_not_waited_for_longer_than_asked() -> None:
     child = Child("a silent child", [sys.executable, "-c", "input()"])

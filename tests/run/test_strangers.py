@@ -212,6 +212,7 @@ def test_whatever_comes_in_the_emergency_stop_is_heard(start_run: Callable[[], R
     assert len(rejected) < 200, "not every one is reported"
 
 
+@pytest.mark.extended
 def test_a_second_operator_moves_nothing(start_run: Callable[[], Running]) -> None:
     run = start_run()
     with open_bus(run.entry.endpoint) as bus:  # who has the key, but not the lease
@@ -231,6 +232,7 @@ def test_a_second_operator_moves_nothing(start_run: Callable[[], Running]) -> No
     assert run.control.state is RunState.RUNNING, run.control.reason
 
 
+@pytest.mark.extended
 def test_false_samples_and_events_move_no_run(start_run: Callable[[], Running]) -> None:
     run = start_run()
     state, event = stream_key("bench", "state"), event_key("bench")
@@ -271,6 +273,7 @@ def test_false_samples_and_events_move_no_run(start_run: Callable[[], Running]) 
     assert f"refused at {state}: " in said and f"refused at {event}: not authenticated" in said
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("payload", [b"{}", b'{"by": 5, "reason": ["x"]}', b'{"action": "press", "x": 1e9}'])
 def test_anybody_may_press_the_emergency_stop_however_badly(bench: Any, payload: bytes) -> None:
     with stranger(bench.bus.endpoint) as session:
@@ -353,6 +356,7 @@ def test_numbers_come_once_in_any_order_and_not_from_before(monkeypatch: pytest.
     assert Verifier([key], oldest=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
 
 
+@pytest.mark.extended
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 @pytest.mark.parametrize(
     "part",

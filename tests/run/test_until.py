@@ -110,6 +110,7 @@ def test_a_condition_that_cannot_be_kept_is_refused(old: str, new: str, message:
         make_plan(parse_experiment(text, path))
 
 
+@pytest.mark.extended
 def test_a_step_ends_when_its_condition_holds_and_the_next_one_follows(tmp_path: Path) -> None:
     experiment = parse_experiment(TEXT, tmp_path / "cool.toml")
     assert "ends early once speed > 2" in make_plan(experiment).describe()

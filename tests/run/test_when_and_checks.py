@@ -232,6 +232,7 @@ def test_a_plan_shows_what_is_waited_for_and_called() -> None:
     assert (again.steps, again.checks) == (experiment.steps, experiment.checks)
 
 
+@pytest.mark.extended
 def test_a_check_that_fails_before_the_steps_moves_nothing(tmp_path: Path) -> None:
     written = text(checks=check("before", "speed > 3", 'within = 0.5\nmessage = "turn the wheel"'))
     result, recording = run(tmp_path, written)
@@ -312,6 +313,7 @@ def notes_of(folder: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in lines]
 
 
+@pytest.mark.extended
 def test_a_hook_is_called_before_and_after_with_what_the_run_knows(tmp_path: Path) -> None:
     (tmp_path / "lab.py").write_text(HOOKS, encoding="utf-8")
     result, _ = run(tmp_path, text(hook='hook = "lab.py:note"'))

@@ -55,6 +55,7 @@ def tree_of(folder: Path, text: str) -> tuple[Tree, mujoco.MjModel]:
     return arm_simulator(path).arm.tree, mujoco.MjModel.from_xml_path(str(path))
 
 
+@pytest.mark.extended
 def test_torques_are_those_of_mujoco_for_any_arrangement_of_hinges(tmp_path: Path) -> None:
     tree, model = tree_of(tmp_path, BRANCHED)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -67,6 +68,7 @@ def test_torques_are_those_of_mujoco_for_any_arrangement_of_hinges(tmp_path: Pat
     assert [list(tree.loaded(link)) for link in range(4)] == [[0], [0, 1], [0, 2], [0, 2, 3]]
 
 
+@pytest.mark.extended
 def test_the_file_says_what_is_measured_and_what_a_diagnosis_begins_with(tmp_path: Path) -> None:
     rig = lh.model(bench(tmp_path))
     assert {"payload", "base_tilt", "load_dependent_friction"} <= {term.name for term in rig.terms.values()}
@@ -78,6 +80,7 @@ def test_the_file_says_what_is_measured_and_what_a_diagnosis_begins_with(tmp_pat
     assert [signal.width for signal in arm.kind.inputs] == [3, 3]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -98,6 +101,7 @@ def test_what_an_arm_cannot_be_is_named(tmp_path: Path, text: str, expected: str
         lh.model(rig)
 
 
+@pytest.mark.extended
 def test_inputs_and_outputs_of_an_arm_are_its_motion_and_its_drives(tmp_path: Path) -> None:
     bench(tmp_path)
     with pytest.raises(UsageError, match=r"actual_q and actual_qd with 3 columns each \(turn, lift, bend\)"):
@@ -106,6 +110,7 @@ def test_inputs_and_outputs_of_an_arm_are_its_motion_and_its_drives(tmp_path: Pa
         lh.mujoco_simulator(tmp_path / "reach.xml", outputs={"angle": "bend"})
 
 
+@pytest.mark.extended
 def test_a_recording_of_something_else_is_told_what_an_arm_needs(tmp_path: Path) -> None:
     rig = bench(tmp_path)
     t = np.arange(0.0, 2.0, 0.01)
@@ -118,6 +123,7 @@ def test_a_recording_of_something_else_is_told_what_an_arm_needs(tmp_path: Path)
     assert "actual_q = { columns = […, …, …] }" in str(refused.value)
 
 
+@pytest.mark.extended
 def test_a_fit_finds_friction_rotors_and_a_heavier_link(tmp_path: Path) -> None:
     rig = bench(tmp_path)
     fit = lh.fit(recorded(tmp_path, rig, heavier=1.2), rig)

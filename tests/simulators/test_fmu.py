@@ -173,6 +173,7 @@ def test_an_input_that_cannot_be_set_is_said_so(tmp_path: Path) -> None:
         lh.fmu_simulator(odd)
 
 
+@pytest.mark.extended
 def test_a_recording_does_not_run_the_fmu_of_its_author(tmp_path: Path) -> None:
     path = built(tmp_path, version=2)
     rig = tmp_path / "rig.toml"

@@ -239,6 +239,7 @@ def test_a_python_step_is_tabulated_likewise(tmp_path: Path) -> None:
     assert found["viscous_friction.coefficient"] == pytest.approx(0.012, rel=0.05)
 
 
+@pytest.mark.extended
 def test_a_step_with_a_jump_is_refused(tmp_path: Path) -> None:
     def rubbing(x: object, u: object, p: object, dt: float) -> tuple[float, float]:
         angle, rate = step(x, u, p, dt)

@@ -28,6 +28,7 @@ def of_joint(text: str) -> str:
     return FILE.replace('axis="0 1 0"/>', f'axis="0 1 0" {text}/>')
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize(
     ("file", "expected"),
     [

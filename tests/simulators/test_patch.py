@@ -107,6 +107,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.extended
 def test_the_repaired_file_keeps_the_promise_and_the_old_one_stays(fitted: Path, tmp_path: Path) -> None:
     out = tmp_path / "fixed.xml"
     found = patch(fitted / "fit.json", fitted / "rod.xml", out, fitted / "rig.toml")
@@ -140,6 +141,7 @@ def test_a_result_in_python_is_put_into_the_file_by_itself(
         fit.patch("rod.xml", tmp_path / "fixed.xml", rig="rig.toml")
 
 
+@pytest.mark.extended
 def test_a_result_of_other_values_or_of_another_recording_is_refused(fitted: Path, tmp_path: Path) -> None:
     data = json.loads((fitted / "fit.json").read_text(encoding="utf-8"))
     wrong = fitted / "wrong.json"

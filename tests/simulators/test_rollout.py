@@ -73,6 +73,7 @@ def test_a_fit_finds_the_plant_through_it(tmp_path: Path) -> None:
     assert not any("stepping by itself" in note for note in fit.to_dict()["notes"])
 
 
+@pytest.mark.extended
 def test_its_own_rollout_is_noted_where_it_goes_elsewhere(tmp_path: Path) -> None:
     """It forgets half of the torque in whole inputs, which short ones do not show."""
 

@@ -42,6 +42,7 @@ def test_a_comparison_says_which_model_is_best_and_what_to_do() -> None:
         assert part in text
 
 
+@pytest.mark.extended
 def test_names_in_a_comparison_are_no_markup(folder: Path) -> None:
     told = json.loads(COMPARED.read_text(encoding="utf-8"))
     name = "[red]a[/blink].json"

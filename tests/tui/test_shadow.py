@@ -150,6 +150,7 @@ def test_m_chooses_a_model_shows_it_and_takes_it_away(
     asyncio.run(go())
 
 
+@pytest.mark.extended
 def test_without_a_result_m_says_what_is_needed(tmp_path: Path) -> None:
     async def go() -> None:
         app = LabApp(tmp_path, StillLab(), theme=DARK.name)  # type: ignore[arg-type]

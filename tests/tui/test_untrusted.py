@@ -96,6 +96,7 @@ class ComingAndGoing(StillLab):
         return super().stream(place) if place.endpoint == self.endpoint and self.there else None
 
 
+@pytest.mark.extended
 def test_signals_may_come_go_and_come_again_under_the_live_plots(folder: Path) -> None:
     async def drive() -> None:
         lab = ComingAndGoing()
@@ -136,6 +137,7 @@ def test_a_frozen_picture_holds_when_its_device_goes(folder: Path) -> None:
     asyncio.run(drive())
 
 
+@pytest.mark.extended
 def test_the_key_that_opens_the_help_closes_it(folder: Path) -> None:
     async def drive() -> None:
         app = LabApp(folder, StillLab())  # type: ignore[arg-type]

@@ -248,6 +248,7 @@ def port_that_root_had() -> int:
     return port
 
 
+@pytest.mark.extended
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
 @pytest.mark.parametrize("port", [lambda: 0, port_that_root_had], ids=["any port", "a port that root had"])
 def test_another_user_of_this_machine_is_refused(folder: Path, port: Callable[[], int]) -> None:

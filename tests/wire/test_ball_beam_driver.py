@@ -76,6 +76,7 @@ def test_it_is_a_driver():
     assert isinstance(BallBeamDriver("nowhere"), Driver)
 
 
+@pytest.mark.extended
 def test_the_ball_rolls_the_way_the_beam_is_tilted(ball_beam_twin):
     with ball_beam_twin("pty", SPEED) as (address, _), BallBeamDriver(address) as driver:
         driver.connect()
@@ -96,6 +97,7 @@ def test_no_sample_is_lost_at_ten_times_the_speed(ball_beam_twin):
         assert (driver.counters.lost, driver.counters.crc_errors, driver.counters.resyncs) == (0, 0, 0)
 
 
+@pytest.mark.extended
 def test_lost_samples_leave_holes_that_are_counted(ball_beam_twin):
     with ball_beam_twin("pty", SPEED, drop_rate=0.2) as (address, _), BallBeamDriver(address) as driver:
         driver.connect()
@@ -105,6 +107,7 @@ def test_lost_samples_leave_holes_that_are_counted(ball_beam_twin):
         np.testing.assert_array_equal(np.diff(batch.t_hw_ns), 10_000_000 * np.diff(batch.seq))
 
 
+@pytest.mark.extended
 def test_the_clock_goes_on_where_the_wire_wraps(ball_beam_twin):
     almost = 2**32 * 1e-6 - 0.5
     with ball_beam_twin("pty", SPEED, clock_start=almost) as (address, _), BallBeamDriver(address) as driver:
@@ -114,6 +117,7 @@ def test_the_clock_goes_on_where_the_wire_wraps(ball_beam_twin):
     assert batch.t_hw_ns[-1] > 2**32 * 1000
 
 
+@pytest.mark.extended
 def test_a_reset_is_reported_after_the_samples_before_it(ball_beam_twin):
     with ball_beam_twin("pty", SPEED, fault_reset_at=1.0) as (address, _), BallBeamDriver(address) as driver:
         driver.connect()
@@ -142,6 +146,7 @@ def test_garbage_in_between_is_counted_and_survived(ball_beam_twin):
         assert len(batch) >= 200
 
 
+@pytest.mark.extended
 def test_silence_is_an_empty_batch(ball_beam_twin):
     with (
         ball_beam_twin("pty", SPEED, fault_silence_at=0.5) as (address, _),
@@ -154,6 +159,7 @@ def test_silence_is_an_empty_batch(ball_beam_twin):
         assert len(driver.read(0.1)) == 0
 
 
+@pytest.mark.extended
 def test_a_twin_that_dies_is_a_wire_that_is_gone(ball_beam_twin):
     for wire in ("pty", "tcp"):
         with ball_beam_twin(wire, SPEED) as (address, process), BallBeamDriver(address) as driver:
@@ -209,6 +215,7 @@ def refused(address: str) -> str:
     return str(caught.value)
 
 
+@pytest.mark.extended
 def test_garbage_alone_is_named():
     with impostor(lambda _: b"position=12 mm\r\n") as address:
         message = refused(address)

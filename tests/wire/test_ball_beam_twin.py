@@ -137,6 +137,7 @@ def test_a_twin_without_terms_is_the_bare_rig():
     )
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("wire", ["pty", "tcp"])
 def test_a_twin_ends_with_its_parent_though_nobody_ever_connected(wire, ball_beam_twin):
     # leaving the block closes the pipe on its standard input, and checks how it ended
