@@ -28,6 +28,7 @@ def name_of(requirement: str) -> str:
     return requirement.partition(">")[0].partition("=")[0].strip().replace("_", "-").lower()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("module", PACKAGES)
 def test_every_optional_package_is_in_the_extra_that_is_named(module: str) -> None:
     package = PACKAGES[module]

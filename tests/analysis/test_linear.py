@@ -88,6 +88,7 @@ def test_without_noise_the_free_run_is_the_output(name: str) -> None:
     assert np.abs(at_rest - fresh_y)[500:].max() < (0.01 if name == "narx" else 1e-3)
 
 
+@pytest.mark.extended
 def test_the_transfer_function_is_the_one_that_made_the_data() -> None:
     u, y = motor(2000, noise=0.0)
     model = fit_linear("transfer_function", u, y, PERIOD, Orders(2, 1))

@@ -12,6 +12,8 @@ from scipy.integrate import solve_ivp
 
 from labhil.physics import friction, sliding, winding
 
+pytestmark = pytest.mark.extended
+
 T = 1e-3 * np.arange(8001)
 ONE = np.ones(len(T))
 
@@ -74,7 +76,6 @@ def stick_slip(omega, pull, static, coulomb, t):
     return x, np.array(moments)
 
 
-@pytest.mark.extended
 @pytest.mark.parametrize(("omega", "pull"), [(7.0, 0.05), (20.0, 0.02), (3.0, 0.2)])
 def test_every_stick_and_slip_is_right_to_the_sample(omega, pull):
     static, coulomb = 2.0, 1.2
@@ -88,7 +89,6 @@ def test_every_stick_and_slip_is_right_to_the_sample(omega, pull):
     assert np.all((seen >= T[moves]) & (seen <= T[moves + 1])), "each within its own sample"
 
 
-@pytest.mark.extended
 def test_a_part_that_coasts_stops_at_the_right_moment_and_place():
     viscous, dry, begun = 0.7, 0.4, 2.0
     x, v = slide(0.0, state=(0.0, begun), viscous=viscous, coulomb=dry)
@@ -192,7 +192,6 @@ def test_what_runs_away_stays_a_number():
     assert np.all(np.isfinite(v))
 
 
-@pytest.mark.extended
 def test_kernels_are_found_again_on_disk_by_the_next_process():
     script = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
@@ -243,7 +242,6 @@ assert np.isfinite(speed).all() and np.isfinite(current).all()
 """
 
 
-@pytest.mark.extended
 def test_a_simulation_of_impossible_values_ends():
     # a current of 14 kA and a winding of 5 µs: steps no law allows, events without end
     here = str(Path(__file__).parent)
@@ -258,7 +256,6 @@ print(twice(1.0))
 """
 
 
-@pytest.mark.extended
 def test_a_kernel_on_disk_follows_laws_of_other_files(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     (tmp_path / "kernel.py").write_text(

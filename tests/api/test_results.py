@@ -108,29 +108,36 @@ def test_the_model_of_a_fit_runs_on_another_recording_as_it_was_scored(fit):
         fit.simulate(TEST, without=["coulomb"])
 
 
-def test_plots_draw_into_given_axes_or_new_ones(fit, dx):
+def test_plots_of_a_fit_draw_into_given_axes_or_new_ones(fit):
     from matplotlib.figure import Figure
 
     mine = Figure().subplots()
     assert fit.plot(ax=mine) is mine
     assert len(mine.lines) == 2
-    for axes in (fit.plot_errors(), fit.plot_residuals(), fit.plot_intervals(), dx.plot(), dx.plot_errors()):
+    for axes in (fit.plot_errors(), fit.plot_residuals(), fit.plot_intervals()):
         assert axes.has_data()
-    assert dx.plot_effect("dead_zone").get_title(loc="left") == "Left out: dead_zone"
     assert fit.simulate(TEST).plot().has_data()
     assert lh.read(TEST).plot("servo_angle").get_ylabel() == "servo_angle, rad"
     assert len(fit.figure().axes) == 4
-    with pytest.raises(UnknownNameError, match="dead_zone"):
-        dx.plot_effect("payload")
     assert fit.plot(channel="ball_position").has_data()
     with pytest.raises(UsageError, match="channel: expected a number from 0 to 0 or one of ball_position"):
         fit.plot(channel=3)
-    with pytest.raises(UnknownNameError, match="did you mean 'ball_position'"):
-        dx.plot(channel="ball_positon")
     with pytest.raises(UsageError, match="ax: expected axes of matplotlib, found 'here'"):
         fit.plot("here")
 
 
+@pytest.mark.extended
+def test_plots_of_a_diagnosis_draw(dx):
+    for axes in (dx.plot(), dx.plot_errors()):
+        assert axes.has_data()
+    assert dx.plot_effect("dead_zone").get_title(loc="left") == "Left out: dead_zone"
+    with pytest.raises(UnknownNameError, match="dead_zone"):
+        dx.plot_effect("payload")
+    with pytest.raises(UnknownNameError, match="did you mean 'ball_position'"):
+        dx.plot(channel="ball_positon")
+
+
+@pytest.mark.extended
 def test_a_diagnosis_says_what_is_missing_and_where(dx):
     assert dx.verdict == "missing_physics"
     effect = dx.missing[0]

@@ -529,6 +529,7 @@ def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
     assert oracle.refit(baseline).likelihood < truth - 300.0
 
 
+@pytest.mark.extended
 def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
     random = np.random.default_rng(3)
     setup = bench_of("solenoid").setup(random)

@@ -69,6 +69,7 @@ def check(found: dict[str, Any], shape: dict[str, Any]) -> None:
         assert not (kind == NUMBER and isinstance(found[key], bool)), key
 
 
+@pytest.mark.extended
 def test_the_json_of_a_fit_is_the_contracts(fit, shipped):
     data, _ = fit("--terms", TERMS, "--test", shipped / "ball_beam_test.mcap")
     check(data, TOP)

@@ -141,6 +141,7 @@ def test_without_a_covariance_values_count_as_exact(labhil, record, accepted):
     assert labhil("verify", name, "--model", accepted(covariance=badly, parameters=wrong)).status == 0
 
 
+@pytest.mark.extended
 def test_a_fit_passes_on_another_recording_of_the_same_plant(labhil, record):
     first, second = record("e.mcap", carriage(5)), record("f.mcap", carriage(6))
     how = ("--terms", ",".join(TERMS), "--window", "2", "--estimator", "nlse", "--json", "fit.json")

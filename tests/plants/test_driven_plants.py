@@ -9,6 +9,8 @@ from labhil.plants.dc_motor import MOTOR, DcMotorPlant
 from labhil.plants.rigs import PLANTS, WORLDS, plant_of
 from labhil.plants.solenoid import SOLENOID, SolenoidPlant
 
+pytestmark = pytest.mark.extended
+
 QUIET_MOTOR = {"speed_noise": 0.0, "current_noise": 0.0, "winding_temperature_noise": 0.0}
 QUIET_AXIS = {"position_noise": 0.0, "velocity_noise": 0.0, "drive_current_noise": 0.0}
 QUIET_COIL = {"plunger_position_noise": 0.0, "magnetic_force_noise": 0.0}
@@ -33,7 +35,6 @@ def wandering(kind: str, n: int = 3000) -> np.ndarray:
     return np.asarray(np.abs(wave) if kind == "solenoid" else wave)
 
 
-@pytest.mark.extended
 def test_a_blocked_motor_is_a_coil_with_a_resistance_that_warms():
     parameters = QUIET_MOTOR | {"coulomb_friction.level": 1e6}
     seen = DcMotorPlant(parameters, ["coulomb_friction"]).simulate(np.full(101, 3.0))
@@ -45,7 +46,6 @@ def test_a_blocked_motor_is_a_coil_with_a_resistance_that_warms():
     assert late[1] - late[0] == pytest.approx(0.01 * (1.5 * 2.0**2 - (late[0] - 25.0) / 4.0) / 60.0, rel=1e-3)
 
 
-@pytest.mark.extended
 def test_a_free_motor_is_linear_of_second_order():
     seen = DcMotorPlant(QUIET_MOTOR, ["viscous_friction"]).simulate(np.full(301, 3.0))
     matrix = np.array([[-0.05 / 0.1, 0.2 / 0.1], [-0.2 / 0.1, -1.5 / 0.1]])
@@ -57,7 +57,6 @@ def test_a_free_motor_is_linear_of_second_order():
     np.testing.assert_allclose(seen.measured["current"], exact[1].real, atol=1e-8)
 
 
-@pytest.mark.extended
 def test_an_axis_with_dry_and_viscous_friction_coasts_to_a_stop_in_closed_form():
     force = np.r_[np.full(400, 150.0), np.zeros(1001)]
     seen = AxisPlant(QUIET_AXIS, FRICTION).simulate(force)
@@ -73,7 +72,6 @@ def test_an_axis_with_dry_and_viscous_friction_coasts_to_a_stop_in_closed_form()
     assert x[-1] - x[400] == pytest.approx((v0 + dry) * (1.0 - np.exp(-rate * stop)) / rate - dry * stop)
 
 
-@pytest.mark.extended
 def test_a_mass_that_a_slow_spring_pulls_sticks_and_slips_when_the_closed_form_says():
     """Slips last 2(π − arctan(A·ω/V))/ω and sticks 2·A/V, with A the extra hold over the stiffness."""
     k, dry, extra, pace, h = 100.0, 2.0, 1.0, 0.05, 0.001
@@ -101,7 +99,6 @@ def test_a_mass_that_a_slow_spring_pulls_sticks_and_slips_when_the_closed_form_s
     np.testing.assert_allclose(np.diff(rests), leap, rtol=0.01)
 
 
-@pytest.mark.extended
 def test_a_plunger_without_friction_is_a_mass_on_a_spring():
     parameters = QUIET_COIL | {"stop_low": -0.004}
     seen = SolenoidPlant(parameters).simulate(np.zeros(19))
@@ -109,7 +106,6 @@ def test_a_plunger_without_friction_is_a_mass_on_a_spring():
     np.testing.assert_allclose(seen.measured["plunger_position"], exact, atol=1e-9)
 
 
-@pytest.mark.extended
 def test_a_plunger_leaves_a_stop_with_the_restitution_of_its_speed():
     """From −A the spring shoots it at a stop in the middle: each way back is shorter by the restitution."""
     h, omega = 1e-4, np.sqrt(6850.0 / 0.064)
@@ -125,7 +121,6 @@ def test_a_plunger_leaves_a_stop_with_the_restitution_of_its_speed():
 CARRIED = ((*FRICTION, "presliding_friction"), (*FRICTION, "maxwell_slip_friction"))
 
 
-@pytest.mark.extended
 @pytest.mark.parametrize("terms", [(), FRICTION, *CARRIED, ("end_stop_contact",)])
 def test_no_plunger_goes_past_its_stops_and_pressed_ones_stay(terms):
     current = np.r_[0.0, np.full(300, 3.0), np.zeros(300)]
@@ -145,7 +140,6 @@ def test_the_magnetic_force_is_the_one_that_acts():
     assert seen.measured["magnetic_force"][-1] == pytest.approx(expected)
 
 
-@pytest.mark.extended
 @pytest.mark.parametrize("kind", PERIOD)
 def test_one_step_after_the_other_is_the_whole_simulation(kind):
     terms = [*FRICTION, "time_delay", "sensor_lag", "presliding_friction"]

@@ -138,6 +138,7 @@ def test_a_fit_finds_friction_rotors_and_a_heavier_link(tmp_path: Path) -> None:
     assert found["grouped_first_moment_x", 2] == pytest.approx(1.2 * 1.5 * 0.14 + 0.4 * 0.29, rel=0.01)
 
 
+@pytest.mark.extended
 def test_a_joint_that_turns_the_other_way_is_said_so(tmp_path: Path) -> None:
     rig = bench(tmp_path)
     run = recorded(tmp_path, rig, signs=(1.0, -1.0, 1.0), seconds=20.0)

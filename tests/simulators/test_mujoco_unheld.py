@@ -117,6 +117,7 @@ def test_only_a_servo_has_the_values_of_one(tmp_path: Path) -> None:
     assert set(lh.mujoco_simulator(tmp_path / "rod.xml").parameters) == {"rod_mass", "gear"}
 
 
+@pytest.mark.extended
 def test_a_late_sensor_is_read_as_mujoco_reads_it(tmp_path: Path) -> None:
     """Against the sensor's own readings, stepped by MuJoCo alone."""
     late = '<jointpos name="encoder" joint="hinge" delay="0.05" nsample="60" interp="linear"/>'
