@@ -41,6 +41,7 @@ def without_rows(record: Record, *cuts: tuple[int, int]) -> Record:
     return replace(record, t=record.t[kept], inputs=record.inputs[kept], outputs=record.outputs[kept])
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", CHANNELS)
 @pytest.mark.parametrize("width", [2, 3, 5, 8])
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -37,6 +37,7 @@ def outputs(found: Replay, theta: np.ndarray, windows: Windows) -> np.ndarray:
     return found.model.simulate(theta, found.record, windows, found.states[windows.first])
 
 
+@pytest.mark.extended
 def test_every_term_is_neutral_at_zero_and_shows_at_its_start(found):
     n, places = len(found.record), index_of(found.model.parameters)
     windows = Windows.of([(100, n // 2), (n // 2, n)])

@@ -303,6 +303,7 @@ def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
     assert np.all(together < 1.3 / np.sqrt(3.0) * np.sqrt(np.mean(np.square(alone), axis=0)))
 
 
+@pytest.mark.extended
 def test_scores_are_told_of_each_recording(three):
     record = join_records([three[0], replace(three[1], outputs=three[1].outputs + 7.0)])
     model = model_for(rig_of("axis"), record, OWN)

@@ -53,6 +53,7 @@ def levels(kind, seconds, seed=0):
     return np.repeat(nodes, 40)[:n]
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", STATES)
 @pytest.mark.parametrize("what", [*WORLDLY, "own"])
 def test_a_finer_step_changes_nothing(kind, what):
@@ -69,6 +70,7 @@ def test_a_finer_step_changes_nothing(kind, what):
         assert np.max(np.abs(coarse - fine)) < 1e-7 * np.ptp(fine), name
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", STATES)
 def test_another_integrator_finds_the_same_motion_where_nothing_rests(kind):
     """scipy's, on right-hand sides written out anew; with a bias that keeps the part from turning round."""
@@ -120,6 +122,7 @@ def test_another_integrator_finds_the_same_motion_where_nothing_rests(kind):
     np.testing.assert_allclose(seen[:, begin:], exact, rtol=0, atol=1e-7 * np.abs(exact).max(axis=1).min())
 
 
+@pytest.mark.extended
 def test_a_motor_that_coasts_down_comes_to_rest_and_stays_there():
     parameters = QUIET["dc_motor"] | {"inductance": 1e-4}
     terms = ("viscous_friction", "coulomb_friction", "brush_drop")
@@ -131,6 +134,7 @@ def test_a_motor_that_coasts_down_comes_to_rest_and_stays_there():
     assert np.all(np.diff(seen["speed"][301 : stopped + 1]) < 0.0)
 
 
+@pytest.mark.extended
 def test_work_done_on_an_elastic_axis_is_kept_or_lost_to_friction():
     """Force times way = kinetic + spring energy where nothing rubs; less the damper's loss."""
     parameters = QUIET["axis"] | {"joint_elasticity.damping": 0.0, "joint_elasticity.compliance": 1e-5}
@@ -150,6 +154,7 @@ def test_work_done_on_an_elastic_axis_is_kept_or_lost_to_friction():
     assert np.max(np.abs(x - far)) > 1e-4
 
 
+@pytest.mark.extended
 def test_a_coil_takes_in_what_the_plunger_gives_out_by_motion():
     """∂F/∂i is the rate at which a moving plunger induces voltage: λ = ∂W'/∂i and F = ∂W'/∂x."""
     i, x, d = 1.3, 0.002, 1e-6
@@ -166,6 +171,7 @@ def test_a_coil_takes_in_what_the_plunger_gives_out_by_motion():
     np.testing.assert_allclose(induced, expected, atol=1e-9)
 
 
+@pytest.mark.extended
 def test_a_straight_command_bends_at_the_very_moment(monkeypatch):
     """Dead zone, play, saturation and rate limit of a triangle, seen through the force at the samples.
 
@@ -199,6 +205,7 @@ def test_a_straight_command_bends_at_the_very_moment(monkeypatch):
     np.testing.assert_allclose(seen(**{"time_delay.delay": 0.0034}), late, atol=1e-9)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", ["dc_motor", "axis", "solenoid"])
 def test_uneven_samples_are_those_of_the_same_motion_at_the_stamps(kind):
     """A command that changes nothing while time passes: the same motion, looked at elsewhere."""
@@ -220,6 +227,7 @@ def test_uneven_samples_are_those_of_the_same_motion_at_the_stamps(kind):
     np.testing.assert_allclose(uneven.truth[name][inside], found[inside], atol=2e-3 * scale)
 
 
+@pytest.mark.extended
 def test_stamps_that_lie_leave_the_samples_alone():
     u = levels("dc_motor", 2.0)
     honest, lying = (
@@ -230,6 +238,7 @@ def test_stamps_that_lie_leave_the_samples_alone():
     assert np.std(lying.t - honest.t) == pytest.approx(1e-3, rel=0.2)
 
 
+@pytest.mark.extended
 def test_a_warm_winding_settles_where_heat_in_is_heat_out():
     parameters = QUIET["dc_motor"] | {"heat_capacity": 0.5, "coulomb_friction.level": 1e6}
     run = DcMotorPlant(parameters, ["coulomb_friction", "thermal_resistance"]).simulate(np.full(3001, 3.0))
@@ -246,6 +255,7 @@ NEUTRAL = {
 """Effects with a parameter that must not be zero."""
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", STATES)
 def test_an_effect_of_no_strength_is_no_effect(kind):
     u = levels(kind, 300 * PERIOD[kind])
@@ -259,6 +269,7 @@ def test_an_effect_of_no_strength_is_no_effect(kind):
         np.testing.assert_allclose(made.measured[name], bare, atol=1e-12, err_msg=effect)
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("kind", PLANTS)
 def test_every_rig_has_physics_that_is_in_no_list(kind):
     assert len(effects_of(kind, hidden=True)) >= 2
@@ -268,6 +279,7 @@ def test_every_rig_has_physics_that_is_in_no_list(kind):
         effects_of("dcmotor")
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("effect", WORLDS["ball_beam"].hidden)
 def test_hidden_physics_moves_the_ball(effect):
     u = 0.9 * np.cos(3.0 * 0.01 * np.arange(800))
@@ -278,6 +290,7 @@ def test_hidden_physics_moves_the_ball(effect):
     assert np.max(np.abs(bare.truth["ball_position"] - moved.truth["ball_position"])) > 1e-3
 
 
+@pytest.mark.extended
 def test_a_ball_and_beam_is_a_rig_like_the_others():
     u = levels("ball_beam", 5.0)
     parameters = {"noise_correlation": 0.7, "stamp_jitter": 1e-3}
@@ -294,6 +307,7 @@ def test_a_ball_and_beam_is_a_rig_like_the_others():
         plant_of("ball_beam", {"stamp_jitter": 1e-3}, ["time_delay"], 0, 0.01)
 
 
+@pytest.mark.extended
 def test_inputs_that_are_no_numbers_and_plants_that_run_away_are_refused():
     with pytest.raises(UsageError, match="finite"):
         DcMotorPlant().simulate(np.array([0.0, np.nan]))
