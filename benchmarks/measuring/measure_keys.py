@@ -1,11 +1,11 @@
-"""How long a key of the terminal UI takes with three rigs streaming, all on one core. A command, no test:
+"""How long a key of the terminal UI takes with three rigs streaming. A command, no test:
 
-    python benchmarks/measuring/measure_keys.py --keys 200 -o benchmarks/results/keys.json
+    python benchmarks/measuring/measure_keys.py --keys 100 -o benchmarks/results/keys.json
 
 ``labhil serve`` keeps twins of ball and beam, DC motor and solenoid up and records them; ``labhil tui`` shows
-charts of them in a terminal of 160 x 50 characters. All of these processes keep to one core; the other one is
-left to this program, which presses the keys of two panes in turn and waits until the pane's words are drawn.
-``--busy`` adds a process that does nothing but compute on the same core.
+charts of them in a terminal of 160 x 50 characters. This program presses the keys of two panes in turn and
+waits until the pane's words are drawn: with all cores for all, with the screen on a core on which another
+process computes all the time, and with everything (twins, hosts, recorder, screen) on one core.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from measured import tell
 
 LABHIL = [sys.executable, "-P", "-m", "labhil"]
 RIGS = ("ball_beam", "dc_motor", "solenoid")
-SHIPPED = Path(__file__).parents[2] / "recordings" / "ball_beam_test.mcap"
-PANES = {"2": rb"of \d+ signals", "4": SHIPPED.stem.encode()}
+PANES = {"2": rb"of \d+ signals", "4": rb"duration"}
 """Keys, and words that only the pane behind each draws."""
+FREE, BUSY, ONE = ("all cores", "the screen on a busy core", "everything on one core")
 ESCAPES = re.compile(rb"\x1b\[[0-9;?]*[a-zA-Z]")
 PATIENCE = 90.0
 PAUSE = 0.4
@@ -114,11 +114,8 @@ def screen(folder: Path, endpoint: str, size: tuple[int, int]) -> Iterator[tuple
 
 
 @contextmanager
-def computing(cores: list[int], wanted: bool) -> Iterator[None]:
-    """A process beside that computes all the time, where it is wanted."""
-    if not wanted:
-        yield
-        return
+def computing(cores: list[int]) -> Iterator[None]:
+    """A process beside that computes all the time."""
     process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     psutil.Process(process.pid).cpu_affinity(cores)
     try:
@@ -136,55 +133,61 @@ def processor_seconds(processes: list[psutil.Process]) -> float:
     return sum(sum(process.cpu_times()[:2]) for process in processes if process.is_running())
 
 
-def measure(keys: int, size: tuple[int, int], busy: bool, folder: Path) -> dict[str, Any]:
-    """Press keys in turn; how long each took, and how busy the core was."""
-    (folder / SHIPPED.name).write_bytes(SHIPPED.read_bytes())
-    core = [os.cpu_count() - 1 if os.cpu_count() else 0]
+def pin(processes: list[psutil.Process], cores: list[int]) -> None:
+    """Keep every thread of these processes to some cores."""
+    for process in processes:
+        for thread in process.threads():
+            os.sched_setaffinity(thread.id, cores)
+
+
+def measure(keys: int, size: tuple[int, int], where: str, folder: Path) -> dict[str, Any]:
+    """Press keys in turn; how long each took, and what share of a core all of it used."""
+    last = [max(os.sched_getaffinity(0))]
     with ExitStack() as stack:
         service, endpoint = stack.enter_context(lab(folder))
         shown, terminal = stack.enter_context(screen(folder, endpoint, size))
         terminal.drain(SETTLE)
-        terminal.seconds_until("2", PANES["2"])
-        terminal.seconds_until("4", PANES["4"])
-        stack.enter_context(computing(core, busy))
-        processes = all_of([service, shown])
-        for process in processes:
-            for thread in process.threads():
-                os.sched_setaffinity(thread.id, core)
+        for key, words in PANES.items():
+            terminal.seconds_until(key, words)
+        everything = all_of([service, shown])
+        if where == BUSY:
+            stack.enter_context(computing(last))
+            pin([shown], last)
+        elif where == ONE:
+            pin(everything, last)
         terminal.drain(SETTLE)
-        spent, began = processor_seconds(processes), time.perf_counter()
+        spent, began = processor_seconds(everything), time.perf_counter()
         seconds = []
         for k in range(keys):
             key = list(PANES)[k % len(PANES)]
             seconds.append(terminal.seconds_until(key, PANES[key]))
             terminal.drain(PAUSE)
-        share = (processor_seconds(processes) - spent) / (time.perf_counter() - began)
+        share = (processor_seconds(everything) - spent) / (time.perf_counter() - began)
     milliseconds = 1e3 * np.array(seconds)
-    figures = dict(zip(("median", "p95", "p99"), np.percentile(milliseconds, (50, 95, 99)), strict=True))
+    figures = dict(zip(("median", "p95", "largest"), np.percentile(milliseconds, (50, 95, 100)), strict=True))
     return {
         "keys": keys,
-        "milliseconds": {name: round(float(v), 1) for name, v in figures.items()}
-        | {"largest": round(float(milliseconds.max()), 1)},
+        "milliseconds": {name: round(float(value), 1) for name, value in figures.items()},
         "within_100_ms": int(np.sum(milliseconds <= 100.0)),
-        "share_of_the_core": round(share, 2),
+        "cores_used": round(share, 2),
     }
 
 
 def main() -> None:
-    """Measure with the core to themselves and, if wanted, beside a computing process."""
+    """Measure in all three ways."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--keys", type=int, default=200)
+    parser.add_argument("--keys", type=int, default=100)
     parser.add_argument("--size", default="160x50", help="of the terminal")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     columns, rows = (int(part) for part in options.size.split("x"))
     measured = {}
-    for name, busy in (("one core for all", False), ("and a process that computes on it", True)):
+    for where in (FREE, BUSY, ONE):
         with tempfile.TemporaryDirectory() as directory:
             os.environ["XDG_RUNTIME_DIR"] = directory
             folder = Path(directory) / "lab"
             folder.mkdir()
-            measured[name] = measure(options.keys, (columns, rows), busy, folder)
+            measured[where] = measure(options.keys, (columns, rows), where, folder)
     tell(
         {
             "schema": "labhil.keys/1",
