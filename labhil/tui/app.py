@@ -17,7 +17,6 @@ from textual.screen import Screen
 from textual.widget import Widget
 from textual.widgets import (
     DataTable,
-    Footer,
     HelpPanel,
     OptionList,
     SelectionList,
@@ -31,6 +30,7 @@ from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
 from labhil.tui.endings import end_in_order
 from labhil.tui.experiment import ExperimentPane
+from labhil.tui.footer import KeyFooter
 from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
@@ -93,6 +93,8 @@ class LabApp(App[None]):
         self._pace = FrameLimiter()
         self._bar = Text()
         self._panes: tuple[TabPane, ...] = ()
+        # the line under a tab that glides costs a third of the time until the tab's pane is there
+        self.animation_level = "none"
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = theme
@@ -115,7 +117,7 @@ class LabApp(App[None]):
                 yield RecordingsPane(self.folder)
             with TabPane("5 Results", id="results"):
                 yield ResultsPane(self.folder, self.studies.jobs)
-        yield Footer(show_command_palette=False)
+        yield KeyFooter()
 
     def on_mount(self) -> None:
         """Start the timers, and read the folder."""

@@ -16,13 +16,14 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.content import Content
 from textual.message import Message
 from textual.screen import Screen
-from textual.widgets import Footer, SelectionList, Static
+from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
 from labhil.campaign.studies.overlay import MODULE
 from labhil.campaign.studies.process import Helper
 from labhil.signals import FloatArray
 from labhil.tui.curve import Curve, Pen
+from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import Chart, Plot
 from labhil.tui.themes import CURVES
 
@@ -61,7 +62,7 @@ class Overlay(Screen[None]):
                 yield SelectionList[str](id="overlay-terms")
                 yield Static(id="overlay-errors")
             yield VerticalScroll(id="overlay-charts", can_focus=False)
-        yield Footer(show_command_palette=False)
+        yield KeyFooter()
 
     def on_mount(self) -> None:
         """Start to simulate the models."""

@@ -12,12 +12,13 @@ from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
 from textual.screen import Screen
-from textual.widgets import Footer, Static
+from textual.widgets import Static
 
 from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.tui.curve import PENS, Curve
+from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
 from labhil.tui.themes import CURVES
@@ -43,7 +44,7 @@ class RecordingScreen(Screen[None]):
         """A title, and room for charts."""
         yield Static(Text(f" {self._path.name} … reading", style="bold"), id="recording-title")
         yield VerticalScroll(id="recording-body")
-        yield Footer(show_command_palette=False)
+        yield KeyFooter()
 
     def on_mount(self) -> None:
         """Read it."""

@@ -64,6 +64,7 @@ class RecordingsPane(Vertical):
         self._entries: list[LibraryEntry] = []
         self._marks: dict[Path, str] = {}
         self._name_width = NARROW
+        self._detail = Text()
 
     def compose(self) -> ComposeResult:
         """The table, and the text for an empty folder."""
@@ -164,7 +165,9 @@ class RecordingsPane(Vertical):
             line.append("f d x: ", style=colours["muted"]).append(what)
             if tests:
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
-        self.query_one("#recordings-detail", Static).update(line)
+        if line != self._detail:
+            self._detail = line
+            self.query_one("#recordings-detail", Static).update(line)
 
     def _chosen_entry(self) -> LibraryEntry | None:
         table = self.query_one(DataTable)
