@@ -226,9 +226,11 @@ class LabApp(App[None]):
             self.push_screen(Palette(id="--command-palette"))
 
     def action_tab(self, name: str) -> None:
-        """Bring a tab to the front."""
+        """Bring a tab to the front; a key that was typed ahead is for it already."""
         if len(self.screen_stack) == 1:
             self.base.query_one("#tabs", TabbedContent).active = name
+            self.look_at_files()
+            self._focus_tab()
 
     def on_tabbed_content_tab_activated(self, event: TabbedContent.TabActivated) -> None:
         """Refresh the tab in front, and focus its main widget."""
@@ -245,7 +247,7 @@ class LabApp(App[None]):
             "recordings": ("#recordings-table", DataTable),
             "results": ("#results-table", DataTable),
         }
-        self.base.query_one(*kinds[self.tab]).focus()
+        self.base.set_focus(self.base.query_one(*kinds[self.tab]))
 
     # the run
 

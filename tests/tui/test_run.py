@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from textual.events import Key
 from textual.pilot import Pilot
 from textual.widgets import DataTable
 
@@ -76,6 +77,25 @@ def kinds(recording: Recording, device: str) -> list[str]:
         for event in recording.events
         if event.device == device and event.topic == "event"
     ]
+
+
+def test_keys_that_are_typed_ahead_are_for_the_pane_that_they_opened(
+    bench: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[Path] = []
+
+    async def drive() -> None:
+        with Session(()) as lab:
+            app = LabApp(bench, lab)
+            monkeypatch.setattr(app.runner, "start", lambda path, _name: started.append(path))
+            async with app.run_test(size=(100, 30)) as pilot:
+                await pilot.pause(0.3)
+                for key, character in (("3", "3"), ("enter", "\r")):
+                    app.post_message(Key(key, character))
+                await until(pilot, lambda: bool(started))
+
+    asyncio.run(drive())
+    assert [path.name for path in started] == ["pilot.toml"]
 
 
 @pytest.mark.extended
