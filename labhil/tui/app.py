@@ -126,9 +126,9 @@ class LabApp(App[None]):
         self.set_interval(FACTS_INTERVAL, self._show_facts)
         self.set_interval(FILES_INTERVAL, self.look_at_files)
         self._shelf.look()  # before the tab is opened: reading takes a while
-        self._show_facts()
         end_in_order(self, self.runner)
-        self._focus_tab()
+        self._show_tab()
+        self.watch(self.base.query_one("#tabs", TabbedContent), "active", self._show_tab, init=False)
 
     def on_unmount(self) -> None:
         """End what this screen started; a second call finds nothing to do."""
@@ -226,15 +226,12 @@ class LabApp(App[None]):
             self.push_screen(Palette(id="--command-palette"))
 
     def action_tab(self, name: str) -> None:
-        """Bring a tab to the front; a key that was typed ahead is for it already."""
+        """Bring a tab to the front."""
         if len(self.screen_stack) == 1:
             self.base.query_one("#tabs", TabbedContent).active = name
-            self.look_at_files()
-            self._focus_tab()
 
-    def on_tabbed_content_tab_activated(self, event: TabbedContent.TabActivated) -> None:
-        """Refresh the tab in front, and focus its main widget."""
-        event.stop()
+    def _show_tab(self) -> None:
+        """Refresh the tab in front, and focus its main widget at once: keys may be typed ahead."""
         self._show_facts()
         self.look_at_files()
         self._focus_tab()
