@@ -11,18 +11,13 @@ process computes all the time, and with everything (twins, hosts, recorder, scre
 from __future__ import annotations
 
 import argparse
-import fcntl
 import os
 import platform
-import pty
 import re
 import select
-import signal
-import struct
 import subprocess
 import sys
 import tempfile
-import termios
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -32,9 +27,9 @@ from typing import Any
 import numpy as np
 import psutil
 
+from lab_at_work import open_screen, serving
 from measured import tell
 
-LABHIL = [sys.executable, "-P", "-m", "labhil"]
 RIGS = ("ball_beam", "dc_motor", "solenoid")
 PANES = {"2": rb"of \d+ signals", "4": rb"duration"}
 """Keys, and words that only the pane behind each draws."""
@@ -80,31 +75,14 @@ def lab(folder: Path) -> Iterator[tuple[psutil.Process, str]]:
         f'[devices.{rig}]\nplugin = "{rig}"\naddress = "twin"\ntwin = {{ seed = 1 }}\n' for rig in RIGS
     ]
     (folder / "lab.toml").write_text('[lab]\nname = "keys"\n' + "".join(devices), encoding="utf-8")
-    with (folder / "serve.txt").open("w", encoding="utf-8") as errors:
-        command = [*LABHIL, "serve", "--config", "lab.toml"]
-        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=errors)
-    assert service.stdout is not None
-    try:
-        yield psutil.Process(service.pid), service.stdout.readline().strip()
-        service.send_signal(signal.SIGINT)
-        service.wait(PATIENCE)
-    finally:
-        service.kill()
-        service.wait()
-        service.stdout.close()
+    with serving(folder, "serve.txt", PATIENCE) as (pid, endpoint):
+        yield psutil.Process(pid), endpoint
 
 
 @contextmanager
 def screen(folder: Path, endpoint: str, size: tuple[int, int]) -> Iterator[tuple[psutil.Process, Screen]]:
     """``labhil tui`` in a terminal of so many columns and rows."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
-    environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
-    process = subprocess.Popen(
-        [*LABHIL, "tui", "--folder", str(folder), "--connect", endpoint],
-        stdin=theirs, stdout=theirs, stderr=theirs, env=environment, start_new_session=True,
-    )  # fmt: skip
-    os.close(theirs)
+    process, ours = open_screen(folder, endpoint, size)
     try:
         yield psutil.Process(process.pid), Screen(ours)
     finally:

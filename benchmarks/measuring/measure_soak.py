@@ -12,19 +12,12 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import math
 import os
 import platform
-import pty
 import re
-import signal
 import statistics
-import struct
-import subprocess
-import sys
 import tempfile
-import termios
 import threading
 import time
 from collections import defaultdict
@@ -37,6 +30,7 @@ from typing import Any
 import numpy as np
 import psutil
 
+from lab_at_work import open_screen, serving
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.publish import publish_command
@@ -46,7 +40,6 @@ from labhil.recording.recording import StreamData
 from labhil.service.messages import Setpoint
 from measured import tell
 
-LABHIL = [sys.executable, "-P", "-m", "labhil"]
 LAB = """
 [lab]
 name = "soak"
@@ -139,14 +132,7 @@ def screen(
     folder: Path, endpoint: str, size: tuple[int, int], tab: str, output: list[bytes]
 ) -> Iterator[int]:
     """``labhil tui`` in a terminal of that many columns and rows; what it draws is read and counted."""
-    ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", size[1], size[0], 0, 0))
-    command = [*LABHIL, "tui", "--folder", str(folder), "--connect", endpoint]
-    environment = {**os.environ, "TERM": "xterm-256color", "COLORTERM": "truecolor"}
-    process = subprocess.Popen(
-        command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment, start_new_session=True
-    )
-    os.close(theirs)
+    process, ours = open_screen(folder, endpoint, size)
     reader = threading.Thread(target=drain, args=(ours, output))
     reader.start()
     try:
@@ -186,18 +172,8 @@ def lab(folder: Path, roll: float) -> Iterator[tuple[int, str]]:
     """``labhil serve`` with its process id and the endpoint of its bus."""
     (folder / "lab.toml").write_text(LAB.replace("ROLL", repr(roll)), encoding="utf-8")
     (folder / "rig.toml").write_text(RIG, encoding="utf-8")
-    with (folder / "said.txt").open("w", encoding="utf-8") as log:
-        command = [*LABHIL, "serve", "--config", "lab.toml"]
-        service = subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=log)
-    assert service.stdout is not None
-    try:
-        yield service.pid, service.stdout.readline().strip()
-        service.send_signal(signal.SIGINT)
-        service.wait(PATIENCE)
-    finally:
-        service.kill()
-        service.wait()
-        service.stdout.close()
+    with serving(folder, "said.txt", PATIENCE) as running:
+        yield running
 
 
 class Mover:

@@ -32,7 +32,7 @@ ELSEWHERE = 0.1
 """Share of the held-out samples outside the searched range from which the held-out data go elsewhere."""
 
 BEYOND_DOUBT = -50.0
-"""ΔBIC that a term needs which more data add: what is left of a real rig passes for evidence more easily."""
+"""ΔBIC that a term needs which more data add: residuals of a real rig pass for evidence more easily."""
 
 SHOWN = 1.1
 """RMSE over the noise floor, on held-out data, that asks for a wider search."""

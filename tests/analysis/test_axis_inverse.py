@@ -78,9 +78,9 @@ def test_a_fit_by_inverse_dynamics_finds_the_numbers_and_is_scored_by_simulation
 
 def test_a_page_names_the_metric_of_the_forces_and_keeps_the_headline_in_metres(found):
     result = fit(found.model, found.record, ("viscous_friction", "coulomb_friction"), options=INVERSE)
-    told = validate(FitPart, fit_json(result, [], "axis", "hybrid", 0, 0.0), "the fit")
-    assert told.train.unit == "m"
-    page = str(fit_page(told, "", Album()))
+    fit_part = validate(FitPart, fit_json(result, [], "axis", "hybrid", 0, 0.0), "the fit")
+    assert fit_part.train.unit == "m"
+    page = str(fit_page(fit_part, "", Album()))
     assert "inverse dynamics" in page
     assert "of the RMS" in page
 
