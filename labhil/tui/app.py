@@ -129,6 +129,7 @@ class LabApp(App[None]):
         end_in_order(self, self.runner)
         self._show_tab()
         self.watch(self.base.query_one("#tabs", TabbedContent), "active", self._show_tab, init=False)
+        self.watch(self.base, "focused", self._keep_focus, init=False)
 
     def on_unmount(self) -> None:
         """End what this screen started; a second call finds nothing to do."""
@@ -236,6 +237,11 @@ class LabApp(App[None]):
         self.look_at_files()
         self._focus_tab()
 
+    def _keep_focus(self, focused: Widget | None) -> None:
+        """Keep the keys with the tab: a layout that comes late, or a click beside it, takes them away."""
+        if focused is None and self.app_focus:
+            self.call_next(self._focus_tab)
+
     def _focus_tab(self) -> None:
         kinds: dict[str, tuple[str, type[Widget]]] = {
             "devices": ("#devices-table", DataTable),
@@ -244,7 +250,8 @@ class LabApp(App[None]):
             "recordings": ("#recordings-table", DataTable),
             "results": ("#results-table", DataTable),
         }
-        self.base.set_focus(self.base.query_one(*kinds[self.tab]))
+        if self.is_drawable:
+            self.base.set_focus(self.base.query_one(*kinds[self.tab]))
 
     # the run
 

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from textual.events import Key
+from textual.events import Hide, Key
 from textual.pilot import Pilot
 from textual.widgets import DataTable
 
@@ -96,6 +96,22 @@ def test_keys_that_are_typed_ahead_are_for_the_pane_that_they_opened(
 
     asyncio.run(drive())
     assert [path.name for path in started] == ["pilot.toml"]
+
+
+def test_a_tab_keeps_its_keys_when_a_layout_or_a_click_takes_the_focus_away(bench: Path) -> None:
+    async def drive() -> None:
+        with Session(()) as lab:
+            app = LabApp(bench, lab, tab="recordings")
+            async with app.run_test(size=(100, 30)) as pilot:
+                for taken_by in ("a layout", "a click"):
+                    await until(pilot, lambda: app.focused is app.query_one("#recordings-table"))
+                    if taken_by == "a layout":
+                        app.query_one("#recordings-table").post_message(Hide())
+                    else:
+                        await pilot.click("#brand")
+                await until(pilot, lambda: app.focused is app.query_one("#recordings-table"))
+
+    asyncio.run(drive())
 
 
 @pytest.mark.extended
