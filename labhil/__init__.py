@@ -41,10 +41,12 @@ if TYPE_CHECKING:
     from labhil.api.verification import Verification, verify
     from labhil.experiment.bench import Bench
     from labhil.experiment.hooks import RunContext
+    from labhil.physics.friction_law import FrictionLaw, add_law, remove_law
+    from labhil.physics.quantity import Quantity
     from labhil.simulators.arm import ArmSimulator
     from labhil.simulators.fmu import fmu_simulator
     from labhil.simulators.mjcf import mujoco_simulator
-    from labhil.simulators.simulator import Coordinate, Quantity, Simulator, simulator
+    from labhil.simulators.simulator import Coordinate, Simulator, simulator
 
 __all__ = [
     "ArmSimulator",
@@ -55,6 +57,7 @@ __all__ = [
     "ExcludedEffect",
     "Experiment",
     "Fit",
+    "FrictionLaw",
     "Improvement",
     "Location",
     "MissingEffect",
@@ -69,6 +72,7 @@ __all__ = [
     "Simulator",
     "Terms",
     "Verification",
+    "add_law",
     "compare",
     "connect",
     "devices",
@@ -81,6 +85,7 @@ __all__ = [
     "mujoco_simulator",
     "read",
     "recording",
+    "remove_law",
     "run",
     "simulator",
     "verify",

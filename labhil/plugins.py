@@ -1,7 +1,8 @@
-"""Drivers and twins are found by entry points; their names are listed without importing any of them."""
+"""Drivers, twins and terms are found by entry points; names are listed without importing any of them."""
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,6 +14,7 @@ from labhil.extras import missing_extra
 
 DRIVERS = "labhil.drivers"
 TWINS = "labhil.twins"
+TERMS = "labhil.terms"
 
 
 def names(group: str) -> tuple[str, ...]:
@@ -30,6 +32,21 @@ def load_twin(name: str) -> Twin:
     return cast(Twin, _load(TWINS, name, "twin"))
 
 
+@cache
+def installed_terms() -> tuple[tuple[str, object], ...]:
+    """What packages provide as terms, each with the package and the name by which it does, sorted.
+
+    Imported once in a process. UsageError names the one that cannot be.
+    """
+    points = sorted(entry_points(group=TERMS), key=_place)
+    return tuple((_place(point), _imported(point, "term")) for point in points)
+
+
+def _place(point: EntryPoint) -> str:
+    package = "" if point.dist is None else point.dist.name
+    return f"{package}:{point.name}"
+
+
 def firmware_folder(driver: str) -> Path | None:
     """Folder with the firmware that the package of a driver plugin brings (``firmware/Makefile``), if any.
 
@@ -43,7 +60,11 @@ def firmware_folder(driver: str) -> Path | None:
 
 
 def _load(group: str, name: str, what: str) -> object:
-    point = _find(group, name, what)
+    return _imported(_find(group, name, what), what)
+
+
+def _imported(point: EntryPoint, what: str) -> object:
+    name = point.name
     try:
         return point.load()
     except (ImportError, AttributeError) as error:

@@ -33,10 +33,12 @@ WHERE = {
     "labhil.api.verification": ("Verification", "verify"),
     "labhil.experiment.bench": ("Bench",),
     "labhil.experiment.hooks": ("RunContext",),
+    "labhil.physics.friction_law": ("FrictionLaw", "add_law", "remove_law"),
+    "labhil.physics.quantity": ("Quantity",),
     "labhil.simulators.arm": ("ArmSimulator",),
     "labhil.simulators.fmu": ("fmu_simulator",),
     "labhil.simulators.mjcf": ("mujoco_simulator",),
-    "labhil.simulators.simulator": ("Coordinate", "Quantity", "Simulator", "simulator"),
+    "labhil.simulators.simulator": ("Coordinate", "Simulator", "simulator"),
 }
 MODULE_OF = {name: module for module, names in WHERE.items() for name in names}
 MODULES = ("devices", "errors", "testing")

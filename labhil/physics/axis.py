@@ -250,7 +250,8 @@ class AxisModel:
         x, v = coordinates["position"], coordinates["axis_velocity"]
         u = coordinates["acting_drive"]
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
-        return np.asarray(sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta))
+        force = sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta)
+        return np.asarray(force - self._values.added_drag(theta, v))
 
     def balance(self, theta: FloatArray, record: Record) -> Balance:
         """What the drive had to push for the measured motion and what it pushed, behind the low-pass.
@@ -324,8 +325,9 @@ class AxisModel:
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
             self._part(theta), self._values.friction_law(theta, mass), change,
         )  # fmt: skip
-        if self._extra is None:
+        beside = self._values.beside(theta, mass, self._extra, record)
+        if beside is None:
             sliding.simulate(*given, out)
         else:
-            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
+            sliding.simulate_pushed(*given, *beside, out)
         return out[:, :2]

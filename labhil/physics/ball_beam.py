@@ -12,14 +12,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
-from labhil.physics.driven import lagged, nodes_of
+from labhil.physics.driven import nodes_of
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.guesses import straight_starts
 from labhil.physics.measured_input import without_noise
-from labhil.physics.model import Metric, Record, Windows, index_of, start_values
+from labhil.physics.model import Metric, Record, Windows, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
+from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -133,10 +134,10 @@ class BallBeamModel:
         self.per_unit_mass = rig.known_number("ball_mass") is None
         self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
-        self.fixed = {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
+        self.fixed = known_numbers(rig)
         estimated = tuple(RIG_PARAMETERS[name] for name in self._estimated())
         self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
-        self._index = index_of(self.parameters)
+        self._values = Values(self.fixed, self.parameters)
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
     @property
@@ -173,7 +174,7 @@ class BallBeamModel:
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured position in m, (N, 1)."""
         x = self._trajectory(theta, record, windows, states)[:, 0]
-        return self._sensor(theta, record, windows, x)[:, None]
+        return self._values.sensed(theta, record, windows, x)[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
@@ -203,7 +204,7 @@ class BallBeamModel:
         k = self._kernel(theta)
         x, v = coordinates["ball_position"], coordinates["ball_velocity"]
         a = efforts(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
-        return np.asarray(a) * self._effective_mass(theta)
+        return np.asarray(a * self._effective_mass(theta) - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
@@ -226,21 +227,16 @@ class BallBeamModel:
     def _stride(record: Record) -> int:
         return max(1, int(0.1 / record.period))
 
-    def _value(self, theta: FloatArray, name: str) -> float:
-        if name in self.fixed:
-            return self.fixed[name]
-        return float(theta[self._index[name]]) if name in self._index else 0.0
-
     def _effective_mass(self, theta: FloatArray) -> float:
         if self.per_unit_mass:
             return 1.0
-        return (1.0 + SOLID_BALL) * self.fixed["ball_mass"] + self._value(theta, "added_inertia.mass")
+        return (1.0 + SOLID_BALL) * self.fixed["ball_mass"] + self._values.of(theta, "added_inertia.mass")
 
     def _kernel(self, theta: FloatArray) -> FloatArray:
         """Everything per unit of effective mass, in the order of ``physics.rolling``."""
         m_eff = self._effective_mass(theta)
         if self.per_unit_mass:
-            gain = self._value(theta, "acceleration_per_radian")
+            gain = self._values.of(theta, "acceleration_per_radian")
             share = gain / GRAVITY
         else:
             share = self.fixed["ball_mass"] / m_eff
@@ -249,8 +245,8 @@ class BallBeamModel:
         k[rolling.GRAVITY], k[rolling.CENTRIFUGAL] = gain, share
         k[rolling.ROLLING] = SOLID_BALL * self.fixed.get("ball_radius", 0.0) * share
         for place, name in KERNEL_PLACES.items():
-            k[place] = self._value(theta, name) / m_eff
-        k[rolling.STRIBECK_VELOCITY] = self._value(theta, "stribeck_friction.velocity")
+            k[place] = self._values.of(theta, name) / m_eff
+        k[rolling.STRIBECK_VELOCITY] = self._values.of(theta, "stribeck_friction.velocity")
         return k
 
     def _trajectory(
@@ -260,8 +256,9 @@ class BallBeamModel:
         nodes, angle = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
-        if self._extra is not None:
-            k = rolling.with_force(k, *self._extra.over(self._effective_mass(theta), record))
+        beside = self._values.beside(theta, self._effective_mass(theta), self._extra, record)
+        if beside is not None:
+            k = rolling.with_force(k, *beside)
         rolling.simulate(
             record.t, nodes, angle, self._ratio(theta), windows.first, windows.last, states, k, out
         )
@@ -272,7 +269,7 @@ class BallBeamModel:
 
         Most simulations of a fit differ in friction or in initial states only.
         """
-        key = (id(record), *(self._value(theta, name) for name in WAY_IN))
+        key = (id(record), *(self._values.of(theta, name) for name in WAY_IN))
         entry = self._remembered.get(key)
         if entry is None or entry[0] is not record:
             entry = (record, self._effective_input(theta, record))
@@ -282,18 +279,18 @@ class BallBeamModel:
         return entry[1]
 
     def _ratio(self, theta: FloatArray) -> float:
-        if "crank_radius" not in self.fixed and "crank_radius" not in self._index:
+        if "crank_radius" not in self._values:
             return 1.0
-        return self._value(theta, "crank_radius") / self._value(theta, "beam_length")
+        return self._values.of(theta, "crank_radius") / self._values.of(theta, "beam_length")
 
     def _effective_input(self, theta: FloatArray, record: Record) -> input_path.Nodes:
         """Nodes of the angle behind backlash, dead zone, saturation, rate limit, lag and delay."""
         t, u = nodes_of(record, 0)
-        gap = self._value(theta, "backlash.gap")
-        left, right = self._value(theta, "dead_zone.left"), self._value(theta, "dead_zone.right")
-        inverse_limit = self._value(theta, "saturation.inverse_limit")
-        inverse_rate = self._value(theta, "rate_limit.inverse_rate")
-        time_constant = self._value(theta, "actuator_lag.time_constant")
+        gap = self._values.of(theta, "backlash.gap")
+        left, right = self._values.of(theta, "dead_zone.left"), self._values.of(theta, "dead_zone.right")
+        inverse_limit = self._values.of(theta, "saturation.inverse_limit")
+        inverse_rate = self._values.of(theta, "rate_limit.inverse_rate")
+        time_constant = self._values.of(theta, "actuator_lag.time_constant")
         t, u = input_path.backlash(t, u, gap) if gap else (t, u)
         t, u = input_path.dead_zone(t, u, left, right) if left or right else (t, u)
         t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
@@ -301,15 +298,7 @@ class BallBeamModel:
         if time_constant:
             t, u = input_path.refine(t, u, LAG_PARTS)
             u = input_path.first_order_lag(t, u, time_constant)
-        return t + self._value(theta, "time_delay.delay"), u
-
-    def _sensor(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
-        cubic, gain = self._value(theta, "sensor_nonlinearity.cubic"), self._value(theta, "sensor_gain.gain")
-        x = x + cubic * x * x * x if cubic else x
-        x = x * (1.0 + gain) if gain else x
-        x = x + self._value(theta, "sensor_offset.offset")
-        time_constant = self._value(theta, "sensor_lag.time_constant")
-        return lagged(record, windows, x, time_constant) if time_constant else x
+        return t + self._values.of(theta, "time_delay.delay"), u
 
 
 KERNEL_PLACES = {

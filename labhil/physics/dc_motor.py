@@ -182,7 +182,8 @@ class DcMotorModel:
         i, angle, w = (coordinates[name] for name in ("current", "shaft_angle", "shaft_velocity"))
         inertia = self._inertia(theta)
         law = self._values.friction_law(theta, inertia)
-        return np.asarray(winding.accelerations(i, angle, w, self._motor(theta), law) * inertia)
+        torque = winding.accelerations(i, angle, w, self._motor(theta), law) * inertia
+        return np.asarray(torque - self._values.added_drag(theta, w))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
@@ -224,10 +225,11 @@ class DcMotorModel:
             record.t, node_t, voltage, windows.first, windows.last, starts, self._motor(theta), law,
             warm, change,
         )  # fmt: skip
-        if self._extra is None:
+        beside = self._values.beside(theta, self._inertia(theta), self._extra, record)
+        if beside is None:
             winding.simulate(*given, out)
         else:
-            winding.simulate_pushed(*given, *self._extra.over(self._inertia(theta), record), out)
+            winding.simulate_pushed(*given, *beside, out)
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:

@@ -8,6 +8,7 @@ would pull the simulation towards it (a stiff spring to the measured place expla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,9 +17,20 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from labhil.compiled import inlined, specialised
+from labhil.physics.friction import RESOLVED
+from labhil.physics.friction_law import FASTEST, GRID, PER_OCTAVE, SLOWEST, SLOWEST_POWER
 from labhil.physics.model import Model, Record
 from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
 from labhil.signals import FloatArray
+
+MOST = FASTEST * (1.0 - 1e-12)
+"""Speed beyond which the table of a law keeps its last value."""
+
+
+NODES = len(GRID)
+
+STRAIGHT = 0.03
+"""Share of the pull by which friction of one's own may leave its tangent within a step."""
 
 
 class CurveArgument(IntEnum):
@@ -73,6 +85,8 @@ class CompiledForce(NamedTuple):
     ``values`` are those of the curve at ``low`` and every 1/``per_unit`` further on, straight in between and
     constant outside; ``turn`` is the period of a position that repeats (0: it does not). ``width`` is how
     far one step may go along the coordinate. ``course`` is the force from this sample to the next.
+    ``friction`` are values of friction laws of one's own at the speeds of ``friction_law.GRID``, empty where
+    there are none.
     """
 
     over: int
@@ -82,6 +96,7 @@ class CompiledForce(NamedTuple):
     width: float
     values: FloatArray
     course: float
+    friction: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,14 +118,21 @@ class ExtraForce:
     of: str = ""
     joint: int | None = None
 
-    def over(self, inertia: float, record: Record) -> tuple[CompiledForce, FloatArray]:
-        """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia."""
+    def over(self, inertia: float, record: Record, friction: FloatArray) -> tuple[CompiledForce, FloatArray]:
+        """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia.
+
+        ``friction`` (398,), or empty, is that of laws of one's own, over the inertia as well.
+        """
         per_unit = (len(self.grid) - 1) / float(self.grid[-1] - self.grid[0])
         values = np.ascontiguousarray(self.values / inertia)
         low = float(self.grid[0])
-        beyond = CompiledForce(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0)
+        beyond = CompiledForce(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0, friction)
         along = np.zeros(len(record)) if self.course is None else self.course / inertia
         return beyond, np.ascontiguousarray(along)
+
+
+NO_FORCE = ExtraForce(CurveArgument.TIME, np.array([0.0, 1.0]), np.zeros(2), 1.0)
+"""Beside which a kernel may hold friction laws of one's own."""
 
 
 @runtime_checkable
@@ -203,9 +225,51 @@ def pushes(s: Motion, b: CompiledForce) -> float:
 @inlined
 def rubs(s: Motion, b: CompiledForce) -> float:
     """What acts against the motion, over the inertia."""
+    level = 0.0
     if b.over == 2:
-        return look_up(s.x, b)
-    return look_up(abs(s.v), b) if b.over == 4 else 0.0
+        level = look_up(s.x, b)
+    elif b.over == 4:
+        level = look_up(abs(s.v), b)
+    return level + friction_at(abs(s.v), b.friction, 0) if b.friction.size else level
+
+
+@inlined
+def cell_of(speed: float) -> tuple[int, float, float]:
+    """The cell of ``friction_law.GRID`` in which a speed is, the share of it behind, and its width."""
+    if not speed > SLOWEST:
+        return 0, speed / SLOWEST, SLOWEST
+    # half to one times a power of two; the octave below that power begins at twice the half
+    part, power = math.frexp(min(speed, MOST))
+    place = (2.0 * part - 1.0) * PER_OCTAVE
+    k = int(place)
+    width = math.ldexp(1.0 / PER_OCTAVE, power - 1)
+    return 1 + (power - 1 - SLOWEST_POWER) * PER_OCTAVE + k, place - k, width
+
+
+@inlined
+def friction_at(speed: float, values: FloatArray, first: int) -> float:
+    """A table over ``friction_law.GRID`` that begins at ``first``: straight between its nodes."""
+    k, share, _ = cell_of(speed)
+    low = values[first + k]
+    return low + (values[first + k + 1] - low) * share
+
+
+@inlined
+def friction_pace(speed: float, rate: float, values: FloatArray, first: int) -> float:
+    """How long one step may be (s) at acceleration ``rate``: short against how the table damps and bends."""
+    k, _, width = cell_of(speed)
+    slope = (values[first + k + 1] - values[first + k]) / width
+    further = min(k + PER_OCTAVE, NODES - 2)
+    bend = abs((values[first + further + 1] - values[first + further]) / cell_width(further) - slope)
+    pull = abs(rate) + TINY
+    reach = max(RESOLVED * (speed + SLOWEST), STRAIGHT * pull / (bend + TINY))
+    return min(reach / pull, RESOLVED / (abs(slope) + TINY))
+
+
+@inlined
+def cell_width(k: int) -> float:
+    """Width of a cell of ``friction_law.GRID``."""
+    return math.ldexp(SLOWEST / PER_OCTAVE, (k - 1) // PER_OCTAVE) if k > 0 else SLOWEST
 
 
 Pull = Callable[[Motion, float, float, Part], float]
@@ -242,20 +306,28 @@ def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Cour
         p: Pushed[Part],
     ) -> float:  # fmt: skip
         size = pace(s, side, u, rise, since, how, finest, p.part)
-        if side == 0.0 or p.beyond.over == 0:
+        b = p.beyond
+        if side == 0.0 or (b.over == 0 and not b.friction.size):
             return size
-        rate = extra_pull(s, side, u, p) if 3 <= p.beyond.over <= 4 else s.v
-        return min(size, max(p.beyond.width / (abs(rate) + TINY), finest))
+        pulled = extra_pull(s, side, u, p)
+        if b.friction.size:
+            size = min(size, max(friction_pace(abs(s.v), pulled, b.friction, 0), finest))
+        if b.over == 0:
+            return size
+        rate = pulled if 3 <= b.over <= 4 else s.v
+        return min(size, max(b.width / (abs(rate) + TINY), finest))
 
     @specialised
     def extra_damping(s: Motion, side: float, p: Pushed[Part]) -> tuple[float, float]:
-        # a curve over velocity damps as well: such a part does not count as creeping
-        return damping(s, side, p.part) if p.beyond.over < 3 else (0.0, 0.0)
+        # what depends on velocity damps as well: such a part does not count as creeping
+        if p.beyond.over >= 3 or p.beyond.friction.size:
+            return 0.0, 0.0
+        return damping(s, side, p.part)
 
     @specialised
     def extra_at(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
         b = p.beyond
-        force = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k])
+        force = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k], b.friction)
         return Pushed(at(p.part, c.course, k), force)
 
     return Laws(

@@ -7,6 +7,7 @@ the hold at rest beyond both.
 
 from __future__ import annotations
 
+from labhil.physics.friction_law import laws
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 
 SOURCE = "eq. 4.17 of the reference text, its Stribeck exponent with the minus sign"
@@ -39,6 +40,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
         _stribeck(force, length, level, speed),
         *_fast(force, length, level, speed),
         *_uneven(force, length, level, speed),
+        *(law.term(force, length, level, speed) for law in laws()),
     )
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics.bracket import Bracket, crossing, narrow
-from labhil.physics.extra_force import CompiledForce
+from labhil.physics.extra_force import CompiledForce, friction_at, friction_pace
 from labhil.signals import FloatArray, IntArray
 
 (
@@ -42,9 +42,12 @@ from labhil.signals import FloatArray, IntArray
 SIZE = 15
 """Strengths; what follows them describes one more force, see :func:`with_force`."""
 
-ACTS, LOW, PER_UNIT, WIDTH = range(SIZE, SIZE + 4)
-TABLE = SIZE + 4
-"""Where the curve's values begin; a course is in their place where the force has no curve."""
+ACTS, LOW, PER_UNIT, WIDTH, RUBS = range(SIZE, SIZE + 5)
+TABLE = SIZE + 5
+"""Where as many values as ``RUBS`` says begin of friction laws of one's own.
+
+The curve's values follow; a course is in their place where the force has no curve.
+"""
 
 
 class Crank(NamedTuple):
@@ -79,23 +82,25 @@ def lever(angle: float, ratio: float) -> float:
 
 
 def with_force(k: FloatArray, beyond: CompiledForce, along: FloatArray) -> FloatArray:
-    """Strengths ``k`` (15,) with one more force behind them: a curve, or a course (n,), over the mass."""
-    head = [float(beyond.over), beyond.low, beyond.per_unit, beyond.width]
-    return np.concatenate([k, head, beyond.values if beyond.over else along])
+    """Strengths ``k`` (15,), and behind them friction of one's own and a curve or a course, over the mass."""
+    friction = beyond.friction
+    head = [float(beyond.over), beyond.low, beyond.per_unit, beyond.width, float(len(friction))]
+    return np.concatenate([k, head, friction, beyond.values if beyond.over else along])
 
 
 @inlined
 def curve(x: float, k: FloatArray) -> float:
     """The curve at ``x``: straight between its nodes, constant outside, m/s²."""
     place = (x - k[LOW]) * k[PER_UNIT]
-    last = k.size - TABLE - 1
+    first = TABLE + int(k[RUBS])
+    last = k.size - first - 1
     if not place > 0.0:
-        return k[TABLE]
+        return k[first]
     if place >= last:
-        return k[TABLE + last]
+        return k[first + last]
     i = int(place)
     share = place - i
-    return (1.0 - share) * k[TABLE + i] + share * k[TABLE + i + 1]
+    return (1.0 - share) * k[first + i] + share * k[first + i + 1]
 
 
 @inlined
@@ -110,10 +115,13 @@ def pushes(x: float, v: float, k: FloatArray) -> float:
 
 @inlined
 def rubs(x: float, v: float, k: FloatArray) -> float:
-    """What the curve adds to dry friction, m/s²."""
+    """What the curve and laws of one's own add against the motion, m/s²."""
+    level = 0.0
     if k[ACTS] == 2.0:
-        return curve(x, k)
-    return curve(abs(v), k) if k[ACTS] == 4.0 else 0.0
+        level = curve(x, k)
+    elif k[ACTS] == 4.0:
+        level = curve(abs(v), k)
+    return level + friction_at(abs(v), k, TABLE) if k[RUBS] > 0.0 else level
 
 
 @inlined
@@ -187,6 +195,8 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
         h = min(h, 0.5 * (width + 0.25 * speed) / (abs(pull) + 1e-9))
     if k.size > SIZE and k[ACTS] != 0.0:
         h = min(h, k[WIDTH] / ((abs(pull) if 3.0 <= k[ACTS] <= 4.0 else speed) + 1e-9))
+    if k.size > SIZE and k[RUBS] > 0.0:
+        h = min(h, friction_pace(speed, pull, k, TABLE))
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
@@ -304,7 +314,7 @@ def simulate(
         for i in range(first[w], last[w] - 1):
             end = t[i + 1]
             if given:
-                k[CONSTANT] = constant + k[TABLE + i]
+                k[CONSTANT] = constant + k[TABLE + int(k[RUBS]) + i]
             while now < end:
                 until = min(end, node_t[node]) if node < node_t.size else end
                 x, v, side = advance(x, v, side, crank, now - began, until - began, k)

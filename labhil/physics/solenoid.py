@@ -276,7 +276,8 @@ class SolenoidModel:
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
-        return np.asarray(sliding.accelerations(i, x, v, self._magnet(mass), part, law) * mass)
+        force = sliding.accelerations(i, x, v, self._magnet(mass), part, law) * mass
+        return np.asarray(force - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
@@ -326,8 +327,9 @@ class SolenoidModel:
             record.t, nodes, current, windows.first, windows.last, states, self._magnet(mass),
             self._part(theta), self._values.friction_law(theta, mass), np.ones(len(record)),
         )  # fmt: skip
-        if self._extra is None:
+        beside = self._values.beside(theta, mass, self._extra, record)
+        if beside is None:
             sliding.simulate(*given, out)
         else:
-            sliding.simulate_pushed(*given, *self._extra.over(mass, record), out)
+            sliding.simulate_pushed(*given, *beside, out)
         return out[:, :2]

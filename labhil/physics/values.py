@@ -8,6 +8,8 @@ import numpy as np
 
 from labhil.physics import friction
 from labhil.physics.driven import lagged
+from labhil.physics.extra_force import NO_FORCE, CompiledForce, ExtraForce
+from labhil.physics.friction_law import GRID, laws
 from labhil.physics.model import Record, Windows, index_of
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile
@@ -20,6 +22,10 @@ class Values:
     def __init__(self, fixed: Mapping[str, float], parameters: Sequence[Parameter]) -> None:
         self.fixed = fixed
         self._index = index_of(parameters)
+        self._laws = [law for law in laws() if law.coefficient in self._index]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.fixed or name in self._index
 
     def of(self, theta: FloatArray, name: str) -> float:
         """The value of ``name`` in ``theta``; zero, which is neutral, where no such parameter is."""
@@ -35,6 +41,30 @@ class Values:
         for place, name in friction.PURE.items():
             law[place] = self.of(theta, name)
         return law
+
+    def added_friction(self, theta: FloatArray, speeds: FloatArray) -> FloatArray:
+        """Friction (n,) of laws of one's own at speeds (n,), in the unit of force."""
+        total = np.zeros(len(speeds))
+        for law in self._laws:
+            total += law.force(speeds, lambda key: self.of(theta, key))
+        return total
+
+    def added_drag(self, theta: FloatArray, velocity: FloatArray) -> FloatArray:
+        """The same (n,) against velocities (n,); zero where the part rests."""
+        return np.asarray(np.sign(velocity) * self.added_friction(theta, np.abs(velocity)))
+
+    def beside(
+        self, theta: FloatArray, inertia: float, extra: ExtraForce | None, record: Record
+    ) -> tuple[CompiledForce, FloatArray] | None:
+        """What acts beside a kernel's own laws, as it takes it: laws of one's own, and one more force.
+
+        None where nothing does.
+        """
+        added = any(self.of(theta, law.coefficient) for law in self._laws)
+        if extra is None and not added:
+            return None
+        table = self.added_friction(theta, GRID) / inertia if added else np.empty(0)
+        return (extra or NO_FORCE).over(inertia, record, table)
 
     def sensed(self, theta: FloatArray, record: Record, windows: Windows, x: FloatArray) -> FloatArray:
         """What a sensor with nonlinearity, gain error, offset and lag makes of an output (N,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labhil.kinds import kind_named, kind_names
+from labhil.physics.friction_law import LABHIL, provider
 from labhil.physics.rigs import model_for, rig_model
 from labhil.physics.terms import Term
 from labhil.rig import default_rig
@@ -41,6 +42,7 @@ def _term_json(term: Term) -> dict[str, Any]:
         "statement": term.statement,
         "equation": term.equation,
         "source": term.source,
+        "provider": provider(term.name),
         "revealed_by": term.revealed_by,
         "needs": list(term.needs),
         "parameters": [{"name": p.name, "unit": p.unit, "neutral": p.neutral} for p in term.parameters],
@@ -55,7 +57,8 @@ def show_catalogue(kind: str | None) -> None:
         console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(rig_model(rig).baseline)}", markup=True)
         for term in terms.values():
             console.print(f"\n[bold]{term.name}[/bold] ({term.enters.value}): {term.statement}", markup=True)
-            console.print(f"  {term.equation}   — {term.source}")
+            by = provider(term.name)
+            console.print(f"  {term.equation}   — {term.source}" + (f" ({by})" if by != LABHIL else ""))
             units = ", ".join(f"{p.name} [{p.unit}]" for p in term.parameters)
             units += "".join(f"; {p.name} = {p.scale:g} [known]" for p in term.known)
             console.print(f"  {units}; revealed by {term.revealed_by}")

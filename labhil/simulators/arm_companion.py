@@ -16,14 +16,6 @@ from labhil.simulators.companion import FIRM, WIDTH
 
 OUTPUT = ("sensor_offset.offset", "torque_constant.gain")
 SHAPES = ("stribeck_friction.velocity", "torque_ripple.order")
-UNHELD = (
-    "joint_elasticity.compliance",
-    "temperature_dependent_friction.rate",
-    "clock_offset.offset",
-    "base_tilt.roll",
-    "base_tilt.pitch",
-)
-"""What neither file nor companion holds: the repaired file is run without."""
 
 
 class Law(NamedTuple):
@@ -67,6 +59,14 @@ BRISTLES = Law(
     "",
 )
 
+HELD = frozenset(
+    {
+        *OUTPUT,
+        "presliding_friction.length",
+        *(f"{t}.{part}" for t, law in LAWS.items() for part in law.parameters),
+    }
+)
+"""What a companion holds; a repaired file is run without anything else that it has no place for."""
 
 TEXT = '''"""What {file} cannot hold of the physics that was found; by `labhil patch`. SI units.
 
@@ -151,7 +151,7 @@ class CompanionValues:
     @property
     def unheld(self) -> tuple[str, ...]:
         """Keys of values that nothing holds."""
-        return tuple(key for key in self.values if key.partition("[")[0] in UNHELD)
+        return tuple(key for key in self.values if key.partition("[")[0] not in HELD)
 
     def text(self, file: str) -> str:
         """The Python file that stands beside ``file``."""

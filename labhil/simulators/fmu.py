@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from labhil.errors import UsageError, suggestion
+from labhil.physics.quantity import Quantity
 from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping, answers
 from labhil.simulators.fmu_mechanism import ExchangedMechanism, SteppingMechanism
 from labhil.simulators.names import identifier
 from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, probe
-from labhil.simulators.simulator import UNDAMPED, Coordinate, Quantity, Simulator, declare
+from labhil.simulators.simulator import UNDAMPED, Coordinate, Simulator, declare
 
 STEPS = (1e-3, 1e-2, 1e-4)
 """Lengths of a step (s) that an FMU for co-simulation is tried with, beside those that it states."""

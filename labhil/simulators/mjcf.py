@@ -10,13 +10,14 @@ import numpy as np
 
 from labhil.errors import UsageError, suggestion
 from labhil.extras import load_optional
+from labhil.physics.quantity import Quantity
 from labhil.simulators.arm import ArmSimulator, arm_simulator
 from labhil.simulators.mechanism import PURPOSE, RUBS, Field, Mechanism, Value, read_value
 from labhil.simulators.mjcf_file import Described, Names, load_model, names_of
 from labhil.simulators.mjcf_unheld import notes_on, refuse_unheld, sensor_delay
 from labhil.simulators.names import identifier
 from labhil.simulators.rollouts import Driven
-from labhil.simulators.simulator import Coordinate, Quantity, Simulator, declare
+from labhil.simulators.simulator import Coordinate, Simulator, declare
 from labhil.simulators.stepped import Held
 
 VISCOUS = "viscous_friction"

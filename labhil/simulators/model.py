@@ -256,7 +256,8 @@ class SimulatorModel:
         """Force on the inertia at these coordinates; zero where it rests."""
         x, v = (np.ascontiguousarray(coordinates[name]) for name in self.state_names)
         part, inertia = self._part(theta)
-        return np.asarray(self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia)
+        force = self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia
+        return np.asarray(force - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
@@ -336,10 +337,11 @@ class SimulatorModel:
         begun = np.column_stack([states, np.zeros(len(states))])
         part, inertia = self._part(theta)
         given = (record.t, nodes, values, windows.first, windows.last, begun, Stops(*self._held.stops, 0.0))
-        if self._extra is None:
+        beside = self._values.beside(theta, inertia, self._extra, record)
+        if beside is None:
             self._kernels.run(*given, part, Course(0.0), out)
         else:
-            beyond, along = self._extra.over(inertia, record)
+            beyond, along = beside
             self._kernels.run_pushed(*given, Pushed(part, beyond), PushedCourse(Course(0.0), along), out)
         return out[:, :2]
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from labhil.errors import UsageError, suggestion
 from labhil.kinds import Known, RigKind, declare_kind
+from labhil.physics.quantity import Quantity
 from labhil.physics.rigs import RigModel, declare_model
-from labhil.physics.terms import Parameter
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
 from labhil.simulators.probing import (
@@ -35,41 +35,11 @@ if TYPE_CHECKING:
 RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
 
-DECADES = 1e3
 RATES, STEP, ROLLOUT = KINDS = ("rates", "step", "rollout")
 """What a function may give: the rates of the states, the states a step later, or at all of many times."""
 
 UNDAMPED = ("viscous_friction",)
 """What a simulator without damping of its own begins with."""
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A parameter of a simulator: where a fit starts, its unit, and what it may be.
-
-    Without bounds a positive start may change by a factor of 1000 both ways and keeps its sign.
-
-    Example:
-        >>> from labhil import Quantity
-        >>> Quantity(0.02, "kg·m²").bounds
-        (2e-05, 20.0)
-    """
-
-    start: float
-    unit: str = "1"
-    lower: float | None = None
-    upper: float | None = None
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """The least and the largest value that a fit may find."""
-        ends = sorted((self.start / DECADES, self.start * DECADES)) if self.start else (-1e6, 1e6)
-        low = ends[0] if self.lower is None else self.lower
-        return low, ends[1] if self.upper is None else self.upper
-
-    def parameter(self, name: str) -> Parameter:
-        """As fits take it."""
-        return Parameter(name, self.unit, abs(self.start) or 1.0, *self.bounds, starts=(self.start,))
 
 
 @dataclass(frozen=True, slots=True)

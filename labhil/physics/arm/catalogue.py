@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.kinds import JOINTS
+from labhil.physics.friction_law import laws
 from labhil.physics.model import Record
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.signals import FloatArray
@@ -116,6 +117,7 @@ def _friction_of_velocity(level: float, speed: float, joint: int) -> tuple[Term,
               "even part of a friction curve; its constant part is the same as an offset of the current",
               "several speeds both ways"),
              _linear(joint, "friction_asymmetry.coefficient", "N·m·s/rad", slope)),
+        *(law.term("N·m", "rad", level, speed, joint) for law in laws()),
     )  # fmt: skip
 
 

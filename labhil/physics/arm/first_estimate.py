@@ -14,6 +14,7 @@ import numpy as np
 
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.grouped import Grouped, NormalEquations, grouped, memory, significant
+from labhil.physics.arm.joint_laws import BUILT_IN
 from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.arm.rigid_body import upright
 from labhil.physics.arm.view import View
@@ -106,7 +107,9 @@ def _joint_columns(
     """Friction and offset of each joint (n, 6, k): a joint's columns are zero for all others."""
     blocks = []
     for joint in range(len(torque_constant)):
-        columns = [view.law(joint, name, 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws]
+        columns = [
+            view.law(joint, name, BUILT_IN[name], 0.0, 0.0, 0.0) / torque_constant[joint] for name in laws
+        ]
         if inertial is not None:
             columns.append(view.load(joint, 0.0, inertial, upright(), 0.0) / torque_constant[joint])
         columns.append(np.ones(len(columns[0])))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.compiled import inlined
+from labhil.physics import friction_law
 from labhil.signals import FloatArray
 
 
@@ -41,7 +42,7 @@ class Law:
     dry: bool = False
 
 
-LAWS: Mapping[str, Law] = {
+BUILT_IN: Mapping[str, Law] = {
     "viscous_friction.coefficient": Law(
         lambda m: m.qd * np.exp(-m.shape * m.warmer), shaped_by="temperature_dependent_friction.rate"
     ),
@@ -59,6 +60,15 @@ LAWS: Mapping[str, Law] = {
     "torque_ripple.cosine": Law(lambda m: np.cos(m.shape * m.q), shaped_by="torque_ripple.order"),
     "added_inertia.inertia": Law(lambda m: m.qdd),
 }
+
+
+def laws() -> Mapping[str, Law]:
+    """All laws of a joint by their linear parameter, those of one's own behind labhil's."""
+    return {**BUILT_IN, **{law.coefficient: _of_speed(law) for law in friction_law.laws()}}
+
+
+def _of_speed(law: friction_law.FrictionLaw) -> Law:
+    return Law(lambda m: m.direction * law.values(np.abs(m.qd), m.shape), law.shaped_by, dry=True)
 
 
 def directions(q: FloatArray, qd: FloatArray, length: float) -> FloatArray:

@@ -18,7 +18,7 @@ from labhil.physics.arm.controller_constants import controller_constants, notes_
 from labhil.physics.arm.first_estimate import LAWS as FIRST_LAWS
 from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
 from labhil.physics.arm.grouped import grouped
-from labhil.physics.arm.joint_laws import LAWS, JointMotion, directions
+from labhil.physics.arm.joint_laws import JointMotion, directions, laws
 from labhil.physics.arm.links import UR5, inertial_of, links_of
 from labhil.physics.arm.motion import (
     Motion,
@@ -111,7 +111,7 @@ class ArmModel:
         }
         own = own_parameters(self.joints, self.first, known=bool(self.fixed))
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
-        self._index = index_of(self.parameters)
+        self._index, self._laws = index_of(self.parameters), laws()
         self._six = {name: self._places(name) for name in {p.name for p in self.parameters}}
 
     def _chain(self, rig: RigFile) -> Chain:
@@ -338,7 +338,7 @@ class ArmModel:
         """Torques of the drives (n, 6), N·m."""
         view = self._view(record)
         torques = self._rigid(theta, record).copy()
-        for name in LAWS:
+        for name in self._laws:
             for joint, level in enumerate(self._of_joints(theta, name)):
                 if level:
                     torques[:, joint] += level * self._law(theta, view, joint, name)
@@ -353,11 +353,13 @@ class ArmModel:
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
         length = float(self._of_joints(theta, LENGTH)[joint])
-        return view.law(joint, name, self._shape(theta, joint, name), length, self._delay(theta))
+        return view.law(
+            joint, name, self._laws[name], self._shape(theta, joint, name), length, self._delay(theta)
+        )
 
     def _shape(self, theta: FloatArray, joint: int, name: str) -> float:
         """What a law depends on in another way than in proportion: known, estimated, or nothing."""
-        shaped_by = LAWS[name].shaped_by
+        shaped_by = self._laws[name].shaped_by
         if shaped_by is None:
             return 0.0
         known = self._known.get(keyed(shaped_by, joint))
@@ -376,7 +378,7 @@ class ArmModel:
             out[:, joint] = 1.0
         elif parameter.name == LOAD:
             out[:, joint] = gain[joint] * self._load(theta, view, joint)
-        elif parameter.name in LAWS:
+        elif parameter.name in self._laws:
             out[:, joint] = gain[joint] * self._law(theta, view, joint, parameter.name)
         else:
             assert self.first is not None
@@ -388,7 +390,7 @@ class ArmModel:
         load, s = coordinates[f"load_{joint}"], directions(q, qd, 0.0)
         warmer = coordinates[f"joint_temperatures_{joint}"] - self._temperature[joint]
         torque = load + self._of_joints(theta, LOAD)[joint] * np.abs(load) * s
-        for name, law in LAWS.items():
+        for name, law in self._laws.items():
             level = self._of_joints(theta, name)[joint]
             if level:
                 shape = self._shape(theta, joint, name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.kinds import JOINTS
 from labhil.physics.arm.chain import Chain
-from labhil.physics.arm.joint_laws import LAWS, JointMotion, Law, directions
+from labhil.physics.arm.joint_laws import JointMotion, Law, directions
 from labhil.physics.arm.motion import Motion, PreparedRecord, unfiltered_motion
 from labhil.physics.extra_force import CurveArgument, ExtraForce, along_positive
 from labhil.physics.model import Record
@@ -152,9 +152,8 @@ class View:
         q, qd, qdd = (self.at_rows(x, delay) for x in motion)
         return q, qd, qdd
 
-    def law(self, joint: int, name: str, shape: float, length: float, delay: float) -> FloatArray:
+    def law(self, joint: int, name: str, law: Law, shape: float, length: float, delay: float) -> FloatArray:
         """Torque (n,) per unit of one linear parameter of a joint; ``length`` rad of its bristles."""
-        law = LAWS[name]
         key = (joint, name, shape if law.shaped_by else 0.0, length if law.dry else 0.0)
 
         def compute() -> FloatArray:
