@@ -7,10 +7,10 @@ with a voltage and without [known] drive_gain the mass must be known, or only ra
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import block_diag
+from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.physics import sliding
 from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
@@ -33,11 +33,15 @@ STATE_SPAN = 0.05
 """Seconds over which the first position and velocity of a window are guessed."""
 
 
+WIDTH = 0.4
+"""Of the test functions under which forces are balanced for a first estimate of the mass, s."""
+
+
 class Sizes:
     """What a recording says of the axis before anything is fitted (SI).
 
-    Position is regressed on the double integral of the input and the integral of position (viscous
-    friction): no derivative of a noisy signal is needed.
+    The balance of forces is regressed in its weak form (Shinbrot 1957): no derivative of a noisy signal is
+    needed.
     """
 
     def __init__(self, record: Record | None, gain: float) -> None:
@@ -49,14 +53,12 @@ class Sizes:
         self.span = max(float(np.ptp(recording.outputs[:, 0])) for recording in recordings) or 1.0
         speeds = np.concatenate([_speeds(recording) for recording in recordings])
         self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        design = _stacked_regression([_motion(recording, gain) for recording in recordings])
-        x = record.outputs[:, 0]
-        by_force, by_drag, *_ = np.linalg.lstsq(design / _norms(design), x, rcond=None)[0] / _norms(design)
-        once = np.concatenate(
-            [_integral(recording.t, gain * recording.inputs[:, 0]) for recording in recordings]
-        )
-        self.mass = 1.0 / by_force if by_force > 0 else self.force / max(float(np.std(once)), 1e-12)
-        self.time_constant = float(np.clip(-1.0 / by_drag, 0.01, 10.0)) if by_drag < 0 else 0.5
+        weak = np.vstack([_weak_form(recording, gain) for recording in recordings])
+        norms = np.maximum(np.linalg.norm(weak, axis=0), 1e-300)
+        balance = np.linalg.lstsq(weak[:, 1:] / norms[1:], weak[:, 0], rcond=None)[0] / norms[1:]
+        mass, drag = balance[:2]
+        self.mass = float(mass) if mass > 0.0 else self.force / (self.speed / WIDTH)
+        self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 < drag else 0.5
 
     @property
     def drag(self) -> float:
@@ -74,28 +76,23 @@ def _speeds(record: Record) -> FloatArray:
     return np.asarray(np.diff(record.outputs[::stride, 0]) / np.diff(record.t[::stride]))
 
 
-def _motion(record: Record, gain: float) -> tuple[FloatArray, FloatArray]:
-    """What the position of a recording is a sum of: by mass and friction (n, 3), by how it began (n, 3)."""
-    u, x, t = gain * record.inputs[:, 0], record.outputs[:, 0], record.t
-    twice = _integral(t, _integral(t, u))
-    side = _integral(t, _integral(t, np.sign(np.gradient(_smooth(x, _stride(record)), t))))
-    shared = np.column_stack([twice, _integral(t, x - x[0]), side])
-    return shared, np.column_stack([t, t**2, np.ones(len(t))])
+def _weak_form(record: Record, gain: float) -> FloatArray:
+    """The balance of forces under test functions φ, (m, 6): of drive, mass, drag, dry friction, spring, bias.
 
-
-def _stacked_regression(motions: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray:
-    """The regression of all recordings: each begins in a way of its own."""
-    return np.hstack(
-        [np.vstack([shared for shared, _ in motions]), block_diag(*(begin for _, begin in motions))]
-    )
-
-
-def _integral(t: FloatArray, x: FloatArray) -> FloatArray:
-    return np.r_[0.0, np.cumsum(np.diff(t) * 0.5 * (x[1:] + x[:-1]))]
-
-
-def _norms(design: FloatArray) -> FloatArray:
-    return np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    F = M·ẍ + c·ẋ + T·sgn ẋ + k·x + b times φ and integrated; derivatives are passed on to φ, which fades at
+    both ends with two of its derivatives.
+    """
+    u, x = gain * record.inputs[:, 0], record.outputs[:, 0] - record.outputs[0, 0]
+    half = max(4, min(int(0.5 * WIDTH / record.period), (len(record) - 1) // 4))
+    s = np.arange(-half, half + 1) / half
+    width, well = half * record.period, 1.0 - s * s
+    functions = {0: well**3, 1: -6.0 * s * well**2 / width, 2: 6.0 * well * (5.0 * s * s - 1.0) / width**2}
+    side = np.sign(np.gradient(_smooth(x, _stride(record))))
+    columns = ((u, 0, 1.0), (x, 2, 1.0), (x, 1, -1.0), (side, 0, 1.0), (x, 0, 1.0), (np.ones_like(x), 0, 1.0))
+    hop = max(half // 2, 1)
+    stretches = (sliding_window_view(values, len(s))[::hop] for values, _, _ in columns)
+    passed = zip(stretches, columns, strict=True)
+    return np.column_stack([sign * (values @ functions[order]) for values, (_, order, sign) in passed])
 
 
 def _smooth(x: FloatArray, width: int) -> FloatArray:

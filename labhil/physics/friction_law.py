@@ -174,7 +174,7 @@ def add_law(law: FrictionLaw) -> FrictionLaw:
     """Offer a friction law to every rig and simulator of this process; one of the same name takes its place.
 
     What is offered on the command line and to everybody is an installed package's, see
-    docs/how-to/add-a-friction-law.md.
+    docs/how-to/add-a-law.md.
 
     Args:
         law: The law.
@@ -206,6 +206,10 @@ def remove_law(name: str) -> None:
 
     Args:
         name: The law's name.
+
+    Example:
+        >>> import labhil as lh
+        >>> lh.remove_law("a_law_that_nobody_added_friction")
     """
     _ADDED.pop(name, None)
 

@@ -138,3 +138,12 @@ def test_behind_a_measured_current_there_is_no_amplifier():
     assert set(AMPLIFIER).isdisjoint(effects_of("solenoid"))
     with pytest.raises(UsageError, match=r"actuator_lag.* the current is measured"):
         terms_named(model, ["viscous_friction", "actuator_lag"])
+
+
+@pytest.mark.parametrize("terms", [(), ("spring_force",), ("coulomb_friction", "static_friction")])
+def test_a_fit_of_an_axis_starts_near_its_mass_whatever_holds_it(terms):
+    """A spring that holds the axis near zero all the time: the mass is a small part of what pushes."""
+    stiff = {"spring_force.stiffness": 400.0} if terms == ("spring_force",) else {}
+    made = replay("axis", staircase(20.0, 0.01, 0.5, 60.0), terms, stiff, noise={"position_noise": 1e-5})
+    (mass,) = [p for p in made.model.parameters if p.name == "moving_mass"]
+    assert mass.starts[0] == pytest.approx(95.0, rel=0.1)
