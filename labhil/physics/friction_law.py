@@ -196,22 +196,27 @@ def add_law(law: FrictionLaw) -> FrictionLaw:
         >>> lh.model("axis").terms["sqrt_friction"].parameters[0].unit
         'N·√s/√m'
         >>> lh.remove_law(law.name)
+        True
     """
     _ADDED[law.name] = law
     return law
 
 
-def remove_law(name: str) -> None:
+def remove_law(name: str) -> bool:
     """Take back what :func:`add_law` added; models that are made from here on do not have it.
 
     Args:
         name: The law's name.
 
+    Returns:
+        Whether there was one.
+
     Example:
         >>> import labhil as lh
-        >>> lh.remove_law("a_law_that_nobody_added_friction")
+        >>> lh.remove_law("a_law_that_nobody_added")
+        False
     """
-    _ADDED.pop(name, None)
+    return _ADDED.pop(name, None) is not None
 
 
 def laws() -> tuple[FrictionLaw, ...]:
