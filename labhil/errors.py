@@ -91,7 +91,7 @@ class UnknownNameError(UsageError):
     def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
         super().__init__(
-            f"{what} {name!r} does not exist{suggestion(name, names)}; known: {', '.join(names)}"
+            f"{what} {name!r} does not exist{suggestion(name, names)}; known: {', '.join(names) or 'none'}"
         )
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labhil.errors import UsageError
+from labhil.errors import UnknownNameError, UsageError
 from labhil.physics.quantity import Quantity
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.plugins import installed_terms
@@ -182,6 +182,9 @@ def add_law(law: FrictionLaw) -> FrictionLaw:
     Returns:
         The law.
 
+    Raises:
+        UsageError: It is none.
+
     Example:
         >>> import labhil as lh, numpy as np
         >>> law = lh.FrictionLaw(
@@ -195,28 +198,35 @@ def add_law(law: FrictionLaw) -> FrictionLaw:
         >>> _ = lh.add_law(law)
         >>> lh.model("axis").terms["sqrt_friction"].parameters[0].unit
         'N·√s/√m'
-        >>> lh.remove_law(law.name)
-        True
+        >>> _ = lh.remove_law(law.name)
     """
+    if not isinstance(law, FrictionLaw):
+        raise UsageError(f"law: expected a labhil.FrictionLaw, found {type(law).__name__}")
     _ADDED[law.name] = law
     return law
 
 
-def remove_law(name: str) -> bool:
+def remove_law(name: str) -> FrictionLaw:
     """Take back what :func:`add_law` added; models that are made from here on do not have it.
 
     Args:
         name: The law's name.
 
     Returns:
-        Whether there was one.
+        The law that was there.
+
+    Raises:
+        UnknownNameError: None of that name was added.
 
     Example:
         >>> import labhil as lh
-        >>> lh.remove_law("a_law_that_nobody_added")
-        False
+        >>> lh.remove_law("sqrt_friction")
+        Traceback (most recent call last):
+        labhil.errors.UnknownNameError: added law 'sqrt_friction' does not exist; known: none
     """
-    return _ADDED.pop(name, None) is not None
+    if name not in _ADDED:
+        raise UnknownNameError("added law", name, _ADDED)
+    return _ADDED.pop(name)
 
 
 def laws() -> tuple[FrictionLaw, ...]:

@@ -18,12 +18,9 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.tui.stream_watch import StreamWatch
-from labhil.tui.watch import Announcement, DeviceView, Watch
+from labhil.tui.watch import FORGET_AFTER, Announcement, DeviceView, Watch
 
 LOOK_INTERVAL = 0.5
-FORGET_AFTER = 3
-"""Looks after which a bus that is no longer registered, and has no device, is left."""
-
 BY = "the terminal UI"
 
 EndpointSource = Callable[[], Iterable[str]]

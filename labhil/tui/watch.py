@@ -49,6 +49,9 @@ from labhil.tui.stream_watch import StreamHealth, StreamWatch
 
 ASK_INTERVAL = 0.5
 ASK_TIMEOUT = 0.5
+FORGET_AFTER = 3
+"""Looks in vain after which what was there is taken for gone: a busy process answers late."""
+
 MOST_EVENTS = 200
 
 MOST_DEVICES = 1000
@@ -125,6 +128,7 @@ class Watch:
         self.fault = ""
         self.replay: ReplayMessage | None = None
         """The replay on this bus, if one is there."""
+        self._replay_missed = 0
         self._devices: dict[str, _Device] = {}
         self._unknown: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
@@ -288,7 +292,9 @@ class Watch:
         try:
             self.control_replay("status")
         except (BusError, CommandRefusedError):
-            self.replay = None
+            self._replay_missed += 1
+            if self._replay_missed >= FORGET_AFTER:  # a busy one answers late
+                self.replay = None
 
     def control_replay(self, action: str, value: float = 0.0) -> None:
         """Send a command to the replay on this bus; waits for its answer.
@@ -296,7 +302,7 @@ class Watch:
         Raises BusError where none answers, CommandRefusedError where it refuses.
         """
         answer = ask(self.bus, REPLAY_CONTROL, {"action": action, "value": value}, timeout=ASK_TIMEOUT)
-        self.replay = validate(ReplayMessage, answer, "a replay")
+        self.replay, self._replay_missed = validate(ReplayMessage, answer, "a replay"), 0
 
     def _ask_schema(self, device: str, stream: str) -> None:
         try:
