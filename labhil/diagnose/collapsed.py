@@ -39,8 +39,8 @@ class Collapsed:
     def statement(self) -> str:
         """For people."""
         return (
-            f"The baseline by itself takes {self.key} to {self.value:.4g} {self.unit}, far from its nominal or "
-            f"typical {self.nominal:.4g} {self.unit}: a size of the rig would make up for what is missing."
+            f"The baseline by itself takes {self.key} to {self.value:.4g} {self.unit}, far from its nominal "
+            f"or typical {self.nominal:.4g} {self.unit}: a size of the rig would make up for what is missing."
         )
 
 
