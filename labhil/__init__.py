@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from labhil.physics.friction_law import FrictionLaw, add_law, remove_law
     from labhil.physics.quantity import Quantity
     from labhil.simulators.arm import ArmSimulator
+    from labhil.simulators.columns import SimulatedOutput, simulated_output
     from labhil.simulators.fmu import fmu_simulator
     from labhil.simulators.mjcf import mujoco_simulator
     from labhil.simulators.simulator import Coordinate, Simulator, simulator
@@ -68,6 +69,7 @@ __all__ = [
     "Rival",
     "RunContext",
     "Score",
+    "SimulatedOutput",
     "Simulation",
     "Simulator",
     "Terms",
@@ -87,6 +89,7 @@ __all__ = [
     "recording",
     "remove_law",
     "run",
+    "simulated_output",
     "simulator",
     "verify",
 ]

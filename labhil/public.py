@@ -36,6 +36,7 @@ WHERE = {
     "labhil.physics.friction_law": ("FrictionLaw", "add_law", "remove_law"),
     "labhil.physics.quantity": ("Quantity",),
     "labhil.simulators.arm": ("ArmSimulator",),
+    "labhil.simulators.columns": ("SimulatedOutput", "simulated_output"),
     "labhil.simulators.fmu": ("fmu_simulator",),
     "labhil.simulators.mjcf": ("mujoco_simulator",),
     "labhil.simulators.simulator": ("Coordinate", "Simulator", "simulator"),

@@ -47,6 +47,9 @@ READERS = {
 }
 """What reads such a file; imported where a rig file names one."""
 
+COLUMNS = ("labhil.simulators.columns", "simulated_output")
+"""What takes columns of simulated output for a rig."""
+
 
 class KnownFile(NamedTuple):
     """A file that ``[known]`` names: where it stands, for messages, and its content."""
@@ -181,6 +184,8 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         data = parse_toml(text)
     except DocumentError as error:
         raise RigFileError(f"{path}: not TOML: {error}") from error
+    if "rig" not in data and _is_of_columns(data.get("model")):
+        data = parse_toml(_with_kind(text, path))  # nothing is loaded for it, whoever wrote the file
     if "model" in data and "rig" not in data:
         raise OwnSimulatorError(
             f"{path}: describes a simulator by a file of its own, which is not loaded unless you name it "
@@ -196,6 +201,10 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
         return RigFile.model_validate({**data, "path": path, "text": text, "files": dict(files or {})})
     except ValidationError as error:
         raise RigFileError(explain(error, path, RigFile)) from error
+
+
+def _is_of_columns(section: object) -> bool:
+    return isinstance(section, Mapping) and "simulated" in section
 
 
 class OwnSimulatorError(RigFileError):
@@ -222,7 +231,12 @@ def _kind_of(section: ModelSection, path: Path) -> RigKind:
     """Load the simulator of a rig file, which makes its kind known."""
     key, stated = section.stated
     try:
-        if key in READERS:
+        if section.simulated is not None:
+            module, name = COLUMNS
+            made = getattr(import_module(module), name)(
+                stated, section.simulated[stated], beside=section.beside
+            )
+        elif key in READERS:
             module, name = READERS[key]
             reader = getattr(import_module(module), name)
             made = reader(path.parent / stated, inputs=section.inputs, outputs=section.outputs)

@@ -39,7 +39,9 @@ class ModelSection(Section):
 
     Either ``python``, a Python file and a name in it, or ``mujoco``, an MJCF or URDF file, or ``fmu``, an
     FMU. Of the last two, ``inputs`` and ``outputs`` give actuators, joints and sensors, or variables of the
-    FMU, by the names of the recorded signals.
+    FMU, by the names of the recorded signals. Where the simulation cannot be called, ``simulated`` gives a
+    measured signal with its unit, of which the channel ``simulated_…`` holds what was simulated, and
+    ``beside`` the units of other recorded signals.
     """
 
     python: str | None = None
@@ -47,21 +49,27 @@ class ModelSection(Section):
     fmu: str | None = None
     inputs: dict[str, str] | None = None
     outputs: dict[str, str] | None = None
+    simulated: Annotated[dict[str, str], Field(min_length=1, max_length=1)] | None = None
+    beside: dict[str, str] = {}
 
     @model_validator(mode="after")
     def _check_choice(self) -> ModelSection:
-        if sum(value is not None for value in (self.python, self.mujoco, self.fmu)) != 1:
+        if sum(value is not None for value in (self.python, self.mujoco, self.fmu, self.simulated)) != 1:
             raise ValueError(
-                'give either python = "FILE.py:NAME", mujoco = "FILE.xml" or fmu = "FILE.fmu", and no other'
+                'give either python = "FILE.py:NAME", mujoco = "FILE.xml", fmu = "FILE.fmu" or '
+                'simulated = { SIGNAL = "UNIT" }, and no other'
             )
-        if self.python is not None and (self.inputs or self.outputs):
-            raise ValueError("inputs and outputs are for mujoco and fmu; a Python simulator states its own")
+        if (self.mujoco, self.fmu) == (None, None) and (self.inputs or self.outputs):
+            raise ValueError("inputs and outputs are for mujoco and fmu; others state their own")
+        if self.simulated is None and self.beside:
+            raise ValueError("beside is for simulated: signals over which a difference is located")
         return self
 
     @property
     def stated(self) -> tuple[str, str]:
         """The key that names the simulator, and what it says."""
         given = {"python": self.python, "mujoco": self.mujoco, "fmu": self.fmu}
+        given["simulated"] = next(iter(self.simulated or {}), None)
         return next((key, value) for key, value in given.items() if value is not None)
 
 

@@ -48,8 +48,9 @@ def final_table(
 
 
 def _has_one_scale(fitted: Fitted) -> bool:
-    """Whether one factor may be of all errors: an arm's joints have values and errors of their own."""
-    return fitted.problem.model.metric is not Metric.INVERSE_DYNAMICS
+    """Whether one factor may be of all errors: there are some, and no joints that have their own."""
+    problem = fitted.problem
+    return len(problem.free) > 0 and problem.model.metric is not Metric.INVERSE_DYNAMICS
 
 
 def _scale(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | None) -> float:

@@ -33,6 +33,7 @@ from labhil.identify.score import Score, score, scored_horizon
 from labhil.identify.statistics import Estimate
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPart, PositionUnobserved
 from labhil.physics.model import unit_of
+from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
 REACHED = 1.05
@@ -223,7 +224,7 @@ def _force_curve(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) 
     return ForceCurve(
         term=NAME,
         joint=part.joint,
-        enters="force",
+        enters=part.enters.value,
         depends_on=(coordinate.name, *also),
         acts=coordinate.acts,
         x=curve.x,
@@ -254,7 +255,10 @@ def _statement(chosen: Curved, curve: Band, unit: str) -> str:
     coordinate = chosen.model.coordinate
     most = int(np.argmax(np.abs(curve.value)))
     joint = coordinate.part.joint
-    way = WAYS.get(coordinate.acts, "a force" if joint is None else "a torque")
+    pushes = "a force" if joint is None else "a torque"
+    if coordinate.part.enters is Enters.OUTPUT:
+        pushes = "a difference of the output"
+    way = WAYS.get(coordinate.acts, pushes)
     where = "" if joint is None else f" on joint {joint}"
     text = (
         f"Something that no named effect explains acts{where} as {way} that depends on {coordinate.name}: "

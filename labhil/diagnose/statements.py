@@ -245,6 +245,8 @@ def _curve_location(
     regimes = locate.regimes({name: along}, np.interp(along, force_curve.x, force_curve.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
+    enters = Enters(force_curve.enters)
+    what = "a difference" if enters is Enters.OUTPUT else KINDS[enters]
     return locate.Location(
         channel=channel,
         joint=joint,
@@ -254,8 +256,8 @@ def _curve_location(
             replace(regime, unit=force_curve.x_unit, term=force_curve.term, joint=force_curve.joint)
             for regime in regimes
         ),
-        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(force_curve.enters)]} that follows "
-        f"{name}.{_remaining_joints(after)}",
+        statement=f"The error in {keyed(channel, joint)} is {what} that follows {name}."
+        f"{_remaining_joints(after)}",
         recordings=recordings,
     )
 

@@ -104,9 +104,10 @@ class ExtendedModel:
             for k in range(spline.count)
         )
         forward = coordinate.acts in (CurveArgument.TIME, CurveArgument.POSITION, CurveArgument.VELOCITY)
-        direction = "" if forward else " against the motion"
+        direction, enters = "" if forward else " against the motion", coordinate.part.enters
+        what = "difference" if enters is Enters.OUTPUT else "force"
         term = Term(
-            NAME, Enters.FORCE, f"a force along {coordinate.name}{direction} that no named effect explains",
+            NAME, enters, f"a {what} along {coordinate.name}{direction} that no named effect explains",
             f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",
             f"motion over the whole range of {coordinate.name}", self.coefficients, joint=joint,
         )  # fmt: skip

@@ -21,6 +21,7 @@ from labhil.physics.friction import RESOLVED
 from labhil.physics.friction_law import FASTEST, GRID, PER_OCTAVE, SLOWEST, SLOWEST_POWER
 from labhil.physics.model import Model, Record
 from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
+from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
 MOST = FASTEST * (1.0 - 1e-12)
@@ -68,7 +69,8 @@ class MovedPart:
 
     ``position`` and ``velocity`` are names of coordinates, empty where recordings lack them; ``turn``
     is the period of the position, 0 where it does not repeat; ``joint`` the joint of an arm that it is.
-    ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks.
+    ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks. What is added
+    ``enters`` as a force, or is a difference of the output where nothing moves that a force could push.
     """
 
     position: str
@@ -77,6 +79,7 @@ class MovedPart:
     joint: int | None = None
     force: float = 1.0
     speed: float = 1.0
+    enters: Enters = Enters.FORCE
 
 
 class CompiledForce(NamedTuple):

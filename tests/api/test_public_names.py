@@ -34,6 +34,7 @@ NAMES = [
     "Rival",
     "RunContext",
     "Score",
+    "SimulatedOutput",
     "Simulation",
     "Simulator",
     "Terms",
@@ -53,12 +54,13 @@ NAMES = [
     "recording",
     "remove_law",
     "run",
+    "simulated_output",
     "simulator",
     "verify",
 ]
 WITH_A_DEVICE = ("Bench", "Experiment", "connect", "run")
 """Their examples start simulated devices; they are run in tests/run."""
-OF_SECONDS = ("ArmSimulator", "Comparison", "diagnose", "recording")
+OF_SECONDS = ("ArmSimulator", "Comparison", "diagnose", "recording", "simulated_output")
 """Their examples diagnose, or compile a simulator."""
 
 PIECES = [name for name in NAMES if name not in MODULES]

@@ -172,11 +172,16 @@ class CurveSearch:
 
 
 def _kept_terms(data: Data, named: list[str]) -> Iterable[Structure]:
-    """Named terms that stay beside a curve: all, and all but some of the forces."""
-    terms = data.model.terms
-    forces = [t for t in named if terms[t].enters is Enters.FORCE][:MOST_SWAPPED]
-    for count in range(len(forces) + 1):
-        for gone in combinations(forces, count):
+    """Named terms that stay beside a curve: all, and all but some of those that it may stand for.
+
+    A force may stand for forces, a difference of the output for everything between simulation and output.
+    """
+    model, terms = data.model, data.model.terms
+    assert isinstance(model, AcceptsExtraForce)
+    forces = {part.enters for part in model.moved} == {Enters.FORCE}
+    likened = [t for t in named if not forces or terms[t].enters is Enters.FORCE][:MOST_SWAPPED]
+    for count in range(len(likened) + 1):
+        for gone in combinations(likened, count):
             kept = frozenset(named) - set(gone)
             if not any(t in gone for term in kept for t in terms[term].with_terms):
                 yield kept

@@ -22,6 +22,7 @@ from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import MOST
 from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import AcceptsExtraForce
+from labhil.physics.model import Metric
 from labhil.signals import FloatArray
 
 CURVE_WINDOW = 1.5
@@ -85,7 +86,7 @@ def _with_curve(
 ) -> SearchResult:
     """The terms beside the likeliest curve, and the curve; all terms where no curve is likelier."""
     model = data.model
-    if not isinstance(model, AcceptsExtraForce) or not model.state_names:
+    if not isinstance(model, AcceptsExtraForce) or model.metric is Metric.INVERSE_DYNAMICS:
         return result
     progress("a force over each coordinate in turn, instead of what is named and beside it")
     shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))
