@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from labhil.physics.terms import enumerated, keyed, listed
+from labhil.simulators.names import NO_PORT
 
 if TYPE_CHECKING:
     from labhil.analysis.schema import DiagnosisPart, MissingEffect
@@ -60,6 +61,7 @@ def _of_missing_physics(diagnosis: DiagnosisPart) -> Steps:
             " think it is (docs/how-to/add-a-law.md) and diagnose again."
         )
     if diagnosis.remainder is not None and not diagnosis.remainder.is_noise:
+        yield from _simulator_step(diagnosis)
         yield (
             f"More than noise remains: `labhil fit {_path(diagnosis)} --terms"
             f" {','.join(listed(diagnosis.final.terms))}` shows where in time."
@@ -69,6 +71,14 @@ def _of_missing_physics(diagnosis: DiagnosisPart) -> Steps:
 
 def _has_size(item: MissingEffect) -> bool:
     return not item.parameters or any(row.identifiable for row in item.parameters)
+
+
+def _simulator_step(diagnosis: DiagnosisPart) -> Steps:
+    if any(item.reason == NO_PORT for item in diagnosis.undecided):
+        yield (
+            "What acts inside the mechanism, two columns do not show: give the simulator itself (a Python"
+            " function, a MuJoCo or URDF file, an FMU), and forces are searched, too."
+        )
 
 
 def _validation_step(diagnosis: DiagnosisPart) -> Steps:
@@ -102,6 +112,7 @@ def _of_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
 
 def _of_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
+    yield from _simulator_step(diagnosis)
     if diagnosis.location is not None and diagnosis.location.times:
         yield "Look at the rig and its cables at the times that are named: what happened there?"
     yield (

@@ -256,7 +256,7 @@ def _statement(chosen: Curved, curve: Band, unit: str) -> str:
     most = int(np.argmax(np.abs(curve.value)))
     joint = coordinate.part.joint
     pushes = "a force" if joint is None else "a torque"
-    if coordinate.part.enters is Enters.OUTPUT:
+    if coordinate.part.enters is Enters.DIFFERENCE:
         pushes = "a difference of the output"
     way = WAYS.get(coordinate.acts, pushes)
     where = "" if joint is None else f" on joint {joint}"

@@ -216,6 +216,7 @@ KINDS = {
     Enters.ELECTRICAL: "a missing electrical effect",
     Enters.MAGNETIC: "a missing magnetic effect",
     Enters.LOAD: "a missing load",
+    Enters.DIFFERENCE: "a difference between simulation and measurement",
 }
 """What an error is, by where the effect behind it enters."""
 
@@ -245,8 +246,6 @@ def _curve_location(
     regimes = locate.regimes({name: along}, np.interp(along, force_curve.x, force_curve.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
-    enters = Enters(force_curve.enters)
-    what = "a difference" if enters is Enters.OUTPUT else KINDS[enters]
     return locate.Location(
         channel=channel,
         joint=joint,
@@ -256,8 +255,8 @@ def _curve_location(
             replace(regime, unit=force_curve.x_unit, term=force_curve.term, joint=force_curve.joint)
             for regime in regimes
         ),
-        statement=f"The error in {keyed(channel, joint)} is {what} that follows {name}."
-        f"{_remaining_joints(after)}",
+        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(force_curve.enters)]} that "
+        f"follows {name}.{_remaining_joints(after)}",
         recordings=recordings,
     )
 

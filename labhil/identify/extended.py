@@ -105,7 +105,7 @@ class ExtendedModel:
         )
         forward = coordinate.acts in (CurveArgument.TIME, CurveArgument.POSITION, CurveArgument.VELOCITY)
         direction, enters = "" if forward else " against the motion", coordinate.part.enters
-        what = "difference" if enters is Enters.OUTPUT else "force"
+        what = "difference" if enters is Enters.DIFFERENCE else "force"
         term = Term(
             NAME, enters, f"a {what} along {coordinate.name}{direction} that no named effect explains",
             f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",

@@ -70,7 +70,7 @@ class MovedPart:
     ``position`` and ``velocity`` are names of coordinates, empty where recordings lack them; ``turn``
     is the period of the position, 0 where it does not repeat; ``joint`` the joint of an arm that it is.
     ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks. What is added
-    ``enters`` as a force, or is a difference of the output where nothing moves that a force could push.
+    ``enters`` as a force, or as a difference of the output where nothing moves that a force could push.
     """
 
     position: str

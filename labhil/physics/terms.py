@@ -22,6 +22,8 @@ class Enters(StrEnum):
     ELECTRICAL = "electrical"
     MAGNETIC = "magnetic"
     LOAD = "load"
+    DIFFERENCE = "difference"
+    """Between a simulated column and a measured one: on which side it belongs is not known."""
 
 
 class CharacteristicScale(StrEnum):

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, FloatArray, Hold, Signal
+from labhil.simulators.names import NO_PORT
 
 HORIZON = 1.0
 """Length of the windows that are scored where the rig file states none, s: there is no state to forget."""
@@ -41,7 +42,6 @@ WITH_ANOTHER = {
 """Ways in that a way out already says."""
 
 FORCES = (*(term.name for term in friction_terms("N", "m", 1.0, 1.0)), "constant_force", "spring_force")
-NO_PORT = "a column of outputs has no place where a force acts; give the simulator itself"
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class SimulatedOutputModel:
             self.rate: f"{simulated.unit}/s",
             **simulated.beside,
         }
-        self.moved = (MovedPart(simulated.column, self.rate, enters=Enters.OUTPUT),)
+        self.moved = (MovedPart(simulated.column, self.rate, enters=Enters.DIFFERENCE),)
         self._values, self._path = Values(self.fixed, self.parameters), DrivenPath()
 
     def with_force(self, force: ExtraForce) -> SimulatedOutputModel:
@@ -252,7 +252,7 @@ def _catalogue(simulated: SimulatedOutput, span: float) -> dict[str, Term]:
     unit, channel = simulated.unit, simulated.output
     clocks = Term(
         "clock_offset",
-        Enters.OUTPUT,
+        Enters.DIFFERENCE,
         f"that {channel} is measured later than it is simulated (earlier, where negative)",
         "y(t) = x(t − T_d)",
         "two clocks, or a delay that the simulation lacks",
@@ -261,4 +261,4 @@ def _catalogue(simulated: SimulatedOutput, span: float) -> dict[str, Term]:
     )
     terms = [term for term in input_terms(unit) if term.name not in WITH_ANOTHER]
     terms += [clocks, *output_terms(channel, unit, span), offset_term(channel, unit, 0.1 * span)]
-    return {term.key: term for term in terms}
+    return {term.key: replace(term, enters=Enters.DIFFERENCE) for term in terms}
