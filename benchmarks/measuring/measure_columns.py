@@ -22,13 +22,11 @@ from scipy.optimize import brentq
 from scipy.stats import beta
 
 import labhil as lh
+from labhil.diagnose.remainder import NOISE
 from labhil.signals import FloatArray
 
 PERIOD, SAMPLES = 0.01, 3000
 T = PERIOD * np.arange(SAMPLES)
-REMAINS = 1.5
-"""Noise floors beyond which a diagnosis says that more than noise remains."""
-
 NOTHING, EFFECT, INSIDE = KINDS = ("nothing", "an effect", "inside the mechanism")
 
 
@@ -176,7 +174,7 @@ def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
             sum(not _effects(t) for t in by_kind[INSIDE]), len(by_kind[INSIDE])
         ),
         "inside the mechanism: none named, or said that more than noise remains": share(
-            sum(not _effects(t) or t["remains"] > REMAINS for t in by_kind[INSIDE]), len(by_kind[INSIDE])
+            sum(not _effects(t) or t["remains"] > NOISE for t in by_kind[INSIDE]), len(by_kind[INSIDE])
         ),
         "processor seconds, median": {
             kind: float(np.median([t["seconds"] for t in ts])) for kind, ts in by_kind.items() if ts

@@ -12,6 +12,8 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from labhil.physics.values import Values
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, FloatArray, Hold, Signal
 from labhil.simulators.names import NO_PORT
+from labhil.toml_text import to_toml
 
 HORIZON = 1.0
 """Length of the windows that are scored where the rig file states none, s: there is no state to forget."""
@@ -80,8 +83,13 @@ class SimulatedOutput:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file that says nothing but that the rig is this column."""
-        return parse_rig(f'[rig]\nkind = "{self.column}"\n', RigFile.model_fields["path"].default)
+        """A rig file that says this; a recording carries it, for nothing has to be loaded for it."""
+        sections: dict[str, Any] = {"model": {"simulated": {self.output: self.unit}}}
+        if self.beside:
+            sections["model"]["beside"] = dict(self.beside)
+        if self.horizon is not None:
+            sections["metric"] = {"horizon": self.horizon}
+        return parse_rig(to_toml(sections), Path(f"{self.column}.toml"))
 
 
 def simulated_output(
@@ -146,7 +154,7 @@ class SimulatedOutputModel:
         x = np.array([1.0, -1.0]) if record is None else record.inputs[:, 0]
         self.terms: Mapping[str, Term] = _catalogue(simulated, float(np.ptp(x)) or 1.0)
         self.parameters = tuple(p for term in self.terms.values() for p in term.parameters)
-        self.horizon = rig.metric.horizon or simulated.horizon or HORIZON
+        self.horizon = rig.metric.horizon or HORIZON
         if record is not None:
             self.horizon = min(self.horizon, record.countable)
         self.coordinate_units: Mapping[str, str] = {

@@ -254,7 +254,9 @@ def test_page_screen_and_report_say_which_sizes_gave_way_and_which_were_held(pag
     diagnosis["final"]["parameters"] += finite(_rows(held))
     written = [" ".join(write(diagnosis).split()) for write in (on_screen, in_the_report)]
     for text in (*written, page(diagnosis).text):
-        assert "takes acceleration_per_radian to 0.019 m/s², far from its nominal or typical 7.007 m/s²" in text
+        assert (
+            "takes acceleration_per_radian to 0.019 m/s², far from its nominal or typical 7.007 m/s²" in text
+        )
         assert re.search(r"inertia.{0,80}held", text, re.DOTALL)
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -157,6 +159,17 @@ def test_a_section_that_cannot_be_meant_is_refused(tmp_path: Path, section: str,
     path.write_text(f"[model]\n{section}\n", encoding="utf-8")
     with pytest.raises(RigFileError, match=expected):
         load_rig(path)
+
+
+def test_a_saved_recording_says_what_its_columns_are(tmp_path: Path) -> None:
+    path = tmp_path / "columns.mcap"
+    rig = lh.simulated_output("angle", "rad", beside={"torque": "N·m"}, horizon=2.0)
+    others = {"torque": np.cos(T)}
+    lh.recording(T, {"simulated_angle": SIMULATED}, {"angle": SIMULATED}, rig=rig, others=others).save(path)
+    command = [sys.executable, "-c", f"import labhil as lh; print(lh.read({str(path)!r}).model)"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "Model of simulated_angle" in said
+    assert rig.rig_file.metric.horizon == 2.0
 
 
 def test_names_are_held_apart() -> None:
