@@ -122,7 +122,13 @@ class FrictionLaw:
             return np.asarray(self.g(speeds, shape) if self.shape else self.g(speeds), dtype=float)
 
     def _check_values(self, shape: float) -> None:
-        forces = self.values(GRID, shape)
+        try:
+            forces = self.values(GRID, shape)
+        except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
+            raise UsageError(
+                f"friction law {self.name!r}: expected g to take speeds (n,){' and a shape' * bool(self.shape)},"
+                f" found that it raises {type(error).__name__}: {error}"
+            ) from error
         if forces.shape == GRID.shape and np.isfinite(forces).all():
             return
         at = f" and {self.shaped_by} {shape:g}" if self.shape else ""
