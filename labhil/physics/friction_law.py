@@ -126,8 +126,8 @@ class FrictionLaw:
             forces = self.values(GRID, shape)
         except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
             raise UsageError(
-                f"friction law {self.name!r}: expected g to take speeds (n,){' and a shape' * bool(self.shape)},"
-                f" found that it raises {type(error).__name__}: {error}"
+                f"friction law {self.name!r}: expected g to take speeds (n,)"
+                f"{' and a shape' * bool(self.shape)}, found that it raises {type(error).__name__}: {error}"
             ) from error
         if forces.shape == GRID.shape and np.isfinite(forces).all():
             return
