@@ -1,6 +1,6 @@
 """Friction laws of one's own: any function of speed, offered to every moving part as a term.
 
-F = c·g(|v|, s) against the motion, c estimated and s a shape parameter that g may have. A law is stated once,
+``F = c·g(|v|, s)`` against the motion, c estimated and s a shape parameter that g may have. A law is stated once,
 in Python (:func:`add_law`) or by a package with an entry point of the group ``labhil.terms``, and is then
 offered, fitted, diagnosed and plotted for every rig, arms and simulators included. The kernels of moving
 parts hold such laws as one table over speed (see ``physics.extra_force``): nothing is compiled for a law.
@@ -45,7 +45,7 @@ BUILT_IN = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class FrictionLaw:
-    """A friction law F = c·g(|v|, s)·sgn v, to be added to every catalogue by :func:`add_law`.
+    """A friction law ``F = c·g(|v|, s)·sgn v``, to be added to every catalogue by :func:`add_law`.
 
     ``g`` takes speeds (n,) in m/s or rad/s, 0 included, and where ``shape`` names a parameter its value too;
     it returns as many numbers. The coefficient c has the unit ``unit``, in which ``{force}`` and ``{length}``
