@@ -1,8 +1,8 @@
 """Friction laws of one's own: any function of speed, offered to every moving part as a term.
 
 ``F = c·g(|v|, s)`` against the motion, c estimated and s a shape parameter that g may have. A law is stated
-once, in Python (:func:`add_law`) or by a package with an entry point of the group ``labhil.terms``, and is then
-offered, fitted, diagnosed and plotted for every rig, arms and simulators included. The kernels of moving
+once, in Python (:func:`add_law`) or by a package with an entry point of the group ``labhil.terms``, and is
+then offered, fitted, diagnosed and plotted for every rig, arms and simulators included. The kernels of moving
 parts hold such laws as one table over speed (see ``physics.extra_force``): nothing is compiled for a law.
 """
 

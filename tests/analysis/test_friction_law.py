@@ -87,7 +87,16 @@ def pendulum() -> lh.Simulator:
     )
 
 
-@pytest.mark.parametrize("kind", ["axis", "dc_motor", "solenoid", "ball_beam", "own_pendulum"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "axis",
+        *(
+            pytest.param(kind, marks=pytest.mark.extended)  # each compiles a plant and its kernels
+            for kind in ("dc_motor", "solenoid", "ball_beam", "own_pendulum")
+        ),
+    ],
+)
 def test_a_law_of_ones_own_does_what_the_same_law_of_labhil_does(kind: str) -> None:
     """Through stick and slip: levels that are constant, and friction in proportion to velocity."""
     model, record, level = moved(kind)
@@ -163,6 +172,7 @@ def test_a_joint_of_an_arm_takes_it_as_its_own_dry_friction() -> None:
     assert {f"sqrt_friction[{joint}]" for joint in range(6)} <= model.terms.keys()
 
 
+@pytest.mark.extended
 def test_what_the_simulator_has_itself_is_not_offered_again() -> None:
     damped = lh.simulator(
         lambda t, x, u, p: (x.rate, (u.torque - p.drag * x.rate) / p.inertia),
