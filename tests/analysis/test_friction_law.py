@@ -87,16 +87,8 @@ def pendulum() -> lh.Simulator:
     )
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "axis",
-        *(
-            pytest.param(kind, marks=pytest.mark.extended)  # each compiles a plant and its kernels
-            for kind in ("dc_motor", "solenoid", "ball_beam", "own_pendulum")
-        ),
-    ],
-)
+@pytest.mark.extended
+@pytest.mark.parametrize("kind", ["axis", "dc_motor", "solenoid", "ball_beam", "own_pendulum"])
 def test_a_law_of_ones_own_does_what_the_same_law_of_labhil_does(kind: str) -> None:
     """Through stick and slip: levels that are constant, and friction in proportion to velocity."""
     model, record, level = moved(kind)
@@ -121,6 +113,7 @@ def test_a_law_of_ones_own_does_what_the_same_law_of_labhil_does(kind: str) -> N
         assert np.median(np.abs(forces[0] - forces[1])[moving]) <= 1e-3 * np.abs(forces[1]).max()
 
 
+@pytest.mark.extended
 @pytest.mark.parametrize("exponent", [None, 1.4])
 def test_a_law_that_nobody_compiled_is_simulated_as_scipy_integrates_it(exponent: float | None) -> None:
     """m·v̇ = u − c·|v|ⁿ·sgn v from rest, through a reversal; n is ½, or a shape of the law."""
@@ -157,6 +150,7 @@ def test_a_law_that_nobody_compiled_is_simulated_as_scipy_integrates_it(exponent
     assert np.abs(along["axis_velocity"] - truth[:, 1]).max() < 1e-3 * np.abs(truth[:, 1]).max()
 
 
+@pytest.mark.extended
 def test_a_joint_of_an_arm_takes_it_as_its_own_dry_friction() -> None:
     record = acquired(("coulomb_friction",), EXACT, seconds=6.0)
     model = ArmModel(arm_rig(KNOWN), record)
