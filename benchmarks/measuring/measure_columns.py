@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import beta
 
 import labhil as lh
+from labhil.campaign.share import Share
 from labhil.diagnose.remainder import NOISE
 from labhil.signals import FloatArray
 
@@ -143,13 +143,6 @@ def trial(kind: str, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def share(right: int, of: int) -> dict[str, Any]:
-    """A count with its Clopper-Pearson interval of 95 %."""
-    low = float(beta.ppf(0.025, right, of - right + 1)) if right else 0.0
-    high = float(beta.ppf(0.975, right + 1, of - right)) if right < of else 1.0
-    return {"right": right, "of": of, "low": round(low, 3), "high": round(high, 3)}
-
-
 def _effects(each: dict[str, Any]) -> set[str]:
     """Effects between the columns that were named; a curve is none."""
     return set(each["named"]) - {"unmodelled_force"}
@@ -160,22 +153,23 @@ def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
     by_kind = {kind: [t for t in trials if t["kind"] == kind] for kind in KINDS}
     exact = Counter(t["put_in"] for t in by_kind[EFFECT] if t["named"] == [t["put_in"]])
     return {
-        "nothing: no mismatch": share(
+        "nothing: no mismatch": Share(
             sum(t["verdict"] == "no_mismatch" for t in by_kind[NOTHING]), len(by_kind[NOTHING])
-        ),
-        "an effect: named, and nothing beside it": share(exact.total(), len(by_kind[EFFECT])),
+        ).to_json(),
+        "an effect: named, and nothing beside it": Share(exact.total(), len(by_kind[EFFECT])).to_json(),
         "by effect": {
-            term: share(exact[term], sum(t["put_in"] == term for t in by_kind[EFFECT])) for term in TERMS
+            term: Share(exact[term], sum(t["put_in"] == term for t in by_kind[EFFECT])).to_json()
+            for term in TERMS
         },
-        "an effect: named, or given as a rival": share(
+        "an effect: named, or given as a rival": Share(
             sum(t["put_in"] in (*t["named"], *t["rivals"]) for t in by_kind[EFFECT]), len(by_kind[EFFECT])
-        ),
-        "inside the mechanism: no effect named": share(
+        ).to_json(),
+        "inside the mechanism: no effect named": Share(
             sum(not _effects(t) for t in by_kind[INSIDE]), len(by_kind[INSIDE])
-        ),
-        "inside the mechanism: none named, or said that more than noise remains": share(
+        ).to_json(),
+        "inside the mechanism: none named, or said that more than noise remains": Share(
             sum(not _effects(t) or t["remains"] > NOISE for t in by_kind[INSIDE]), len(by_kind[INSIDE])
-        ),
+        ).to_json(),
         "processor seconds, median": {
             kind: float(np.median([t["seconds"] for t in ts])) for kind, ts in by_kind.items() if ts
         },

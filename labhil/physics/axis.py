@@ -58,7 +58,7 @@ class Sizes:
         balance = np.linalg.lstsq(weak[:, 1:] / norms[1:], weak[:, 0], rcond=None)[0] / norms[1:]
         mass, drag = balance[:2]
         self.mass = float(mass) if mass > 0.0 else self.force / (self.speed / WIDTH)
-        self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 < drag else 0.5
+        self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 and drag > 0.0 else 0.5
 
     @property
     def drag(self) -> float:

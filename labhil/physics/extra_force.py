@@ -27,7 +27,6 @@ from labhil.signals import FloatArray
 MOST = FASTEST * (1.0 - 1e-12)
 """Speed beyond which the table of a law keeps its last value."""
 
-
 NODES = len(GRID)
 
 STRAIGHT = 0.03
@@ -237,22 +236,21 @@ def rubs(s: Motion, b: CompiledForce) -> float:
 
 
 @inlined
-def cell_of(speed: float) -> tuple[int, float, float]:
-    """The cell of ``friction_law.GRID`` in which a speed is, the share of it behind, and its width."""
+def cell_of(speed: float) -> tuple[int, float]:
+    """The cell of ``friction_law.GRID`` in which a speed is, and the share of it behind."""
     if not speed > SLOWEST:
-        return 0, speed / SLOWEST, SLOWEST
+        return 0, speed / SLOWEST
     # half to one times a power of two; the octave below that power begins at twice the half
     part, power = math.frexp(min(speed, MOST))
     place = (2.0 * part - 1.0) * PER_OCTAVE
     k = int(place)
-    width = math.ldexp(1.0 / PER_OCTAVE, power - 1)
-    return 1 + (power - 1 - SLOWEST_POWER) * PER_OCTAVE + k, place - k, width
+    return 1 + (power - 1 - SLOWEST_POWER) * PER_OCTAVE + k, place - k
 
 
 @inlined
 def friction_at(speed: float, values: FloatArray, first: int) -> float:
     """A table over ``friction_law.GRID`` that begins at ``first``: straight between its nodes."""
-    k, share, _ = cell_of(speed)
+    k, share = cell_of(speed)
     low = values[first + k]
     return low + (values[first + k + 1] - low) * share
 
@@ -260,19 +258,19 @@ def friction_at(speed: float, values: FloatArray, first: int) -> float:
 @inlined
 def friction_pace(speed: float, rate: float, values: FloatArray, first: int) -> float:
     """How long one step may be (s) at acceleration ``rate``: short against how the table damps and bends."""
-    k, _, width = cell_of(speed)
-    slope = (values[first + k + 1] - values[first + k]) / width
-    further = min(k + PER_OCTAVE, NODES - 2)
-    bend = abs((values[first + further + 1] - values[first + further]) / cell_width(further) - slope)
+    k, _ = cell_of(speed)
+    slope = cell_slope(values, first, k)
+    bend = abs(cell_slope(values, first, min(k + PER_OCTAVE, NODES - 2)) - slope)
     pull = abs(rate) + TINY
     reach = max(RESOLVED * (speed + SLOWEST), STRAIGHT * pull / (bend + TINY))
     return min(reach / pull, RESOLVED / (abs(slope) + TINY))
 
 
 @inlined
-def cell_width(k: int) -> float:
-    """Width of a cell of ``friction_law.GRID``."""
-    return math.ldexp(SLOWEST / PER_OCTAVE, (k - 1) // PER_OCTAVE) if k > 0 else SLOWEST
+def cell_slope(values: FloatArray, first: int, k: int) -> float:
+    """How fast a table that begins at ``first`` rises in cell ``k`` of ``friction_law.GRID``."""
+    width = math.ldexp(SLOWEST / PER_OCTAVE, (k - 1) // PER_OCTAVE) if k > 0 else SLOWEST
+    return (values[first + k + 1] - values[first + k]) / width
 
 
 Pull = Callable[[Motion, float, float, Part], float]

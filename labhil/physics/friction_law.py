@@ -240,20 +240,26 @@ def laws() -> tuple[FrictionLaw, ...]:
 
     Raises UsageError where what a package provides is no law.
     """
-    everything = {}
+    installed = {law.name: law for law in _installed().values()}
+    return tuple({**installed, **_ADDED}.values())
+
+
+def _installed() -> dict[str, FrictionLaw]:
+    """Laws of installed packages, by package and name of the entry point."""
+    by_place = {}
     for place, law in installed_terms():
         if not isinstance(law, FrictionLaw):
             raise UsageError(
                 f"entry point {place} of the group labhil.terms: expected a labhil.FrictionLaw, found "
                 f"{type(law).__name__}"
             )
-        everything[law.name] = law
-    return tuple({**everything, **_ADDED}.values())
+        by_place[place] = law
+    return by_place
 
 
 def provider(name: str) -> str:
     """Who provides a term: a package, "added in Python", or labhil."""
     if name in _ADDED:
         return "added in Python"
-    places = {law.name: place for place, law in installed_terms() if isinstance(law, FrictionLaw)}
+    places = {law.name: place for place, law in _installed().items()}
     return places.get(name, LABHIL)

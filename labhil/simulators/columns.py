@@ -44,8 +44,6 @@ WITH_ANOTHER = {
 }
 """Ways in that a way out already says."""
 
-FORCES = (*(term.name for term in friction_terms("N", "m", 1.0, 1.0)), "constant_force", "spring_force")
-
 
 @dataclass(frozen=True)
 class SimulatedOutput:
@@ -143,13 +141,15 @@ class SimulatedOutputModel:
     fading_memory = True
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
-    unobservable_terms: Mapping[str, str] = {**WITH_ANOTHER, **dict.fromkeys(FORCES, NO_PORT)}
     _extra: ExtraForce | None = None
 
     def __init__(self, simulated: SimulatedOutput, rig: RigFile, record: Record | None = None) -> None:
         self.simulated, self.kind = simulated, simulated.column
         self.fixed: dict[str, float] = {}
         self.force_unit = simulated.unit
+        friction = [term.name for term in friction_terms("N", "m", 1.0, 1.0)]
+        forces = dict.fromkeys((*friction, "constant_force", "spring_force"), NO_PORT)
+        self.unobservable_terms: Mapping[str, str] = {**WITH_ANOTHER, **forces}
         self.rate = f"{simulated.column}_rate"
         x = np.array([1.0, -1.0]) if record is None else record.inputs[:, 0]
         self.terms: Mapping[str, Term] = _catalogue(simulated, float(np.ptp(x)) or 1.0)

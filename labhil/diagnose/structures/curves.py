@@ -21,7 +21,6 @@ from labhil.diagnose.structures.responses import CurveColumns, responses
 from labhil.identify.extended import NAME, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
-from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
 MOST_SWAPPED = 4
@@ -172,14 +171,11 @@ class CurveSearch:
 
 
 def _kept_terms(data: Data, named: list[str]) -> Iterable[Structure]:
-    """Named terms that stay beside a curve: all, and all but some of those that it may stand for.
-
-    A force may stand for forces, a difference of the output for everything between simulation and output.
-    """
+    """Named terms that stay beside a curve: all, and all but some of those that enter where it does."""
     model, terms = data.model, data.model.terms
     assert isinstance(model, AcceptsExtraForce)
-    forces = {part.enters for part in model.moved} == {Enters.FORCE}
-    likened = [t for t in named if not forces or terms[t].enters is Enters.FORCE][:MOST_SWAPPED]
+    places = {part.enters for part in model.moved}
+    likened = [t for t in named if terms[t].enters in places][:MOST_SWAPPED]
     for count in range(len(likened) + 1):
         for gone in combinations(likened, count):
             kept = frozenset(named) - set(gone)
