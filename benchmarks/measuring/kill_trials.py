@@ -201,6 +201,8 @@ def kill_service(relay: Relay, folder: Path, chance: random.Random) -> dict[str,
     """A served lab; it begins a new recording each second, so that some moments are between two."""
     place, outcome = folder / "lab", dict[str, Any]()
     with served(relay, place, 1.5, "[]") as (service, listener):
+        # a busy machine reaches the device well before it records; what is not recorded cannot be lost
+        wait_until(lambda: bool(filled_in(place)), "the lab records")
         moment = chance.uniform(*COMING)
         time.sleep(moment)
         killed_ns = kill(service.pid, family_of(service.pid), relay, outcome)
@@ -209,12 +211,24 @@ def kill_service(relay: Relay, folder: Path, chance: random.Random) -> dict[str,
     gapless(listener.streams)
     log = listener.streams
     # one that has just begun holds nothing yet: what could be lost is in the one before
-    filled = [path for path in place.glob("*.mcap*") if path.stat().st_size > BEGUN]
-    newest = max(filled, key=lambda path: path.stat().st_mtime_ns)
+    newest = max(filled_in(place), key=lambda path: path.stat().st_mtime_ns)
     for path in place.glob("*.mcap*"):
         if path != newest:
             path.unlink()  # those before were ended; the one that was written to counts
     return {"moment_s": moment, **outcome, "files": files_of(place, log, 0, killed_ns)}
+
+
+def filled_in(folder: Path) -> list[Path]:
+    """Recordings that hold samples."""
+    return [path for path in folder.glob("*.mcap*") if size_of(path) > BEGUN]
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file; none where it has another name by now."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return 0
 
 
 def kill_study(relay: Relay, folder: Path, chance: random.Random) -> dict[str, Any]:
