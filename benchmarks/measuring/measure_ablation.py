@@ -73,7 +73,7 @@ VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
     "no look at smaller sets": (search.Options(climbed=0), ()),
     "no relevance at the end": (search.Options(relevance=0.0), ()),
     "every step gone on from": (search.Options(step=-np.inf), ()),
-    "any number of terms refitted at once": (search.Options(few=99), ()),
+    "any number of terms compared at once": (search.Options(few=99), ()),
     "shapes not begun anew": (
         search.Options(),
         ((search.StructureSearch, "_refit_shapes", lambda self, state, structure: None),),

@@ -17,6 +17,7 @@ from labhil.diagnose.begin import fit_baseline, with_coloured_noise
 from labhil.diagnose.judge import Data, is_far_likelier
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.search_result import SearchResult, Step
+from labhil.diagnose.structures.enumerate import RELEVANCE, relevance
 from labhil.identify.fitted import Fitted
 from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.score import Score, score
@@ -54,9 +55,7 @@ def augmented_search(
     on more data, unless these still need them.
     """
     rms = residual_rms(data, result.final)
-    explained = result.curve is not None
-    shown = not explained and (exceeds_noise(data, rms[1]) or _held_out_score(data, result).excess > SHOWN)
-    parts = split_held_out(data) if shown else None
+    parts = split_held_out(data) if _shows_something_else(data, result, rms) else None
     if parts is None:
         return data, result, rms
     progress("the held-out data show something else: the search goes on with half of them")
@@ -74,6 +73,28 @@ def augmented_search(
     else:
         firm = bool(np.max(wider_rms) < np.max(rms)) and not _needs_first_terms(wider, result, wider_result)
     return (wider, wider_result, wider_rms) if firm else (data, result, rms)
+
+
+def _shows_something_else(data: Data, result: SearchResult, rms: FloatArray) -> bool:
+    """Whether the held-out data show what neither terms nor a curve nor the searched data account for.
+
+    Terms that only the held-out data did not bear out get a second chance on more data in any case.
+    """
+    if result.curve is not None or (result.missing and not leave_more(rms)):
+        return False
+    return exceeds_noise(data, rms[1]) or _held_out_score(data, result).excess > SHOWN
+
+
+def leave_more(rms: FloatArray) -> bool:
+    """Whether held-out data leave more of some output than the searched ones leave beyond the noise.
+
+    What is left of the searched data was before the search already: as much again tells it nothing.
+
+    Args:
+        rms: (2, c) left of searched and held-out data, in units of the noise.
+    """
+    each = np.eye(rms.shape[1], dtype=bool)
+    return max(relevance(rms[1] ** 2, rms[0] ** 2, one) for one in each) >= RELEVANCE
 
 
 def split_held_out(data: Data) -> tuple[Record, Record] | None:

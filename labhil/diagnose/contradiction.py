@@ -7,6 +7,7 @@ from scipy import stats
 
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score
+from labhil.identify.window_products import without_states
 from labhil.physics.model import Metric, Record
 from labhil.signals import FloatArray
 
@@ -64,9 +65,8 @@ def scored_slopes(problem: Problem, score: Score) -> FloatArray:
     slopes = lin.by_parameters
     if lin.by_states.shape[1]:
         lead = lin.by_states * ~scored[:, None]
-        mixed = problem.per_window(lead[:, :, None] * slopes[:, None, :])
-        share = np.linalg.solve(problem.state_gram(lead), mixed)
-        slopes = slopes - np.einsum("ns,nsk->nk", lin.by_states, share[problem.owner])
+        share = np.linalg.solve(problem.state_gram(lead), problem.products(lead, slopes))
+        slopes = without_states(slopes, lin.by_states, np.asarray(share), problem.edges)
     return np.asarray(slopes[scored])
 
 
@@ -138,11 +138,7 @@ def _orthogonal(
     problem: Problem, slopes: FloatArray, jacobian: FloatArray, columns: FloatArray
 ) -> FloatArray:
     """What of ``columns`` (N·c, k) neither windows' states nor parameters could explain."""
-    if slopes.shape[1]:
-        gram = problem.state_gram(slopes)
-        mixed = problem.per_window(slopes[:, :, None] * columns[:, None, :])
-        share = np.linalg.solve(gram, mixed)
-        columns = columns - np.einsum("ns,nsk->nk", slopes, share[problem.owner])
+    columns = problem.beside(slopes, columns)
     length = np.linalg.norm(jacobian, axis=0)
     vectors, singular, _ = np.linalg.svd(
         jacobian[:, length > 0.0] / length[length > 0.0], full_matrices=False

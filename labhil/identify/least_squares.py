@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.problem import Linearised, Point, Problem
+from labhil.identify.window_products import without_states
 from labhil.identify.window_states import (
     States,
     evaluate,
@@ -179,11 +180,11 @@ def _step(problem: Problem, point: Point, lin: Linearised, damping: float) -> tu
     z = _parameter_step(problem, point, lin, damping, of_states)
     gram = problem.state_gram(lin.by_states, np.full(len(point.states), of_states))
     remaining = lin.residuals + lin.by_parameters @ (z - point.z)
-    pull = problem.per_window(lin.by_states * remaining[:, None])
-    states = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
-    expected = remaining - np.einsum("ns,ns->n", lin.by_states, states[problem.owner])
+    pull = problem.products(lin.by_states, remaining[:, None])
+    states = np.asarray(np.linalg.solve(gram, pull), dtype=np.float64)
+    expected = without_states(remaining[:, None], lin.by_states, states, problem.edges)[:, 0]
     promised = float(lin.residuals @ lin.residuals - expected @ expected)
-    return Point(z, point.states - states * problem.model.state_scale), promised
+    return Point(z, point.states - states[:, :, 0] * problem.model.state_scale), promised
 
 
 def _parameter_step(

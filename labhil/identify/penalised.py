@@ -155,6 +155,6 @@ def _follow_states(
     if not point.states.shape[1]:
         return point.states
     linearised = residuals + lin.by_parameters @ (z - point.z)
-    pull = problem.per_window(lin.by_states * linearised[:, None])
-    step = np.linalg.solve(problem.state_gram(lin.by_states), pull[:, :, None])[:, :, 0]
+    pull = problem.products(lin.by_states, linearised[:, None])
+    step = np.linalg.solve(problem.state_gram(lin.by_states), pull)[:, :, 0]
     return np.asarray(point.states - step * problem.model.state_scale)

@@ -14,6 +14,7 @@ import numpy as np
 
 from labhil.ending import checkpoint
 from labhil.identify.rounding import effective_fractions
+from labhil.identify.window_products import window_products, without_states
 from labhil.identify.windows import noise_at
 from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
 from labhil.signals import FloatArray, IntArray
@@ -139,8 +140,8 @@ class Problem:
             if self._censored is not None:
                 silent = (self._censored == UNREAD) | (self._censored * residuals > 0.0)
                 residuals = np.where(silent, 0.0, residuals)
-            residuals = residuals.ravel()
-        return np.clip(np.nan_to_num(residuals, nan=WORST), -WORST, WORST)
+        residuals = np.clip(residuals.ravel(), -WORST, WORST)
+        return np.where(np.isnan(residuals), WORST, residuals)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
         """Differences of the simulation; ``central`` where the bounds leave room, else one-sided.
@@ -192,9 +193,13 @@ class Problem:
         """Sum rows (N·c, …) within each window, (W, …)."""
         return np.add.reduceat(rows, self.edges, axis=0)
 
+    def products(self, left: FloatArray, right: FloatArray) -> FloatArray:
+        """Inner products of columns (N·c, S) with others (N·c, K) within each window, (W, S, K)."""
+        return window_products(left, right, self.edges)
+
     def state_gram(self, by_states: FloatArray, damping: FloatArray | None = None) -> FloatArray:
         """AᵀA of each window's own states (W, S, S), damped; invertible even where a state has no effect."""
-        gram = self.per_window(by_states[:, :, None] * by_states[:, None, :])
+        gram = self.products(by_states, by_states)
         if not by_states.shape[1]:
             return gram
         diagonal = np.einsum("wss->ws", gram)
@@ -205,9 +210,12 @@ class Problem:
 
     def project(self, lin: Linearised, columns: FloatArray, damping: float = 0.0) -> FloatArray:
         """Take out of ``columns`` (N·c, k) what the windows' own states, so much damped, could explain."""
-        if not lin.by_states.shape[1]:
+        return self.beside(lin.by_states, columns, damping)
+
+    def beside(self, by_states: FloatArray, columns: FloatArray, damping: float = 0.0) -> FloatArray:
+        """The same with these slopes (N·c, S) by the states."""
+        if not by_states.shape[1]:
             return columns
-        gram = self.state_gram(lin.by_states, np.full(len(self.edges), damping))
-        mixed = self.per_window(lin.by_states[:, :, None] * columns[:, None, :])
-        share = np.linalg.solve(gram, mixed)
-        return np.asarray(columns - np.einsum("ns,nsk->nk", lin.by_states, share[self.owner]))
+        gram = self.state_gram(by_states, np.full(len(self.edges), damping))
+        share = np.linalg.solve(gram, self.products(by_states, columns))
+        return without_states(columns, by_states, np.asarray(share, dtype=np.float64), self.edges)

@@ -11,6 +11,7 @@ from labhil.errors import RecordingError
 from labhil.identify.input_noise import responses_to_input_noise
 from labhil.identify.problem import Point, Problem
 from labhil.identify.rounding import Rounding
+from labhil.identify.window_products import without_states
 from labhil.identify.window_states import estimate_states_at
 from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
 from labhil.physics.drive_balance import HasInverseDynamics
@@ -319,14 +320,14 @@ def _state_error_variance(
     if np.any(apart < 1.0):
         simulated = problem.record.outputs[problem.windows.rows] + residuals.reshape(-1, c) * problem.noise
         errors = [_lasting_rounding(rounded, simulated, problem, phase) for phase in PHASES]
-        moved = [np.einsum("wst,wt->ws", inverse, problem.per_window(lead * e[:, None])) for e in errors]
+        moved = [(inverse @ problem.products(lead, error[:, None]))[:, :, 0] for error in errors]
         along = [np.sum(lin.by_states * shift[problem.owner], axis=1) for shift in moved]
         carried += np.mean(np.square(along), axis=0)
     # a state that its lead-in cannot see (a ball that rests there) stays where it was put
     carried = np.minimum(carried, 100.0)
     changes = responses_to_input_noise(problem, point)
     if changes.size:
-        shifts = inverse @ problem.per_window(lead[:, :, None] * changes[:, None, :])
-        remaining = changes - np.einsum("ns,nsd->nd", lin.by_states, shifts[problem.owner])
+        shifts = inverse @ problem.products(lead, changes)
+        remaining = without_states(changes, lin.by_states, shifts, problem.edges)
         carried += np.mean(remaining**2, axis=1)
     return np.asarray(carried.reshape(-1, c)[windows.scored])

@@ -168,8 +168,8 @@ class Scan:
             gram, pull = (both.T @ both)[None], (both.T @ unexplained.target)[None]
         else:
             both = unexplained.beside_states(both)
-            gram = problem.per_window(both[:, :, None] * both[:, None, :])
-            pull = problem.per_window(both * unexplained.target[:, None])
+            gram = problem.products(both, both)
+            pull = problem.products(both, unexplained.target[:, None])[:, :, 0]
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
         sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
         explained = float(np.sum(sizes * pull))

@@ -276,8 +276,8 @@ def _improve_states(
     for _ in range(iterations):
         slopes = problem.state_slopes(Point(z, estimate.states), estimate.residuals) * which
         gram = problem.state_gram(slopes, damping)
-        pull = problem.per_window(slopes * estimate.residuals[:, None])
-        step = np.linalg.solve(gram, pull[:, :, None])[:, :, 0] * which
+        pull = problem.products(slopes, estimate.residuals[:, None])
+        step = np.linalg.solve(gram, pull)[:, :, 0] * which
         trial = evaluate(problem, z, estimate.states - step * problem.model.state_scale)
         trial_cost = trial.costs(problem)
         better = trial_cost < cost

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.augmented import adds_beyond_doubt, goes_elsewhere
+from labhil.diagnose.augmented import adds_beyond_doubt, goes_elsewhere, leave_more
 from labhil.diagnose.begin import data_of
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search_result import Step
@@ -58,3 +58,18 @@ def steps(**delta_bics):
 def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added):
     """Where more than noise is left, evidence that is merely strong may be of what is left."""
     assert adds_beyond_doubt(first, then) == added
+
+
+@pytest.mark.parametrize(
+    ("searched", "held_out", "more"),
+    [
+        ([1.0], [1.3], True),  # noise was left, and more than noise is
+        ([1.3], [1.5], True),
+        ([5100.0], [6500.0], False),  # as a real rig leaves more in one part than in another
+        ([5100.0], [8000.0], True),
+        ([5100.0], [5.0], False),
+        ([300.0, 1.0], [310.0, 1.6], True),  # of the second output
+    ],
+)
+def test_held_out_data_say_more_where_they_leave_more(searched, held_out, more):
+    assert leave_more(np.array([searched, held_out])) == more

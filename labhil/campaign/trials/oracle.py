@@ -261,9 +261,7 @@ def _settle_states(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]
     share = np.ones(len(point.states))
     for _ in range(STEPS):
         slopes = whiten(problem.state_slopes(point, residuals))
-        step = np.linalg.solve(
-            problem.state_gram(slopes), problem.per_window(slopes * white[:, None])[:, :, None]
-        )[:, :, 0]
+        step = np.linalg.solve(problem.state_gram(slopes), problem.products(slopes, white[:, None]))[:, :, 0]
         tried = Point(none, point.states - share[:, None] * step * problem.model.state_scale)
         after = problem.residuals(tried)
         white_after = whiten(after[:, None])[:, 0]
@@ -280,8 +278,4 @@ def _settle_states(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]
 
 def _without_states(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray:
     """White rows (N·c,) without what each window's own states explain."""
-    if not problem.model.state_names:
-        return white
-    mixed = problem.per_window(slopes * white[:, None])[:, :, None]
-    share = np.linalg.solve(problem.state_gram(slopes), mixed)[:, :, 0]
-    return np.asarray(white - np.einsum("ns,ns->n", slopes, share[problem.owner]))
+    return problem.beside(slopes, white[:, None])[:, 0]

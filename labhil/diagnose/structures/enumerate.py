@@ -40,7 +40,7 @@ class BeamOptions:
     Attributes:
         width: structures of each size that are extended by one more term, by either evidence.
         variants: ways of a term to act that larger structures try, the best ones by themselves.
-        most_terms: size at which the search ends in any case.
+        most_terms: terms that a structure has, at most.
         patience: sizes in a row without a better structure after which it ends: two terms may help together
             of which neither does by itself.
     """
@@ -183,10 +183,7 @@ class Enumeration:
         beam = self._seeds()
         self._keep_better(reached, self.evaluate(beam))
         waited = 0
-        for _ in range(self.options.most_terms):
-            extended = self._most_promising(beam, order, reached)
-            if not extended:
-                break
+        while extended := self._most_promising(beam, order, reached):
             predictions = self.evaluate(extended)
             tops = [max(of(p) for p in reached.values()) for of in EVIDENCES]
             self._keep_better(reached, predictions)
@@ -266,7 +263,7 @@ class Enumeration:
             choices = [choice for choice in beam if _width(choice) == width]
             for choice, more, logs in self._promising_additions(choices, added):
                 longer = (*choice, *more)
-                if frozenset(v.term for v in longer) in reached:
+                if len(longer) > self.options.most_terms or frozenset(v.term for v in longer) in reached:
                     continue
                 best = promises.get(_key(longer))
                 if best is None or logs.max() > best[0].max():

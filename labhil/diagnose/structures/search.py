@@ -13,6 +13,7 @@ from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import (
     EVIDENCES,
     RELEVANCE,
+    BeamOptions,
     Enumeration,
     Evident,
     Predicted,
@@ -48,8 +49,9 @@ class Options:
         relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
             effect that is smaller than what is missing beside it cannot be distinguished from that.
         step: what a structure has to explain of what the one before it leaves, over what remains, for the
-            search to go on there: of four equal missing effects one explains a third of what the others do.
-        few: terms more than those of the fit where responses were taken, up to which a structure is refitted.
+            search to go on there, and what each of its terms explains, or it goes on without that: of four
+            equal missing effects one explains a third of what the others do.
+        few: terms more than those of the fit where responses were taken, up to which structures are compared.
         climbed: terms up to which the search linearises at the best structure's parts, too: a larger one was
             reached by way of its parts.
     """
@@ -101,7 +103,7 @@ class StructureSearch:
             self._settle(state)
         while len(state.likeliest) <= self.options.climbed and self._climb(state):
             self._settle(state)
-        self._drop_irrelevant(state)
+        self._reduce(state, state.likeliest, state.least)
         if not state.best:
             self._refit_singles(state)
         for structure in {frozenset[str](), state.best}:
@@ -117,7 +119,7 @@ class StructureSearch:
         for _ in range(self.options.rounds):
             new = False
             for evidence in EVIDENCES:
-                best = state.most(evidence)
+                best = self._reduce(state, state.most(evidence), self.options.step)
                 if best not in state.linearised and self._leads_on(state, best):
                     self._linearise(state, best)
                     self._refit_narrowed(state, best)
@@ -190,14 +192,14 @@ class StructureSearch:
         singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
         self._refit_each(state, near, [single for single in singles if single not in state.refitted])
 
-    def _drop_irrelevant(self, state: SearchState) -> None:
-        """Refit the likeliest structure without its terms that explain too little, the least one first."""
-        structure = state.likeliest
-        while least_relevance(shares := state.relevance(structure)) < state.least:
+    def _reduce(self, state: SearchState, structure: Structure, least: float) -> Structure:
+        """A structure refitted without its terms that explain too little, the least one first."""
+        while least_relevance(shares := state.relevance(structure)) < least:
             near = state.refitted[structure]
             structure = structure - {min(shares, key=lambda term: shares[term])}
             if structure not in state.refitted:
                 self._refit_and_enter(state, near.fitted, structure, {})
+        return structure
 
     def _refit_narrowed(self, state: SearchState, best: Structure) -> None:
         """Refit a structure with the form of a term that has no width, begun at that term's size."""
@@ -222,26 +224,27 @@ class StructureSearch:
     def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
         term_responses = responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
-        return Enumeration(self.data.model, term_responses, frozenset(self.baseline), self.candidates)
+        return Enumeration(
+            self.data.model, term_responses, frozenset(self.baseline), self.candidates, self._beam(fitted)
+        )
+
+    def _beam(self, near: Fitted) -> BeamOptions:
+        """How far from a fit structures are compared.
+
+        From afar many terms together stand in for anything: only a few more than those of the fit count,
+        except where responses are exact, as of inverse dynamics.
+        """
+        if not self.data.model.state_names:
+            return BeamOptions()
+        added = frozenset(near.terms) - frozenset(self.baseline)
+        return BeamOptions(most_terms=len(added) + self.options.few)
 
     def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:
-        """Refit the most promising structures that were not refitted yet.
-
-        From afar many terms together stand in for anything: only a few more than those of the linearised fit
-        count, except where responses are exact, as of inverse dynamics.
-        """
+        """Refit the most promising structures that were not refitted yet."""
         least = evidence(state.refitted[state.most(evidence)]) - self.options.margin
         new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
-        possible = [p for p in new if len(p.structure) <= self._most_terms(state)]
-        waiting = sorted(possible, key=evidence, reverse=True)[: self.options.refits]
+        waiting = sorted(new, key=evidence, reverse=True)[: self.options.refits]
         self._refit_predicted(state, waiting)
-
-    def _most_terms(self, state: SearchState) -> float:
-        """How many terms a structure may have to be refitted."""
-        if state.view is None or not self.data.model.state_names:
-            return np.inf
-        near = state.view.responses.fitted
-        return len(frozenset(near.terms) - frozenset(self.baseline)) + self.options.few
 
     def _refit_predicted(self, state: SearchState, predicted: Sequence[Predicted]) -> None:
         """Refit structures from the fit where they were predicted, with the values that they have there."""
