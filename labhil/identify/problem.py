@@ -168,14 +168,24 @@ class Problem:
             slopes = np.where(beyond[:, :, None], 0.0, slopes)
         return np.asarray(slopes.reshape(residuals.size, len(keys)))
 
-    def state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
+    def state_slopes(self, point: Point, residuals: FloatArray, step: float = STATE_STEP) -> FloatArray:
         """Slopes of the residuals by each window's own state, in units of the states' scale (N·c, S)."""
         by_states = np.empty((residuals.size, point.states.shape[1]))
         for s, scale in enumerate(self.model.state_scale):
             states = point.states.copy()
-            states[:, s] += STATE_STEP * scale
-            by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / STATE_STEP
+            states[:, s] += step * scale
+            by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / step
         return by_states
+
+    def flatter_state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
+        """The same to the side on which the residuals of a window change less, (N·c, S).
+
+        A part breaks away or stays where it is, and the best state is often at the edge between both. Data
+        bound it there to one side as if they knew it exactly, and to the other leave it as it ever was.
+        """
+        ahead, behind = (self.state_slopes(point, residuals, step) for step in (STATE_STEP, -STATE_STEP))
+        flatter = self.per_window(behind**2) < self.per_window(ahead**2)
+        return np.where(flatter[self.owner], behind, ahead)
 
     def _slope(self, point: Point, residuals: FloatArray, j: int, central: bool) -> FloatArray:
         step = self.step[j] * max(1.0, abs(point.z[j]))

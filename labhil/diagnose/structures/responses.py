@@ -17,6 +17,7 @@ from labhil.diagnose.structures.disturbance import Disturbance, inner_products
 from labhil.diagnose.structures.marginal import Grams
 from labhil.identify.extended import ExtendedModel
 from labhil.identify.fitted import Fitted
+from labhil.identify.least_squares import Solution
 from labhil.identify.problem import Linearised, Problem
 from labhil.identify.waves import starts_beside
 from labhil.physics.model import index_of, terms_named
@@ -143,7 +144,7 @@ def responses(
         curves: forces over one coordinate each, which may be added too.
     """
     problem, solution = fitted.problem, fitted.solution
-    lin = problem.linearise(solution.point, solution.residuals)
+    lin = linearise_to_flatter_side(problem, solution)
     owners = [problem.model.parameters[i].term for i in problem.free]
     shared = [j for j, term in enumerate(owners) if term is None or term in baseline]
     present = [
@@ -179,6 +180,12 @@ def responses(
     )
     visible = {term: _visible_variants(weighted, of, term in fitted.terms) for term, of in placed.items()}
     return Responses(fitted, weighted, {term: of for term, of in visible.items() if of})
+
+
+def linearise_to_flatter_side(problem: Problem, solution: Solution) -> Linearised:
+    """Slopes where a fit stands, those by states to the side on which less changes."""
+    lin = problem.linearise(solution.point, solution.residuals)
+    return replace(lin, by_states=problem.flatter_state_slopes(solution.point, solution.residuals))
 
 
 def _visible_variants(grams: Grams, variants: Sequence[Variant], present: bool) -> tuple[Variant, ...]:

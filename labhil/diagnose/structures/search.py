@@ -22,7 +22,7 @@ from labhil.diagnose.structures.enumerate import (
     relevance,
     with_disturbance,
 )
-from labhil.diagnose.structures.responses import responses
+from labhil.diagnose.structures.responses import linearise_to_flatter_side, responses
 from labhil.diagnose.structures.state import (
     Refitted,
     SearchState,
@@ -336,7 +336,7 @@ def _shortfall(fitted: Fitted, dof: float) -> float:
     if fitted.solution.converged:
         return 0.0
     problem, solution = fitted.problem, fitted.solution
-    lin = problem.linearise(solution.point, solution.residuals)
+    lin = linearise_to_flatter_side(problem, solution)
     projected = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
     residuals, slopes = projected[:, 0], projected[:, 1:]
     promised = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
