@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -155,8 +156,11 @@ def responses(
     target = solution.residuals - _explained_part(fitted, present)
     ways = [way for term in present for way in _as_curve(problem, term)]
     absent_terms = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
-    for absent_ways in side_by_side(lambda key: _absent_ways(problem, fitted, lin, key), absent_terms):
-        ways += absent_ways
+    # a term that repeats along the way is tried at hundreds of orders: the others go beside it, not before it
+    longest_first = sorted(absent_terms, key=lambda key: data.model.terms[key].order is None)
+    each = side_by_side(partial(_absent_ways, problem, fitted, lin), longest_first)
+    found = dict(zip(longest_first, each, strict=True))
+    ways += [way for key in absent_terms for way in found[key]]
     for curve in curves:
         columns = tuple(_Column("", 1.0, False, False, column) for column in curve.columns.T)
         ways += _smooth(_Way(curve.name, {}, columns), curve.roughness)
