@@ -18,7 +18,6 @@ from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import noise_beside
 from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta
 from labhil.identify.saved_curve import ModelUnderCurves
-from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
 from labhil.physics.model import Record
@@ -225,5 +224,8 @@ def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> No
     kept = ModelUnderCurves(data.model, [found.kept])
     assert kept.state_names == ("shaft_velocity", "current", "shaft_angle")
     own = found.model.split(found.fit.theta)[0]
-    again = score(kept, own, test, data.test_sigma, found.after.windows.horizon)
-    assert again.rmse == pytest.approx(found.after.rmse, rel=0.05)
+    # from the same states: of two angles that a lead-in tells apart by a nat, rounding may choose either
+    windows, states = found.after.windows.whole, found.after.states
+    again = kept.simulate(own, test, windows, states)
+    before = found.model.simulate(found.fit.theta, test, windows, states)
+    assert (np.std(again - before, axis=0) < 0.05 * np.std(found.after.errors, axis=0)).all()
