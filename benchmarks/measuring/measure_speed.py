@@ -97,8 +97,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     given = parser.parse_args()
     pythons = [sys.executable, *([given.against] if given.against else [])]
-    rigs = {rig: measure_rig(rig, given.trials, given.seed, pythons) for rig in given.rigs}
-    tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, given.out)
+    rigs: dict[str, Any] = {}
+    for rig in given.rigs:
+        rigs[rig] = measure_rig(rig, given.trials, given.seed, pythons)
+        if given.out is not None:  # a long command keeps what it has
+            tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, given.out)
+    if given.out is None:
+        tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, None)
 
 
 if __name__ == "__main__":
