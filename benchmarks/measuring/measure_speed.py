@@ -21,9 +21,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import recording
 from labhil.campaign.trials.make import Order, make_trials
+from measure_ablation import read_answer
 from measured import tell
 
 SECONDS = {"ball_beam": 60.0, "dc_motor": 60.0, "axis": 60.0, "solenoid": 60.0, "ur5": 40.0}
@@ -63,7 +63,7 @@ def measure_rig(rig: str, trials: int, seed: int, pythons: list[str]) -> dict[st
         )
         rows = []
         for path in sorted(answers.glob("*.json")):
-            answer = Answer.from_json(json.loads(path.read_text(encoding="utf-8"))["answer"])
+            answer = read_answer(path)
             timed = [diagnose(p, folder, path.stem, answer.baseline, Path(kept) / "d.json") for p in pythons]
             rows.append(
                 {"there": [effect.key for effect in answer.effects], "runs": list(map(asdict, timed))}
@@ -98,12 +98,9 @@ def main() -> None:
     given = parser.parse_args()
     pythons = [sys.executable, *([given.against] if given.against else [])]
     rigs: dict[str, Any] = {}
-    for rig in given.rigs:
+    for rig in given.rigs:  # what is measured is told at once: a rig may take an hour
         rigs[rig] = measure_rig(rig, given.trials, given.seed, pythons)
-        if given.out is not None:  # a long command keeps what it has
-            tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, given.out)
-    if given.out is None:
-        tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, None)
+        tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, given.out)
 
 
 if __name__ == "__main__":

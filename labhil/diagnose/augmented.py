@@ -88,7 +88,7 @@ def _shows_something_else(data: Data, result: SearchResult, rms: FloatArray) -> 
 def leave_more(rms: FloatArray) -> bool:
     """Whether held-out data leave more of some output than the searched ones leave beyond the noise.
 
-    What is left of the searched data was before the search already: as much again tells it nothing.
+    The search has had the residuals of the searched data before it: as much again tells it nothing.
 
     Args:
         rms: (2, c) left of searched and held-out data, in units of the noise.

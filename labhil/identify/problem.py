@@ -177,15 +177,15 @@ class Problem:
             by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / step
         return by_states
 
-    def flatter_state_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
-        """The same to the side on which the residuals of a window change less, (N·c, S).
+    def flatter_state_slopes(self, point: Point, lin: Linearised) -> FloatArray:
+        """Slopes by the states to the side on which the residuals of a window change less, (N·c, S).
 
         A part breaks away or stays where it is, and the best state is often at the edge between both. Data
         bound it there to one side as if they knew it exactly, and to the other leave it as it ever was.
         """
-        ahead, behind = (self.state_slopes(point, residuals, step) for step in (STATE_STEP, -STATE_STEP))
-        flatter = self.per_window(behind**2) < self.per_window(ahead**2)
-        return np.where(flatter[self.owner], behind, ahead)
+        behind = self.state_slopes(point, lin.residuals, -STATE_STEP)
+        flatter = self.per_window(behind**2) < self.per_window(lin.by_states**2)
+        return np.where(flatter[self.owner], behind, lin.by_states)
 
     def _slope(self, point: Point, residuals: FloatArray, j: int, central: bool) -> FloatArray:
         step = self.step[j] * max(1.0, abs(point.z[j]))

@@ -195,9 +195,7 @@ class Oracle:
         true = self.model.prepare(silent).outputs
         noise = ((self.test.outputs[rows] - true[rows]) / self.residual_noise.sigma).ravel()
         slopes = problem.state_slopes(point, problem.residuals(point))
-        return -0.5 * float(
-            np.sum(_without_states(problem, whiten(noise[:, None])[:, 0], whiten(slopes)) ** 2)
-        )
+        return -0.5 * float(np.sum(problem.beside(whiten(slopes), whiten(noise[:, None])) ** 2))
 
     def _test_problem(self, theta: FloatArray) -> tuple[Problem, Whiten]:
         windows = fit_windows(self.test, JUDGED * self.horizon) if self._states else all_of(self.test).whole
@@ -274,8 +272,3 @@ def _settle_states(problem: Problem, whiten: Whiten) -> tuple[FloatArray, Point]
         if float(gained[better].sum()) < 1e-3 and share.min() < 0.1:
             break
     return white, point
-
-
-def _without_states(problem: Problem, white: FloatArray, slopes: FloatArray) -> FloatArray:
-    """White rows (N·c,) without what each window's own states explain."""
-    return problem.beside(slopes, white[:, None])[:, 0]

@@ -189,7 +189,7 @@ def responses(
 def linearise_to_flatter_side(problem: Problem, solution: Solution) -> Linearised:
     """Slopes where a fit stands, those by states to the side on which less changes."""
     lin = problem.linearise(solution.point, solution.residuals)
-    return replace(lin, by_states=problem.flatter_state_slopes(solution.point, solution.residuals))
+    return replace(lin, by_states=problem.flatter_state_slopes(solution.point, lin))
 
 
 def _visible_variants(grams: Grams, variants: Sequence[Variant], present: bool) -> tuple[Variant, ...]:
