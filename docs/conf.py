@@ -42,10 +42,7 @@ def _offer_pages_outside(app: Sphinx, name: str, source: list[str]) -> None:
             return link[0]
         return f"{{download}}`{link[1]} <{link[2].partition('#')[0]}>`"
 
-    text = source[0].replace(
-        "```mermaid", "```text"
-    )  # drawn where the source is shown; a site has no renderer
-    source[0] = re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s#][^)\s]*)\)", offered, text)
+    source[0] = re.sub(r"(?<!!)\[([^\]]+)\]\(([^)\s#][^)\s]*)\)", offered, source[0])
 
 
 def setup(app: Sphinx) -> None:

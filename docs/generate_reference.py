@@ -1,6 +1,7 @@
 """Write the pages of docs/reference that come from the code: ``python docs/generate_reference.py [FOLDER]``.
 
-The command line, the keys of a rig file, the terms, the JSON schemas of results and the exit codes. A test
+The command line, the keys of a rig file, the terms, the JSON schemas of results, the exit codes, and the picture of a
+run's states. A test
 fails when a page differs from what this makes. ``reference/python-api.md`` is filled by Sphinx.
 """
 
@@ -13,6 +14,7 @@ import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -326,10 +328,22 @@ PAGES: Mapping[str, Callable[[], str]] = {
 }
 
 
+def run_states() -> str:
+    """The picture of the states of a run."""
+    spec = spec_from_file_location("run_states", Path(__file__).with_name("run_states.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    picture: str = module.draw_run_states()
+    return picture
+
+
 def generate() -> dict[str, str]:
     """Every generated file's text, by its path below docs/reference."""
     texts = {name: make() for name, make in PAGES.items()}
     texts |= {f"schemas/{name}": text for name, text in schemas().items()}
+    texts["../pictures/run-states.svg"] = run_states()
     return {name: re.sub(r"[ \t]+$", "", text, flags=re.MULTILINE) for name, text in texts.items()}
 
 

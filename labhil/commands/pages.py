@@ -17,7 +17,7 @@ GUIDES: Mapping[str, str] = {
     "labhil import": "docs/how-to/import-and-export.md",
     "labhil export": "docs/how-to/import-and-export.md",
     "labhil layout": "docs/how-to/other-viewers.md",
-    "labhil recover": "docs/how-to/import-and-export.md",
+    "labhil recover": "docs/how-to/recover-a-recording.md",
     "labhil terms": "docs/reference/terms.md",
     "labhil fit": "docs/tutorials/refit.md",
     "labhil diagnose": "docs/how-to/read-a-diagnosis.md",

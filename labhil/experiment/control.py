@@ -1,8 +1,7 @@
 """The states of a run, which may follow which, and the handle that others control it by.
 
-:data:`TRANSITIONS` is the only place that says what may follow what; the diagram in
-``docs/explanation/safety.md`` is
-made of it.
+:data:`TRANSITIONS` is the only place that says what may follow what; the picture in
+``docs/explanation/safety.md`` is drawn from it.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from types import MappingProxyType
 
 from labhil.errors import CommandRefusedError
 from labhil.host_clock import unix_ns
-from labhil.terminal import show
 
 
 class RunState(StrEnum):
@@ -204,17 +202,3 @@ _ENDS = (RunState.STOPPING, RunState.ABORTING)
 
 def _predecessors(state: RunState) -> Iterator[RunState]:
     return (before for before, following in TRANSITIONS.items() if state in following)
-
-
-def mermaid() -> str:
-    """Return the states and their changes as a Mermaid diagram; ``python -m labhil.experiment.control``."""
-    lines = ["stateDiagram-v2", "    [*] --> idle"]
-    for state, following in TRANSITIONS.items():
-        lines += [f"    {state.value} --> {after.value}: {why}" for after, why in following.items()]
-        if not following:
-            lines.append(f"    {state.value} --> [*]")
-    return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    show(mermaid())

@@ -26,6 +26,9 @@ from labhil.signals import FloatArray
 
 GRAVITY = 9.81
 SOLID_BALL = 0.4
+ROLLS = GRAVITY / (1.0 + SOLID_BALL)
+"""Acceleration of a solid ball per sine of the slope, m/s²."""
+
 DEFAULT_HORIZON = 4.0
 SPEED = 0.2
 SPAN = 0.2
@@ -42,6 +45,7 @@ WAY_IN = (
     "actuator_lag.time_constant",
     "time_delay.delay",
 )
+LINKAGE = ("crank_radius", "beam_length")
 REMEMBERED = 32
 LAG_PARTS = 4
 
@@ -50,10 +54,10 @@ RIG_PARAMETERS = {
     "ball_radius": Parameter("ball_radius", "m", 0.01, 1e-3, 0.1, starts=(0.02,)),
     "crank_radius": Parameter("crank_radius", "m", 0.05, 1e-3, 1.0, starts=(0.05,)),
     "beam_length": Parameter("beam_length", "m", 0.2, 1e-2, 3.0, starts=(0.4,)),
-    "acceleration_per_radian": Parameter(
-        "acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(GRAVITY / (1.0 + SOLID_BALL),)
-    ),
+    "acceleration_per_radian": Parameter("acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(ROLLS,)),
 }
+PER_SERVO_RADIAN = Parameter("acceleration_per_radian", "m/s²", 1.0, 1e-3, ROLLS, starts=(0.2 * ROLLS,))
+"""With a linkage of unknown ratio: the beam turns at most as far as the servo, and often a fifth of that."""
 
 
 def catalogue(per_unit_mass: bool) -> dict[str, Term]:
@@ -135,7 +139,8 @@ class BallBeamModel:
         self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
         self.fixed = known_numbers(rig)
-        estimated = tuple(RIG_PARAMETERS[name] for name in self._estimated())
+        estimated = (PER_SERVO_RADIAN,) if self._gain_per_servo_radian else ()
+        estimated += tuple(RIG_PARAMETERS[name] for name in self._estimated())
         self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
         self._values = Values(self.fixed, self.parameters)
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
@@ -151,13 +156,17 @@ class BallBeamModel:
         other._extra = force
         return other
 
+    @property
+    def _gain_per_servo_radian(self) -> bool:
+        """Whether the gain holds mass and linkage: of neither the rig file says anything."""
+        return self.linkage and self.per_unit_mass and not any(name in self.fixed for name in LINKAGE)
+
     def _estimated(self) -> list[str]:
-        names = ["acceleration_per_radian"] if self.per_unit_mass else []
-        ratio = ("crank_radius", "beam_length")
-        if self.linkage and not (self.per_unit_mass and not any(name in self.fixed for name in ratio)):
-            # with neither mass nor linkage known, the gain is per radian of the servo and absorbs both
-            names += [name for name in ratio if name not in self.fixed]
-        return names
+        names = [] if "ball_radius" in self.fixed else ["ball_radius"]
+        if self._gain_per_servo_radian:
+            return names
+        names += ["acceleration_per_radian"] if self.per_unit_mass else []
+        return names + [name for name in LINKAGE if self.linkage and name not in self.fixed]
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Scored horizon, s: the same whatever is fitted."""
@@ -235,15 +244,16 @@ class BallBeamModel:
     def _kernel(self, theta: FloatArray) -> FloatArray:
         """Everything per unit of effective mass, in the order of ``physics.rolling``."""
         m_eff = self._effective_mass(theta)
-        if self.per_unit_mass:
-            gain = self._values.of(theta, "acceleration_per_radian")
-            share = gain / GRAVITY
+        if self._gain_per_servo_radian:
+            share = ROLLS / GRAVITY
+        elif self.per_unit_mass:
+            share = self._values.of(theta, "acceleration_per_radian") / GRAVITY
         else:
             share = self.fixed["ball_mass"] / m_eff
-            gain = share * GRAVITY
+        gain = share * GRAVITY
         k = np.zeros(rolling.SIZE)
         k[rolling.GRAVITY], k[rolling.CENTRIFUGAL] = gain, share
-        k[rolling.ROLLING] = SOLID_BALL * self.fixed.get("ball_radius", 0.0) * share
+        k[rolling.ROLLING] = SOLID_BALL * self._values.of(theta, "ball_radius") * share
         for place, name in KERNEL_PLACES.items():
             k[place] = self._values.of(theta, name) / m_eff
         k[rolling.STRIBECK_VELOCITY] = self._values.of(theta, "stribeck_friction.velocity")
@@ -279,7 +289,14 @@ class BallBeamModel:
         return entry[1]
 
     def _ratio(self, theta: FloatArray) -> float:
-        if "crank_radius" not in self._values:
+        """Sine of the beam's angle per sine of the input angle.
+
+        A linkage of which nothing is known has the ratio that gives a solid ball its acceleration: the beam turns
+        less than the servo, and sine and centrifugal force are those of the beam.
+        """
+        if self._gain_per_servo_radian:
+            return self._values.of(theta, "acceleration_per_radian") / ROLLS
+        if not self.linkage:
             return 1.0
         return self._values.of(theta, "crank_radius") / self._values.of(theta, "beam_length")
 

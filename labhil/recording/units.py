@@ -98,6 +98,12 @@ def unit_in_name(name: str) -> tuple[str, Unit] | None:
     return None
 
 
+def without_unit(name: str) -> str:
+    """The name of a column without the unit that it states in brackets: ``time`` for ``time [ms]``."""
+    match = _IN_BRACKETS.match(name.strip())
+    return match["name"] if match and match["name"] and unit_of(match["unit"]) else name
+
+
 def is_units_line(texts: Sequence[str]) -> bool:
     """Whether the fields of a line are units: all that are filled are known ones, or stand in brackets.
 

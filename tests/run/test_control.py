@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import CommandRefusedError, UsageError
-from labhil.experiment.control import TRANSITIONS, RunControl, RunState, mermaid
+from labhil.experiment.control import TRANSITIONS, RunControl, RunState
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.recording.reader import read_recording
@@ -214,11 +214,6 @@ def test_a_request_to_end_is_not_taken_back() -> None:
         control.pause()
     with pytest.raises(ValueError, match="cannot become finished"):
         control.become(RunState.FINISHED, "")
-
-
-def test_the_diagram_in_the_documentation_is_made_of_the_table() -> None:
-    page = (DOCS / "explanation" / "safety.md").read_text(encoding="utf-8")
-    assert f"```mermaid\n{mermaid()}\n```" in page
 
 
 @pytest.mark.parametrize(

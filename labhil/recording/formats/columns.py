@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from labhil.recording.formats.notation import Notation, is_missing
 from labhil.recording.formats.time_text import Stamps, stamps_of
+from labhil.recording.units import without_unit
 from labhil.signals import FloatArray, Hold, IntArray
 
 
@@ -48,8 +49,20 @@ class Columns(ABC):
         return ""
 
     def find(self, source: str) -> tuple[int, ...]:
-        """The numbers of the columns that bear this name: none, one or several."""
-        return tuple(place for place, name in enumerate(self.names or ()) if name == source)
+        """The numbers of the columns that bear this name: none, one or several.
+
+        A column ``Time [ms]`` is found as ``Time``, too, and as ``time`` where none bears that name exactly.
+        """
+        names = self.names or ()
+        bare = [without_unit(name) for name in names]
+        for spellings, wanted in (
+            (names, source),
+            (bare, source),
+            ([n.casefold() for n in bare], source.casefold()),
+        ):
+            if places := tuple(place for place, name in enumerate(spellings) if name == wanted):
+                return places
+        return ()
 
     @property
     def units(self) -> tuple[str, ...]:
