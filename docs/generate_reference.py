@@ -1,8 +1,8 @@
 """Write the pages of docs/reference that come from the code: ``python docs/generate_reference.py [FOLDER]``.
 
-The command line, the keys of a rig file, the terms, the JSON schemas of results, the exit codes, and the picture of a
-run's states. A test
-fails when a page differs from what this makes. ``reference/python-api.md`` is filled by Sphinx.
+The command line, the keys of a rig file, the terms, the JSON schemas of results, the exit codes, and the
+picture of a run's states. A test fails when a page differs from what this makes.
+``reference/python-api.md`` is filled by Sphinx.
 """
 
 from __future__ import annotations

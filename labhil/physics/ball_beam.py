@@ -291,8 +291,8 @@ class BallBeamModel:
     def _ratio(self, theta: FloatArray) -> float:
         """Sine of the beam's angle per sine of the input angle.
 
-        A linkage of which nothing is known has the ratio that gives a solid ball its acceleration: the beam turns
-        less than the servo, and sine and centrifugal force are those of the beam.
+        A linkage of which nothing is known has the ratio that gives a solid ball its acceleration: the beam
+        turns less than the servo, and sine and centrifugal force are those of the beam.
         """
         if self._gain_per_servo_radian:
             return self._values.of(theta, "acceleration_per_radian") / ROLLS

@@ -41,7 +41,8 @@ def test_the_page_leads_from_a_table_to_what_the_model_lacks(tmp_path: Path) -> 
     assert f"```\n{refused.stderr}```" in PAGE.read_text(encoding="utf-8")
     assert [(line, result.stderr) for line, result in accepted if result.returncode] == []
     answer = accepted[-1][1].stdout
-    assert [name for name in ("dead_zone", "coulomb_friction", "stribeck_friction") if f"• {name} (" not in answer] == []
+    concealed = ("dead_zone", "coulomb_friction", "stribeck_friction")
+    assert [name for name in concealed if f"• {name} (" not in answer] == []
     assert (tmp_path / "diagnosis.png").stat().st_size > 10_000
     radius = re.search(r"^ball_radius +([\d.]+)", answer, re.MULTILINE)
     assert radius is not None

@@ -247,6 +247,26 @@ def test_units_in_names_are_read_where_channels_ask_for_them(tmp_path, names):
     assert imported(tmp_path, in_ms(header=names), stated).values[:, 1] == pytest.approx(SPEED)
 
 
+@pytest.mark.parametrize("names", ["Time [s],U (V),n [rad/s]", "TIME (s),u,N", "time,U,n (rad/s)"])
+def test_columns_are_found_without_their_units_and_in_any_case(tmp_path, names):
+    lines = table_of(SPEED.astype(str))
+    channels = '[channels]\nvoltage = { column = "u" }\nspeed = { column = "n" }\nt = { column = "time" }\n'
+    assert imported(tmp_path, [names, *lines[1:]], channels).values[:, 1] == pytest.approx(SPEED)
+
+
+@pytest.mark.parametrize("name", ["Time (ms)", "time_ms", "Time in ms"])
+def test_a_time_column_that_states_its_unit_needs_no_entry(tmp_path, name):
+    channels = '[channels]\nvoltage = { column = "voltage", scale = 1e-3 }\nspeed = { column = "speed" }\n'
+    with pytest.raises(TableError, match=r"expected t in s, found t in ms"):
+        imported(tmp_path, in_ms(header=f"{name},voltage,speed"), channels)
+
+
+def test_the_exact_name_of_a_column_comes_first(tmp_path):
+    lines = table_of(SPEED.astype(str))
+    table = imported(tmp_path, ["t,voltage,speed,Speed (V)", *(f"{line},7.0" for line in lines[1:])])
+    assert table.values[:, 1] == pytest.approx(SPEED)
+
+
 def test_a_unit_of_another_quantity_earns_a_note(tmp_path):
     lines = table_of(SPEED.astype(str))
     table = imported(tmp_path, [lines[0], "s,V,V", *lines[1:]])
