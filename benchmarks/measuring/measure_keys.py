@@ -28,6 +28,7 @@ import numpy as np
 import psutil
 
 from lab_at_work import open_screen, serving
+from labhil.signals import FloatArray
 from measured import tell
 
 RIGS = ("ball_beam", "dc_motor", "solenoid")
@@ -41,21 +42,32 @@ SETTLE = 8.0
 
 
 class Screen:
-    """A terminal in which ``labhil tui`` runs, with the time at which each piece of it was drawn."""
+    """A terminal in which ``labhil tui`` runs as process ``pid``."""
 
-    def __init__(self, terminal: int) -> None:
+    def __init__(self, terminal: int, pid: int) -> None:
         self._terminal = terminal
+        self._schedule = Path(f"/proc/{pid}/task/{pid}/schedstat")
 
-    def seconds_until(self, key: str, words: bytes) -> float:
-        """Press a key; how long it takes until the words are drawn, s."""
+    def press(self, key: str, words: bytes) -> tuple[float, float, float]:
+        """Press a key, and wait until the words are drawn.
+
+        Returns how long it took, the processor time of the screen's thread until then, and how long that
+        thread waited for a core, all in s.
+        """
         self.drain(0.0)
-        text, pressed = b"", time.perf_counter()
+        (spent, waited), text, pressed = self._times(), b"", time.perf_counter()
         os.write(self._terminal, key.encode())
         while not re.search(words, ESCAPES.sub(b"", text)):
             if time.perf_counter() - pressed > PATIENCE:
                 raise TimeoutError(f"key {key}: {words!r} was not drawn within {PATIENCE:g} s")
             text += self._read(0.1)
-        return time.perf_counter() - pressed
+        took, (spent_then, waited_then) = time.perf_counter() - pressed, self._times()
+        return took, spent_then - spent, waited_then - waited
+
+    def _times(self) -> tuple[float, float]:
+        """Processor time of the thread so far, and the time it has waited for a core, s."""
+        spent, waited, _ = self._schedule.read_text(encoding="ascii").split()
+        return int(spent) * 1e-9, int(waited) * 1e-9
 
     def drain(self, seconds: float) -> None:
         """Read what is drawn for so long."""
@@ -84,7 +96,7 @@ def screen(folder: Path, endpoint: str, size: tuple[int, int]) -> Iterator[tuple
     """``labhil tui`` in a terminal of so many columns and rows."""
     process, ours = open_screen(folder, endpoint, size)
     try:
-        yield psutil.Process(process.pid), Screen(ours)
+        yield psutil.Process(process.pid), Screen(ours, process.pid)
     finally:
         process.kill()
         process.wait()
@@ -126,7 +138,7 @@ def measure(keys: int, size: tuple[int, int], where: str, folder: Path) -> dict[
         shown, terminal = stack.enter_context(screen(folder, endpoint, size))
         terminal.drain(SETTLE)
         for key, words in PANES.items():
-            terminal.seconds_until(key, words)
+            terminal.press(key, words)
         everything = all_of([service, shown])
         if where == BUSY:
             stack.enter_context(computing(last))
@@ -135,20 +147,27 @@ def measure(keys: int, size: tuple[int, int], where: str, folder: Path) -> dict[
             pin(everything, last)
         terminal.drain(SETTLE)
         spent, began = processor_seconds(everything), time.perf_counter()
-        seconds = []
+        pressed = []
         for k in range(keys):
             key = list(PANES)[k % len(PANES)]
-            seconds.append(terminal.seconds_until(key, PANES[key]))
+            pressed.append(terminal.press(key, PANES[key]))
             terminal.drain(PAUSE)
         share = (processor_seconds(everything) - spent) / (time.perf_counter() - began)
-    milliseconds = 1e3 * np.array(seconds)
-    figures = dict(zip(("median", "p95", "largest"), np.percentile(milliseconds, (50, 95, 100)), strict=True))
+    took, processor, waited = 1e3 * np.array(pressed).T
     return {
         "keys": keys,
-        "milliseconds": {name: round(float(value), 1) for name, value in figures.items()},
-        "within_100_ms": int(np.sum(milliseconds <= 100.0)),
+        "milliseconds": quantiles(took),
+        "processor_milliseconds": quantiles(processor),
+        "milliseconds_waited_for_a_core": quantiles(waited),
+        "within_100_ms": int(np.sum(took <= 100.0)),
         "cores_used": round(share, 2),
     }
+
+
+def quantiles(values: FloatArray) -> dict[str, float]:
+    """Median, 95th percentile and the largest."""
+    figures = zip(("median", "p95", "largest"), np.percentile(values, (50, 95, 100)), strict=True)
+    return {name: round(float(value), 1) for name, value in figures}
 
 
 def main() -> None:
@@ -159,7 +178,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     columns, rows = (int(part) for part in options.size.split("x"))
-    measured = {}
+    measured, load_before = {}, os.getloadavg()[0]
     for where in (FREE, BUSY, ONE):
         with tempfile.TemporaryDirectory() as directory:
             os.environ["XDG_RUNTIME_DIR"] = directory
@@ -172,6 +191,7 @@ def main() -> None:
             "terminal": options.size,
             "rigs": RIGS,
             "machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()},
+            "load": [round(value, 1) for value in (load_before, os.getloadavg()[0])],
             "results": measured,
         },
         options.out,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -37,8 +38,10 @@ class Subscription:
         depth: int = CHANNEL_DEPTH,
         *,
         commands: bool = False,
+        gather: float = 0.0,
     ) -> None:
         self.error: Exception | None = None
+        self._gather, self._ending = gather, threading.Event()
         self._bus, self._key, self._closed = bus, key, False
         self._refusals = refusals
         self._verifier = bus.verifier() if commands else bus.verifier(OLDEST_SAMPLE, TRANSIT)
@@ -66,6 +69,7 @@ class Subscription:
         if self._closed:
             return
         self._closed = True
+        self._ending.set()
         self._thread.end()
         self._bus.dismiss(self)
         # also where the thread has died: what nobody takes would hold up everybody who sends to this process
@@ -88,6 +92,8 @@ class Subscription:
                 sample: zenoh.Sample | None = self._handler.recv()
             except zenoh.ZError:
                 return  # undeclared, and nothing left
+            if self._gather:
+                self._ending.wait(self._gather)
             arrived: dict[str, list[bytes]] = {}
             while sample is not None:
                 self._sort_in(sample, arrived)
@@ -129,11 +135,15 @@ def subscribe(
     depth: int = CHANNEL_DEPTH,
     *,
     commands: bool = False,
+    gather: float = 0.0,
 ) -> Subscription:
     """Call ``on_samples`` in a thread of its own with everything published under ``key``.
 
     With ``refusals`` only with what is signed with the session's key, of the last 10 s where it ``commands``
     and of the last 120 s where it does not. Where more messages than ``depth`` wait, their senders wait, too:
     who floods a key delays all others there by as many messages at most.
+
+    What comes within ``gather`` s after a message is delivered together with it: who need not answer at once
+    is woken a few times a second, not once per sample.
     """
-    return Subscription(bus, key, on_samples, refusals, depth, commands=commands)
+    return Subscription(bus, key, on_samples, refusals, depth, commands=commands, gather=gather)

@@ -28,7 +28,7 @@ from labhil.signals import Batch, Direction, Stream
 from labhil.version import __version__
 
 FLUSH_INTERVAL = 0.2
-"""Seconds between two flushes; what a killed process loses at most."""
+"""Seconds between two flushes; a killed process loses what came since, and what was not yet handed over."""
 
 SMALLEST_FREE_SPACE = 16 * 1024 * 1024
 """Bytes; with less than that left on the disk the recording ends while it still can."""

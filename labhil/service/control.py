@@ -38,8 +38,8 @@ from labhil.service.output import Clock, Output
 from labhil.service.reconnect import GIVE_UP, Continuation, Search, refuse_another
 from labhil.signals import Batch
 
-READ_TIMEOUT = 0.002
-"""Longest wait for samples, s: how late a setpoint may reach the driver."""
+READ_TIMEOUT, IDLE_TIMEOUT = 0.002, 0.01
+"""Longest waits for samples, s, with and without a lease: how late a setpoint or a request is taken up."""
 REACTION = 0.25
 """Share of the sample period that the setpoint after a sample is waited for."""
 SILENCE = 1.0
@@ -152,7 +152,7 @@ class DeviceControl:
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
         self._check_bus()
-        batch = self._driver.read(READ_TIMEOUT)
+        batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(before) else IDLE_TIMEOUT)
         now = time.monotonic()
         if len(batch):
             self._heard_at, self._heard_any = now, True

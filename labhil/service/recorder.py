@@ -39,8 +39,9 @@ from labhil.service.stream_schemas import MOST_STREAMS, StreamSchemas
 from labhil.signals import Direction
 from labhil.supervised import SupervisedThread
 
-TICK = 0.1
-"""s; how long the writer thread waits for samples before it looks at the clock."""
+GATHER, TICK = 0.04, 0.1
+"""s; what comes within the one is written together, and after the other without samples the writer thread
+looks at the clock."""
 
 STATUS_INTERVAL = 1.0
 
@@ -127,7 +128,7 @@ class Recorder:
             self._writer.flush()
             self._schemas = StreamSchemas(bus, self._refusals)
             try:
-                self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals)
+                self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals, gather=GATHER)
             except BaseException:
                 self._schemas.close()
                 raise

@@ -21,8 +21,6 @@ from textual.widgets import (
     OptionList,
     SelectionList,
     Static,
-    TabbedContent,
-    TabPane,
 )
 
 from labhil.tui.bar import bar_text, question_before_leaving
@@ -35,6 +33,7 @@ from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
 from labhil.tui.pace import FrameLimiter
+from labhil.tui.pages import LabScreen, Pages
 from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
@@ -92,7 +91,7 @@ class LabApp(App[None]):
         self.leaving = ""
         self._pace = FrameLimiter()
         self._bar = Text()
-        self._panes: tuple[TabPane, ...] = ()
+        self._panes: tuple[Widget, ...] = ()
         # the line under a tab that glides costs a third of the time until the tab's pane is there
         self.animation_level = "none"
         self.register_theme(DARK)
@@ -106,29 +105,30 @@ class LabApp(App[None]):
             yield Static(id="bar-run")
             yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
         yield Static(id="stop-note")
-        with TabbedContent(initial=self._first_tab, id="tabs"):
-            with TabPane("1 Devices", id="devices"):
-                yield DevicesPane(self.lab)
-            with TabPane("2 Live", id="live"):
-                yield LivePane(self.lab, self.folder)
-            with TabPane("3 Experiment", id="experiment"):
-                yield ExperimentPane(self.folder, self.runner, self.lab)
-            with TabPane("4 Recordings", id="recordings"):
-                yield RecordingsPane(self.folder)
-            with TabPane("5 Results", id="results"):
-                yield ResultsPane(self.folder, self.studies.jobs)
+        panes: dict[str, tuple[str, Widget]] = {
+            "devices": ("1 Devices", DevicesPane(self.lab)),
+            "live": ("2 Live", LivePane(self.lab, self.folder)),
+            "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.lab)),
+            "recordings": ("4 Recordings", RecordingsPane(self.folder)),
+            "results": ("5 Results", ResultsPane(self.folder, self.studies.jobs)),
+        }
+        yield Pages(panes, self._first_tab)
         yield KeyFooter()
+
+    def get_default_screen(self) -> Screen[Any]:
+        """The screen with the tabs."""
+        return LabScreen(id="_default")
 
     def on_mount(self) -> None:
         """Start the timers, and read the folder."""
-        self._panes = tuple(self.base.query(TabPane))
+        self._panes = tuple(self.base.query_one(Pages).panes.values())
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
         self.set_interval(FACTS_INTERVAL, self._show_facts)
         self.set_interval(FILES_INTERVAL, self.look_at_files)
         self._shelf.look()  # before the tab is opened: reading takes a while
         end_in_order(self, self.runner)
         self._show_tab()
-        self.watch(self.base.query_one("#tabs", TabbedContent), "active", self._show_tab, init=False)
+        self.watch(self.base.query_one(Pages), "active", self._show_tab, init=False)
         self.watch(self.base, "focused", self._keep_focus, init=False)
 
     def on_unmount(self) -> None:
@@ -174,7 +174,7 @@ class LabApp(App[None]):
     @property
     def tab(self) -> str:
         """The tab in front."""
-        return self.base.query_one("#tabs", TabbedContent).active
+        return self.base.query_one(Pages).active
 
     def _draw_plots(self) -> None:
         if self.is_drawable and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
@@ -229,7 +229,7 @@ class LabApp(App[None]):
     def action_tab(self, name: str) -> None:
         """Bring a tab to the front."""
         if len(self.screen_stack) == 1:
-            self.base.query_one("#tabs", TabbedContent).active = name
+            self.base.query_one(Pages).active = name
 
     def _show_tab(self) -> None:
         """Refresh the tab in front, and focus its main widget at once: keys may be typed ahead."""

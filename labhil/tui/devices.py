@@ -11,6 +11,8 @@ from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
 from labhil.tui.lab import Session
+from labhil.tui.lists import LabTable
+from labhil.tui.pages import Backdrop
 from labhil.tui.watch import REPLAYED, Announcement, DeviceView
 from labhil.tui.words import (
     NOTHING,
@@ -42,7 +44,7 @@ EMPTY = """[b]No device is on a bus here.[/b]
 [$muted]Devices of any run on this machine appear here by themselves.[/]"""
 
 
-class DevicesPane(Vertical):
+class DevicesPane(Vertical, Backdrop):
     """A table of devices, and what the chosen one reads."""
 
     def __init__(self, lab: Session) -> None:
@@ -55,7 +57,7 @@ class DevicesPane(Vertical):
         """The table, the readings, and the text for an empty bench."""
         yield Static(EMPTY, id="devices-empty")
         with Container(id="devices-split"):
-            yield DataTable(id="devices-table", cursor_type="row", zebra_stripes=False)
+            yield LabTable(id="devices-table", cursor_type="row", zebra_stripes=False)
             with VerticalScroll(id="device-detail", can_focus=False):
                 yield Static(id="device-readings")
 

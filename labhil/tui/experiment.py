@@ -22,7 +22,9 @@ from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
 from labhil.tui.dialogs import Write
 from labhil.tui.lab import Session
+from labhil.tui.lists import LabOptions
 from labhil.tui.messages import StartRequested
+from labhil.tui.pages import Backdrop
 from labhil.tui.recording_library import ExperimentFile, experiments
 from labhil.tui.runner import Runner
 from labhil.tui.words import RUN_STATES, duration
@@ -50,7 +52,7 @@ MOST_LINES = 200
 """Lines kept in the log; the recording holds every event."""
 
 
-class ExperimentPane(Vertical):
+class ExperimentPane(Vertical, Backdrop):
     """The list of experiments, the plan of the chosen one, the run, and what happens."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -73,7 +75,7 @@ class ExperimentPane(Vertical):
     def compose(self) -> ComposeResult:
         """The parts, from the choice to the log."""
         with Container(id="experiment-choice"):
-            yield OptionList(id="experiment-list", markup=False)
+            yield LabOptions(id="experiment-list", markup=False)
             with VerticalScroll(id="plan-scroll"):
                 yield Static(id="plan")
         with Horizontal(id="run-line"):

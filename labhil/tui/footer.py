@@ -2,35 +2,143 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+from rich.text import Text
+from textual.app import RenderResult
+from textual.events import Leave, MouseDown, MouseMove, MouseScrollDown, MouseScrollUp
 from textual.screen import Screen
-from textual.widgets import Footer
+from textual.widget import Widget
+
+SCROLLED = 4
+"""Columns by which a turn of the wheel moves keys that have no room."""
 
 
-class KeyFooter(Footer):
-    """A footer that is built anew only where other keys are to be shown, and once for many changes.
+@dataclass(frozen=True, slots=True)
+class _ShownKey:
+    """A key of the row: what is written, and what it does."""
 
-    A change of the pane announces its keys half a dozen times, each with all widgets of the footer.
+    key: str
+    label: str
+    description: str
+    tooltip: str
+    is_enabled: bool
+
+    @property
+    def width(self) -> int:
+        """Columns, with the blanks around the key and behind its description."""
+        return len(self.label) + len(self.description) + 3
+
+
+class KeyFooter(Widget):
+    """The keys that are bound now, in one line that is one widget, to click as well.
+
+    A widget for each key, as Textual's own footer has, costs more than the rest of a change of the pane.
     """
 
+    COMPONENT_CLASSES: ClassVar[set[str]] = {
+        "key-footer--key",
+        "key-footer--description",
+        "key-footer--hover",
+        "key-footer--disabled",
+    }
+    ALLOW_SELECT = False
+
     def __init__(self) -> None:
-        super().__init__(show_command_palette=False)
-        self._shown: tuple[tuple[str, str, str, bool], ...] = ()
+        super().__init__()
+        self._keys: tuple[_ShownKey, ...] = ()
+        self._hovered: _ShownKey | None = None
+        self._first_column = 0
         self._waits = False
 
-    def bindings_changed(self, screen: Screen[object]) -> None:
-        """Look at the keys once what is under way has been drawn."""
-        self._bindings_ready = True
+    def on_mount(self) -> None:
+        """Follow changes of the keys."""
+        self.screen.bindings_updated_signal.subscribe(self, self._look_later)
+
+    def _look_later(self, screen: Screen[object]) -> None:
+        """Look at the keys once what is under way has been drawn: they change several times in a row."""
         if screen.app.app_focus and self.is_attached and screen is self.screen and not self._waits:
             self._waits = True
-            self.call_after_refresh(self._show_keys)
+            self.call_after_refresh(self._look)
 
-    async def _show_keys(self) -> None:
+    def _look(self) -> None:
         self._waits = False
-        shown = tuple(
-            (binding.key, binding.description, binding.action, enabled)
-            for _, binding, enabled, _ in self.screen.active_bindings.values()
-            if binding.show
-        )
-        if shown != self._shown:
-            self._shown = shown
-            await self.recompose()
+        keys = tuple(self._bound_keys())
+        if keys != self._keys:
+            self._keys, self._hovered, self._first_column = keys, None, 0
+            self.tooltip = None
+            self.refresh()
+
+    def _bound_keys(self) -> Iterator[_ShownKey]:
+        """The keys to show, one for each action."""
+        actions = set()
+        for _, binding, enabled, tooltip in self.screen.active_bindings.values():
+            if binding.show and binding.action not in actions:
+                actions.add(binding.action)
+                label = self.app.get_key_display(binding)
+                yield _ShownKey(binding.key, label, binding.description, tooltip, enabled)
+
+    def render(self) -> RenderResult:
+        """The row, from its first visible column on."""
+        line = Text(no_wrap=True, end="")
+        key_style = self.get_component_rich_style("key-footer--key")
+        text_style = self.get_component_rich_style("key-footer--description")
+        for key in self._keys:
+            part = Text.assemble((f" {key.label} ", key_style), (f"{key.description} ", text_style))
+            if key is self._hovered:
+                part.stylize(self.get_component_rich_style("key-footer--hover"))
+            if not key.is_enabled:
+                part.stylize(self.get_component_rich_style("key-footer--disabled", partial=True))
+            line.append_text(part)
+        return line[self._first_column :] if self._first_column else line
+
+    def _key_at(self, column: int) -> _ShownKey | None:
+        end = -self._first_column
+        for key in self._keys:
+            end += key.width
+            if column < end:
+                return key
+        return None
+
+    def on_mouse_down(self, event: MouseDown) -> None:
+        """Do what the key does."""
+        key = self._key_at(event.x)
+        if key is None:
+            return
+        if key.is_enabled:
+            self.app.simulate_key(key.key)
+        else:
+            self.app.bell()
+
+    def on_mouse_move(self, event: MouseMove) -> None:
+        """Mark the key under the pointer, and explain it."""
+        self._hover(self._key_at(event.x))
+
+    def on_leave(self, _event: Leave) -> None:
+        """The pointer is elsewhere."""
+        self._hover(None)
+
+    def _hover(self, key: _ShownKey | None) -> None:
+        if key is not self._hovered:
+            self._hovered = key
+            self.tooltip = None if key is None else key.tooltip or None
+            self.refresh()
+
+    def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
+        """Show keys further right, where they have no room."""
+        event.stop()
+        self._scroll(SCROLLED)
+
+    def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
+        """Show keys further left."""
+        event.stop()
+        self._scroll(-SCROLLED)
+
+    def _scroll(self, columns: int) -> None:
+        hidden = max(0, sum(key.width for key in self._keys) - self.size.width)
+        first_column = min(max(self._first_column + columns, 0), hidden)
+        if first_column != self._first_column:
+            self._first_column = first_column
+            self.refresh()

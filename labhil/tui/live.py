@@ -18,6 +18,8 @@ from labhil.tui import lab as labs
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.dialogs import Choose
 from labhil.tui.lab import Place, Session
+from labhil.tui.lists import LabSelection
+from labhil.tui.pages import Backdrop
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import models
 from labhil.tui.replaying import replay_line, steer
@@ -37,7 +39,7 @@ Signals of every device on the bus appear here by themselves.
 [b $accent]3[/] then [b $accent]Enter[/] runs the example on a simulated bench."""
 
 
-class LivePane(Horizontal):
+class LivePane(Horizontal, Backdrop):
     """A list of signals, and a chart for each chosen one."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -65,7 +67,7 @@ class LivePane(Horizontal):
 
     def compose(self) -> ComposeResult:
         """The list, the state, the charts."""
-        yield SelectionList[str](id="live-signals")
+        yield LabSelection(id="live-signals")
         with Vertical(id="live-main"):
             yield Static(id="live-state")
             yield Static(EMPTY, id="live-empty")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -9,6 +11,10 @@ from labhil.errors import UsageError
 from labhil.tui.app import LabApp
 from labhil.tui.lab import Session
 from labhil.tui.themes import DARK, LIGHT
+
+SWITCH_INTERVAL = 0.001
+"""Seconds after which a thread that reads files lets the screen go on; Python's own 5 ms, many times per key,
+are felt."""
 
 
 def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: str = "devices") -> int:
@@ -21,6 +27,9 @@ def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: s
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
     with Session(tuple(connect)) as lab:
         app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name, tab=tab)
+        # modules live as long as the screen: a collection that walks through them holds a key up for 0.1 s
+        gc.freeze()
+        sys.setswitchinterval(SWITCH_INTERVAL)
         try:
             app.run()
         finally:

@@ -16,7 +16,9 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
+from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
+from labhil.tui.pages import Backdrop
 from labhil.tui.recording import RecordingScreen
 from labhil.tui.recording_library import LibraryEntry, models
 from labhil.tui.words import count, duration, ended_look, size
@@ -44,7 +46,7 @@ EMPTY = """[b]No recordings in this folder yet.[/b]
   [$muted]labhil import DATA.csv --rig RIG.toml -o REC.mcap  makes one of a table[/]"""
 
 
-class RecordingsPane(Vertical):
+class RecordingsPane(Vertical, Backdrop):
     """The table of recordings, with marks for those that belong together."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -71,7 +73,7 @@ class RecordingsPane(Vertical):
         yield Static(
             EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty"
         )
-        yield DataTable(id="recordings-table", cursor_type="row", cursor_foreground_priority="renderable")
+        yield LabTable(id="recordings-table", cursor_type="row", cursor_foreground_priority="renderable")
         yield Static(id="recordings-detail")
 
     def on_mount(self) -> None:

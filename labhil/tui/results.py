@@ -17,8 +17,10 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
+from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
+from labhil.tui.pages import Backdrop
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, results
 from labhil.tui.result_files import (
@@ -47,7 +49,7 @@ KINDS = {"comparison": "compared", "verification": "verified"}
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
-class ResultsPane(Vertical):
+class ResultsPane(Vertical, Backdrop):
     """The list of results above, the chosen one below."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -97,7 +99,7 @@ class ResultsPane(Vertical):
     def compose(self) -> ComposeResult:
         """The list, the text and the charts."""
         yield Static(EMPTY, id="results-empty")
-        yield DataTable(id="results-table", cursor_type="row", cursor_foreground_priority="renderable")
+        yield LabTable(id="results-table", cursor_type="row", cursor_foreground_priority="renderable")
         with Container(id="result-split"):
             with VerticalScroll(id="result-scroll"):
                 yield Static(id="result-text")

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from labhil.codec import Codec
+from labhil.errors import ProtocolError
 from labhil.host_clock import steady_ns
 from labhil.recording.stamps import HOST_CLOCK
-from labhil.signals import FloatArray, Stream
+from labhil.signals import Batch, FloatArray, Stream
 from labhil.tui.ring import Ring
 
 KEPT = 60.0
@@ -25,6 +28,12 @@ SILENT_AFTER = 0.6
 """A stream that sends nothing for so long is marked as silent, s; slow streams after five periods."""
 
 MOST_ROWS = 65536
+
+UNDECODABLE = (ProtocolError, LookupError, AttributeError, TypeError, ValueError, ArithmeticError)
+"""Errors in a malformed stream, which must not hide the others."""
+
+MOST_WAITING = 256
+"""Messages that wait until somebody looks; decoding them together costs little more than decoding one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,23 +57,29 @@ class StreamHealth:
 
 @dataclass(slots=True)
 class StreamWatch:
-    """One stream as it comes in."""
+    """One stream as it comes in: a thread of the bus takes messages, and who looks at them decodes them."""
 
     stream: Stream
     speed: float
     metadata: Mapping[str, str]
     codec: Codec = field(init=False)
-    ring: Ring = field(init=False)
     received: int = 0
     gaps: int = 0
     last_seq: int | None = None
     arrived_at: float = 0.0
+    fault: str = ""
+    """What was wrong with a message that is no sample; empty where all are."""
     transits: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=512))
+    _ring: Ring = field(init=False)
+    _waiting: list[bytes] = field(default_factory=list)
+    _arrivals: list[tuple[int, float, int]] = field(default_factory=list)
+    """How many messages waited after an arrival, and its times on the monotonic and the wall clock."""
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def __post_init__(self) -> None:
         self.codec = Codec(self.stream)
         rows = round(self.stream.rate * self.speed * KEPT * 1.1)
-        self.ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
+        self._ring = Ring(self.stream.width, min(max(rows, 1024), MOST_ROWS))
 
     @property
     def ahead_ns(self) -> int:
@@ -75,17 +90,50 @@ class StreamWatch:
         offset = self.metadata.get(HOST_CLOCK)
         return 0 if offset is None else steady_ns() + int(offset) - time.time_ns()
 
+    @property
+    def ring(self) -> Ring:
+        """The newest samples, all that have come in."""
+        self._decode_waiting()
+        return self._ring
+
     def take(self, payloads: list[bytes], now: float, now_ns: int) -> None:
         """Take messages in."""
-        batch = self.codec.decode(payloads)
+        with self._lock:
+            self._waiting += payloads
+            self._arrivals.append((len(self._waiting), now, now_ns))
+            self.arrived_at = now
+            is_full = len(self._waiting) >= MOST_WAITING
+        if is_full:
+            self._decode_waiting()
+
+    def _decode_waiting(self) -> None:
+        with self._lock:
+            payloads, arrivals = self._waiting, self._arrivals
+            self._waiting, self._arrivals = [], []
+            if not payloads:
+                return
+            try:
+                self._take_in(self.codec.decode(payloads), arrivals)
+            except UNDECODABLE as error:
+                self.fault = str(error)
+                self._take_one_by_one(payloads, arrivals)
+
+    def _take_one_by_one(self, payloads: list[bytes], arrivals: list[tuple[int, float, int]]) -> None:
+        """Among these is one that is no message of the stream: take the others."""
+        _, now, now_ns = arrivals[-1]
+        for payload in payloads:
+            with suppress(*UNDECODABLE):
+                self._take_in(self.codec.decode([payload]), [(1, now, now_ns)])
+
+    def _take_in(self, batch: Batch, arrivals: list[tuple[int, float, int]]) -> None:
         seq = batch.seq
         previous = self.last_seq if self.last_seq is not None else int(seq[0]) - 1
         self.gaps += int(np.maximum(np.diff(seq, prepend=previous) - 1, 0).sum())
         self.last_seq = int(seq[-1])
         self.received += len(batch)
-        self.arrived_at = now
-        self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[-1])) * 1e-9))
-        self.ring.append(batch)
+        for count, now, now_ns in arrivals:
+            self.transits.append((now, (now_ns + self.ahead_ns - int(batch.t_acq_ns[count - 1])) * 1e-9))
+        self._ring.append(batch)
 
     def beat(self, now: float) -> StreamHealth:
         """How regularly it came in lately; times on the monotonic clock, s."""

@@ -45,7 +45,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
 from labhil.signals import Signal, Stream
-from labhil.tui.stream_watch import StreamHealth, StreamWatch
+from labhil.tui.stream_watch import UNDECODABLE, StreamHealth, StreamWatch
 
 ASK_INTERVAL = 0.5
 ASK_TIMEOUT = 0.5
@@ -55,16 +55,7 @@ FORGET_AFTER = 3
 MOST_EVENTS = 200
 
 MOST_DEVICES = 1000
-UNEXPLAINED = (
-    ProtocolError,
-    CommandRefusedError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-)
-"""Errors in a malformed stream, which must not hide the others."""
+UNEXPLAINED = (CommandRefusedError, *UNDECODABLE)
 
 COMMAND_STREAM = "command"
 
@@ -125,7 +116,7 @@ class Watch:
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self.events: deque[Announcement] = deque(maxlen=MOST_EVENTS)
-        self.fault = ""
+        self._fault = ""
         self.replay: ReplayMessage | None = None
         """The replay on this bus, if one is there."""
         self._replay_missed = 0
@@ -178,6 +169,13 @@ class Watch:
             known = self._devices.get(device)
             return None if known is None else known.streams.get(stream)
 
+    @property
+    def fault(self) -> str:
+        """The last error in what came in; empty where there was none."""
+        with self._lock:
+            streams = [watched for device in self._devices.values() for watched in device.streams.values()]
+        return self._fault or next((watched.fault for watched in streams if watched.fault), "")
+
     def failure(self) -> str:
         """Return why this is out of date although nobody closed it; empty while all is well."""
         if not self._ending.is_set() and not self._asking.is_alive():
@@ -196,7 +194,7 @@ class Watch:
         try:
             self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
         except UNEXPLAINED as error:
-            self.fault = f"{key}: {error}"
+            self._fault = f"{key}: {error}"
 
     def _take(self, key: str, payloads: list[bytes]) -> None:
         device, stream = _names(key)
@@ -210,10 +208,7 @@ class Watch:
                     if len(self._unknown) < MOST_DEVICES:
                         self._unknown.setdefault((device, stream), float("-inf"))
                 return
-            try:
-                watched.take(payloads, time.monotonic(), time.time_ns())
-            except UNEXPLAINED as error:
-                self.fault = f"{key}: {error}"
+            watched.take(payloads, time.monotonic(), time.time_ns())
 
     def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
         parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
@@ -263,12 +258,15 @@ class Watch:
             try:
                 self._ask_once()
             except (BusError, *UNEXPLAINED) as error:
-                self.fault = str(error)
+                self._fault = str(error)
 
     def _ask_once(self) -> None:
-        self.fault = ""
+        self._fault = ""
         alive = live_devices(self.bus)
         with self._lock:
+            for device in self._devices.values():
+                for watched in device.streams.values():
+                    watched.fault = ""
             for name in alive:
                 self._device(name)
             devices = list(self._devices.items())
@@ -309,7 +307,7 @@ class Watch:
             reply = ask(self.bus, schema_key(*_place(device, stream)), timeout=ASK_TIMEOUT)
             self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
         except (BusError, *UNEXPLAINED) as error:
-            self.fault = f"{device}/{stream}: {error}"
+            self._fault = f"{device}/{stream}: {error}"
 
     def _ask_status(self, name: str, device: _Device) -> None:
         try:

@@ -144,6 +144,18 @@ def test_put_never_blocks_and_what_did_not_fit_is_counted(bus):
     assert (seen[1:] > seen[:-1]).all()
 
 
+def test_what_is_gathered_is_delivered_together_and_at_the_latest_when_it_ends(bus):
+    deliveries = []
+    with subscribe(
+        bus, stream_key("a", "state"), lambda _, payloads: deliveries.append(payloads), gather=3600
+    ):
+        with StreamPublisher(bus, "a", STREAM) as publisher:
+            for first in range(0, 50, 10):
+                publisher.put(batch(first, 10))
+        assert deliveries == []
+    assert deliveries == [Codec(STREAM).encode(batch(0, 50))]
+
+
 def test_nothing_is_left_behind(bus):
     before = set(threading.enumerate())
     with open_bus(bus.endpoint) as other:

@@ -89,6 +89,15 @@ def test_a_stream_that_stops_is_silent_and_its_gaps_are_counted() -> None:
     assert watched.beat(11.9).rate is None
 
 
+def test_among_messages_that_wait_one_that_is_none_takes_no_other_with_it() -> None:
+    watched = StreamWatch(STREAM, 1.0, {})
+    messages = watched.codec.encode(batch(0, 10))
+    watched.take([*messages[:4], b"no sample", *messages[4:]], now=10.0, now_ns=1_000_000_000)
+    assert len(watched.ring.newest(1.0)[0]) == 10
+    assert (watched.received, watched.gaps) == (10, 0)
+    assert "expected a message of" in watched.fault
+
+
 def test_a_folder_lists_recordings_experiments_and_results(folder: Path) -> None:
     (folder / "broken.mcap").write_bytes(b"no recording")
     *_, shelved = RecordingLibrary(folder).look()

@@ -1,0 +1,75 @@
+"""The tabs, and the panes behind them; what lies under the panes is drawn as cheaply as it looks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from textual.app import ComposeResult
+from textual.containers import Vertical
+from textual.geometry import Region
+from textual.reactive import Reactive, reactive
+from textual.screen import Screen
+from textual.strip import Strip
+from textual.widget import Widget
+from textual.widgets import Tab, Tabs
+
+
+class Backdrop(Widget):
+    """What has no border and shows nothing but its background: one line stands for all.
+
+    Textual draws also what others cover, line by line.
+    """
+
+    def render_lines(self, crop: Region) -> list[Strip]:
+        """The background, with the terminal's filters applied."""
+        line = Strip.blank(crop.width, self.visual_style.rich_style)
+        background = self.background_colors[1]
+        for line_filter in self.get_line_filters():
+            line = line.apply_filter(line_filter, background)
+        return [line] * crop.height
+
+
+class LabScreen(Screen[None], Backdrop):
+    """The screen under the tabs; it looks the same wherever the keys go."""
+
+    focused: Reactive[Widget | None] = Reactive(None, repaint=False)
+
+
+class Pages(Vertical, Backdrop):
+    """Panes of which the one in front is displayed, with their tabs above.
+
+    All are mounted; one that is not displayed takes no part in layouts.
+
+    Args:
+        panes: Title and pane, by the name of the tab.
+        first: The tab in front at first.
+    """
+
+    active: reactive[str] = reactive("", init=False, repaint=False)
+    """The name of the tab in front."""
+
+    def __init__(self, panes: Mapping[str, tuple[str, Widget]], first: str) -> None:
+        super().__init__(id="tabs")
+        self._titles = {name: title for name, (title, _) in panes.items()}
+        self.panes = {name: pane for name, (_, pane) in panes.items()}
+        self.set_reactive(Pages.active, first)
+
+    def compose(self) -> ComposeResult:
+        """The row of tabs, and the panes."""
+        yield Tabs(*[Tab(title, id=name) for name, title in self._titles.items()], active=self.active)
+        for name, pane in self.panes.items():
+            pane.display = name == self.active
+            yield pane
+
+    def watch_active(self, before: str, active: str) -> None:
+        """Bring a pane to the front: both changes are one layout."""
+        with self.app.batch_update(), self.prevent(Tabs.TabActivated):
+            self.panes[before].display = False
+            self.panes[active].display = True
+            self.query_one(Tabs).active = active
+
+    def on_tabs_tab_activated(self, event: Tabs.TabActivated) -> None:
+        """A tab was clicked, or reached with the arrows."""
+        event.stop()
+        if event.tab.id is not None:
+            self.active = event.tab.id
