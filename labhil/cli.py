@@ -25,6 +25,7 @@ from labhil.commands.pages import link_pages
 from labhil.commands.repair import add_repair
 from labhil.commands.replay import add_replay
 from labhil.commands.safety import add_safety
+from labhil.commands.security import add_security
 from labhil.commands.serve import add_serve
 from labhil.commands.start import add_start
 from labhil.commands.studies import add_studies
@@ -90,6 +91,7 @@ for add in (
     add_acquisition,
     add_safety,
     add_serve,
+    add_security,
     add_firmware,
     add_files,
     add_analysis,

@@ -46,6 +46,7 @@ PACKAGES: Mapping[str, Package] = {
     "fmpy": Package("fmpy", "fmu"),
     "cma": Package("cma", "search"),
     "emcee": Package("emcee", "search"),
+    "cryptography": Package("cryptography", "security"),
     "skfem": Package("scikit-fem", "field"),
     "h5py": Package("h5py", "formats"),
     "openpyxl": Package("openpyxl", "formats"),

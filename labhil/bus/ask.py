@@ -166,7 +166,7 @@ def ask(
         time.sleep(0.02)
         answer = _ask_once(bus, key, question, timeout)
     if answer is None:
-        raise BusError(f"{key}: nobody answers there")
+        raise bus.unanswered(key)
     return answer
 
 
@@ -178,7 +178,7 @@ def ask_all(
     Who has not answered within ``timeout`` s, or is not known yet, is simply not there.
     """
     answers: dict[str, dict[str, Any] | BusError | CommandRefusedError] = {}
-    question = _question(payload)
+    question, key = _question(payload), _asked_at(bus, key)
     try:
         replies = bus.session.get(
             key,
@@ -210,6 +210,7 @@ def _question(payload: Mapping[str, Any] | None) -> bytes:
 
 def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, Any] | None:
     """Return the answer, or None when no peer that is known answers at ``key``."""
+    key = _asked_at(bus, key)
     try:
         replies = bus.session.get(
             key,
@@ -226,6 +227,11 @@ def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, 
     except zenoh.ZError as error:
         raise BusError(f"{key}: could not be asked: {error}") from error
     return None
+
+
+def _asked_at(bus: Bus, key: str) -> str:
+    """Return where a question is asked; what a stream is, guests ask where everybody does."""
+    return bus.place(key) if "/cmd/" in key else key
 
 
 def _answer_in(key: str, payload: bytes) -> dict[str, Any]:

@@ -66,6 +66,12 @@ def event_key(device: str, namespace: str = LAB) -> str:
     return f"{namespace}/{device}/{EVENT}"
 
 
+def key_by(key: str, person: str) -> str:
+    """Return where ``person`` on another machine says what is said at ``key`` on this one."""
+    namespace, device, said = key.split("/", 2)
+    return f"{namespace}/{device}/by/{person}/{said}"
+
+
 def split_key(key: str) -> tuple[str, str]:
     """Return device and stream of a key of a stream or of a schema, of a device or of a replay."""
     parts = key.split("/")

@@ -9,25 +9,31 @@ from __future__ import annotations
 import contextlib
 import json
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from labhil.bus.register import runtime_directory, write_whole
 from labhil.documents import parse_json
+from labhil.errors import BusError
+
+MOST_OTHERS = 8
+"""Of those who press a stop that stands already, so many are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latch:
-    """Who pressed the emergency stop, why, and when (Unix time, s)."""
+    """Who pressed the emergency stop, why, and when (Unix time, s); ``others`` pressed it while it stood."""
 
     by: str
     reason: str
     since: float
+    others: tuple[str, ...] = ()
 
     def describe(self) -> str:
         """Return what stands, for a person."""
         at = time.strftime("%H:%M:%S", time.localtime(self.since))
-        return f"emergency stop by {self.by} at {at}: {self.reason}"
+        again = f"; pressed again by {', '.join(self.others)}" if self.others else ""
+        return f"emergency stop by {self.by} at {at}: {self.reason}{again}"
 
 
 def latch_path() -> Path:
@@ -36,11 +42,15 @@ def latch_path() -> Path:
 
 
 def press(by: str, reason: str) -> Latch:
-    """Latch the stop; one that stands already is kept as it is."""
+    """Latch the stop; one that stands already is kept, and notes who else wants it."""
     standing = read_latch()
     if standing is None:
         standing = Latch(by, reason, time.time())
         write_whole(latch_path(), json.dumps(asdict(standing)))
+    elif by not in (standing.by, *standing.others) and len(standing.others) < MOST_OTHERS:
+        standing = replace(standing, others=(*standing.others, by))
+        with contextlib.suppress(BusError):  # the stop stands in any case
+            write_whole(latch_path(), json.dumps(asdict(standing)))
     return standing
 
 
@@ -52,7 +62,8 @@ def read_latch() -> Latch | None:
         return None
     with contextlib.suppress(ValueError, TypeError, KeyError):
         data = parse_json(text)
-        return Latch(str(data["by"]), str(data["reason"]), float(data["since"]))
+        others = tuple(str(name) for name in data.get("others", ()))
+        return Latch(str(data["by"]), str(data["reason"]), float(data["since"]), others)
     return Latch("somebody", "the file that says more cannot be read", time.time())
 
 

@@ -170,6 +170,7 @@ def schema_reply(codec: Codec, metadata: Mapping[str, str]) -> dict[str, Any]:
 
 def publish_command(bus: Bus, key: str, payload: bytes) -> None:
     """Publish a command, signed with the key of the session; BusError when the session is closed."""
+    key = bus.place(key)
     try:
         bus.session.put(
             key,

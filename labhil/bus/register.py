@@ -24,6 +24,7 @@ from labhil.bus.authentication import KEY_BYTES
 from labhil.documents import parse_json
 from labhil.errors import BusError, UsageError
 
+ENDPOINT = re.compile(r"[a-z]+/.*:\d{1,5}\Z")
 LOOPBACK = re.compile(r"tcp/(127\.0\.0\.1|localhost|\[::1\]):\d{1,5}\Z")
 
 _numbers = itertools.count()
@@ -139,13 +140,13 @@ def running(kind: str | None = None) -> tuple[Registered, ...]:
 
 
 def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
-    """Return the endpoint of the one run that is up, or ``connect`` if that is given and on loopback.
+    """Return the endpoint of the one run that is up, or ``connect`` if that is given and may be joined.
 
     With ``or_lab`` that of the one lab that is served, where there is no run. UsageError when there is none,
     or several to choose from.
     """
     if connect is not None:
-        return check_loopback(connect)
+        return check_joinable(connect)
     runs, labs = running("run"), running("lab")
     if labs and not runs and not or_lab:
         names = ", ".join(lab.name for lab in labs)
@@ -165,8 +166,30 @@ def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
 def check_loopback(endpoint: str) -> str:
     """Return ``endpoint``; UsageError unless it is a place on this machine."""
     if not LOOPBACK.match(endpoint):
-        raise UsageError(f"expected an endpoint like tcp/127.0.0.1:40123, found {endpoint!r}")
+        raise UsageError(
+            f"expected an endpoint on this machine like tcp/127.0.0.1:40123, found {endpoint!r}; a lab on"
+            " another machine is reached by the folder that `labhil security add` made there"
+        )
     return endpoint
+
+
+def is_endpoint(connect: str) -> bool:
+    """Whether this is an endpoint, and not the folder of a connection."""
+    return ENDPOINT.match(connect) is not None
+
+
+def check_joinable(connect: str) -> str:
+    """Return ``connect``; UsageError for an endpoint beyond this machine, where a certificate is needed."""
+    return check_loopback(connect) if is_endpoint(connect) else connect
+
+
+def reachable_buses() -> tuple[Registered, ...]:
+    """Return one process of each bus on this machine: every leader, and hosts without one."""
+    entries = running()
+    leaders = [entry for entry in entries if entry.kind != "host"]
+    led = {device for entry in leaders for device in entry.devices}
+    leaderless = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
+    return (*leaders, *leaderless)
 
 
 def _read(path: Path) -> Registered | None:

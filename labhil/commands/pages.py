@@ -12,6 +12,10 @@ GUIDES: Mapping[str, str] = {
     "labhil run": "docs/how-to/write-an-experiment.md",
     "labhil estop": "docs/explanation/safety.md",
     "labhil control": "docs/explanation/safety.md",
+    **dict.fromkeys(
+        (f"labhil security {name}" for name in ("init", "add", "list", "revoke", "serve")),
+        "docs/how-to/open-the-lab-to-others.md",
+    ),
     "labhil serve": "docs/how-to/automate.md",
     "labhil firmware": "docs/how-to/flash-firmware.md",
     "labhil import": "docs/how-to/import-and-export.md",

@@ -13,7 +13,10 @@ from labhil.terminal import complain, show
 
 Connect = Annotated[
     str | None,
-    typer.Option(metavar="ENDPOINT", help="The bus, like tcp/127.0.0.1:40123 (default: found by itself)."),
+    typer.Option(
+        metavar="ENDPOINT",
+        help="A bus like tcp/127.0.0.1:40123, or a folder of `labhil security add` (default: it is found).",
+    ),
 ]
 
 

@@ -19,7 +19,10 @@ def tui(
     folder: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and results are.")] = Path(),
     connect: Annotated[
         list[str] | None,
-        typer.Option(metavar="ENDPOINT", help="A bus to watch, tcp/HOST:PORT; may be repeated."),
+        typer.Option(
+            metavar="ENDPOINT",
+            help="A bus to watch, tcp/HOST:PORT, or a folder of `labhil security add`; may be repeated.",
+        ),
     ] = None,
     light: Annotated[bool, typer.Option("--light", help="Dark on light, for bright rooms.")] = False,
     web: Annotated[

@@ -11,16 +11,23 @@ from labhil.bus import latch
 from labhil.bus.ask import ask_all
 from labhil.bus.keys import command_key
 from labhil.bus.live import live_devices
-from labhil.bus.register import check_loopback, running
+from labhil.bus.register import check_loopback, is_endpoint, running
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import BusError, CommandRefusedError
 
 PATIENCE = 3.0
 """How long devices that are expected to answer are asked again, s: a bus that was just joined needs one."""
 
+GUEST_PATIENCE = 2.0 * PATIENCE
+"""How long a guest waits, s: the other machine asks its devices meanwhile."""
+
 ASK_EVERY = 0.1
 LATCH = "the latch"
 EVERY_HOST = command_key("*", "estop")
+EVERYTHING = "*"
+"""Stands where a device's name does when the door of a lab confirms a guest's stop or release."""
+EVERY_LATCH = command_key("*", "release")
+"""Where guests ask for a release: access control sees keys, and not what a message says."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +48,32 @@ def press_everywhere(by: str, reason: str, connect: str | None = None) -> Outcom
     """Stop every device on this machine, or those on the bus of ``connect``, and latch the stop.
 
     The latch is set first: it works without the bus. Where it cannot be, devices are stopped all the same,
-    and the outcome says so under ``LATCH``. BusError when no bus can be opened at all.
+    and the outcome says so under ``LATCH``. A guest's stop (``connect`` is a folder) is latched on the other
+    machine, and not here. BusError when no bus can be opened at all.
     """
+    if connect is not None and not is_endpoint(connect):
+        with open_bus(connect) as bus:
+            return _ask_as_guest(bus, EVERY_HOST, {"reason": reason})
     fault = _set_latch(by, reason)
     return _add_failures(fault, _ask_everywhere({"action": "press", "by": by, "reason": reason}, connect))
 
 
 def release_everywhere(connect: str | None = None) -> Outcome:
-    """Release the stop in every host; nothing moves by that, it can only be commanded again."""
+    """Release the stop in every host; nothing moves by that, it can only be commanded again.
+
+    CommandRefusedError where a guest may not release what stands.
+    """
+    if connect is not None and not is_endpoint(connect):
+        with open_bus(connect) as bus:
+            return _ask_as_guest(bus, EVERY_LATCH, {})
     latch.release()
     return _ask_everywhere({"action": "release"}, connect)
 
 
 def press_on(bus: Bus, by: str, reason: str, expected: Collection[str]) -> Outcome:
     """Stop every device on a bus that is open already; ``expected`` are those that have to answer."""
+    if bus.guest is not None:
+        return _ask_as_guest(bus, EVERY_HOST, {"reason": reason})
     fault = _set_latch(by, reason)
     payload = {"action": "press", "by": by, "reason": reason}
     return _add_failures(fault, _ask_until_all_answer(bus, payload, set(expected)))
@@ -81,6 +100,29 @@ def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:
         return Outcome({}, {}, ())
     with open_bus(place or [entry.endpoint for entry in entries]) as bus:
         return _ask_until_all_answer(bus, payload, expected)
+
+
+def _ask_as_guest(bus: Bus, place: str, payload: Mapping[str, Any]) -> Outcome:
+    """Let the door of another machine stop or release everything there; raises what keeps it from that."""
+    while True:
+        answers = {
+            key.split("/")[1]: said for key, said in ask_all(bus, place, payload, GUEST_PATIENCE).items()
+        }
+        accepted = answers.pop(EVERYTHING, None)
+        if accepted is not None or not bus.settling:
+            break
+        time.sleep(ASK_EVERY)
+    if isinstance(accepted, (BusError, CommandRefusedError)):
+        raise accepted
+    if accepted is None:
+        raise bus.unanswered(place)
+    answered, failed = {}, {}
+    for device, said in answers.items():
+        if isinstance(said, (BusError, CommandRefusedError)):
+            failed[device] = str(said)
+        else:
+            answered[device] = str(said.get("state"))
+    return Outcome(answered, failed, ())
 
 
 def _ask_until_all_answer(bus: Bus, payload: Mapping[str, Any], expected: set[str]) -> Outcome:

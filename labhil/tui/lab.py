@@ -12,7 +12,7 @@ from typing import Self
 
 from labhil.bus.incoming import ReplayMessage
 from labhil.bus.latch import Latch, read_latch
-from labhil.bus.register import running
+from labhil.bus.register import reachable_buses
 from labhil.bus.session import open_bus
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
@@ -27,12 +27,8 @@ EndpointSource = Callable[[], Iterable[str]]
 
 
 def registered_buses() -> list[str]:
-    """Endpoints of the buses on this machine: of every leader, and of hosts without one."""
-    entries = running()
-    leaders = [entry for entry in entries if entry.kind != "host"]
-    led = {device for entry in leaders for device in entry.devices}
-    leaderless = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
-    return [entry.endpoint for entry in (*leaders, *leaderless)]
+    """Endpoints of the buses on this machine."""
+    return [entry.endpoint for entry in reachable_buses()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +149,10 @@ class Session:
             watch = self.watches.get(endpoint)
             if watch is not None:
                 present = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
-                outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in present]))
+                try:
+                    outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in present]))
+                except LabhilError as error:  # a lab on another machine that did not confirm it
+                    outcomes.append(Outcome({}, {endpoint: str(error)}, ()))
         answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
         failed = {name: why for outcome in outcomes for name, why in outcome.failed.items()}
         silent = {name for outcome in outcomes for name in outcome.silent} - answered.keys()

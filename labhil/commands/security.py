@@ -1,0 +1,113 @@
+"""Who may look at a lab and command it from another machine: certificates, roles, and the door itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from labhil.console import tell
+from labhil.security.roles import Role
+from labhil.terminal import show
+
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder that `labhil security init` made.")]
+DEFAULT_PORT = 7447
+
+
+def add_security(app: typer.Typer) -> None:
+    """Register these commands as a group."""
+    security = typer.Typer(
+        help="Open a lab to other machines: certificates, and what each person may do.",
+        no_args_is_help=True,
+        rich_markup_mode=None,
+    )
+    security.command(epilog="Example: labhil security init ~/lab-keys --host lab-pc.local")(init)
+    security.command(epilog="Example: labhil security add ~/lab-keys anna --role viewer")(add)
+    security.command("list", epilog="Example: labhil security list ~/lab-keys")(list_)
+    security.command(epilog="Example: labhil security revoke ~/lab-keys anna")(revoke)
+    security.command(epilog="Example: labhil security serve ~/lab-keys")(serve)
+    app.add_typer(security, name="security")
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that does not exist yet.")],
+    *,
+    host: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME_OR_IP", help="How others reach this machine; may be repeated, the first counts."
+        ),
+    ],
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Where the lab will be served.")] = DEFAULT_PORT,
+) -> None:
+    """Make a certificate authority, and the certificate of this machine. Opens nothing yet."""
+    from labhil.security.authority import Authority
+
+    authority = Authority.create(folder, host, port)
+    show(f"{folder}: certificates until {authority.until:%Y-%m-%d} for {', '.join(host)}")
+    tell(
+        [
+            f"Keep {folder} to yourself: who reads it can be anybody in this lab.",
+            f"Next: labhil security add {folder} NAME --role viewer, then labhil security serve {folder}",
+        ]
+    )
+
+
+def add(
+    folder: Folder,
+    name: Annotated[str, typer.Argument(help="Who: small letters, digits and hyphens.")],
+    *,
+    role: Annotated[Role, typer.Option(help="What the person may do.")],
+    days: Annotated[int, typer.Option(help="How long the certificate is valid.")] = 365,
+) -> None:
+    """Issue a certificate: prints the folder that the person needs."""
+    from labhil.security.authority import Authority
+
+    authority = Authority.load(folder)
+    handed_over = authority.add(name, role, days)
+    until = Authority.load(folder).people[name].until
+    show(handed_over)
+    tell(
+        [
+            f"{name} is {role} until {until:%Y-%m-%d}. Bring them the folder so that nobody else reads it.",
+            f"There `labhil tui --connect {name}` shows the lab at {authority.endpoint}.",
+        ]
+    )
+
+
+def list_(folder: Folder) -> None:
+    """Show who has a certificate, with which role, until when."""
+    from labhil.security.authority import Authority
+
+    authority = Authority.load(folder)
+    for name, person in sorted(authority.people.items()):
+        show(f"{name:20} {person.role:9} {person.until:%Y-%m-%d}  {person.state}")
+    tell([f"served at {authority.endpoint}, whose certificate is valid until {authority.until:%Y-%m-%d}"])
+
+
+def revoke(folder: Folder, name: Annotated[str, typer.Argument(help="Who.")]) -> None:
+    """Take all rights from a person at once; a lab that is served closes the link within a second."""
+    from labhil.security.authority import Authority
+
+    person = Authority.load(folder).revoke(name)
+    show(f"{name}: revoked; the certificate, valid until {person.until:%Y-%m-%d}, has no rights any more")
+
+
+def serve(
+    folder: Folder,
+    *,
+    listen: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Address of this machine; default: all of them.")
+    ] = "0.0.0.0",
+) -> None:
+    """Open this machine's runs and labs to those who have a certificate, until Ctrl+C.
+
+    They see what `labhil run`, `labhil serve` and `labhil.connect` of this user have up, now and later; these
+    stay on the loopback themselves. Whoever has no certificate gets no link.
+    """
+    from labhil.experiment.interruption import Interruption
+    from labhil.service.gateway import keep_open
+
+    with Interruption() as interrupted:
+        keep_open(folder, listen, interrupted, lambda line: tell([line]))
