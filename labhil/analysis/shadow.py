@@ -17,7 +17,7 @@ from labhil.analysis.saved_model import Reference
 from labhil.analysis.simulate import model_on
 from labhil.diagnose.intake import with_censored
 from labhil.errors import RecordingError
-from labhil.identify.adequacy import FLOOR_KNOWN_TO
+from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.score import score
 from labhil.identify.windows import FEWEST_SAMPLES, ScoredWindows, noise_of
 from labhil.physics.model import Metric, Record, Windows
@@ -241,7 +241,7 @@ class Shadow:
 
     def _update_agreements(self, stretch: Stretch, calm: float) -> None:
         if not self.agreements:
-            bands = self._bands or (FLOOR_KNOWN_TO * NORMAL,) * len(stretch.names)
+            bands = self._bands or (NOISE_FLOOR_FACTOR * NORMAL,) * len(stretch.names)
             self.agreements = tuple(Agreement(band) for band in bands)
         self.agreements = tuple(
             agreement.after(stretch.t, stretch.residuals[:, j], calm)
@@ -275,4 +275,4 @@ def validated_bands(
     if sum(map(len, sizes)) < FEWEST_SAMPLES:
         return None
     quantiles = np.quantile(np.nan_to_num(np.vstack(sizes), nan=np.inf), QUANTILE, axis=0, method="higher")
-    return tuple(FLOOR_KNOWN_TO * max(NORMAL, float(q)) for q in quantiles)
+    return tuple(NOISE_FLOOR_FACTOR * max(NORMAL, float(q)) for q in quantiles)

@@ -18,7 +18,7 @@ from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
-from labhil.identify.further_channels import with_help
+from labhil.identify.further_channels import suggest_measurements
 from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
@@ -93,7 +93,7 @@ def fit_study(
     with material.naming():
         result = fit(model, material.learn, chosen, test=test, start=initial, options=settings)
     if result.criterion is model.metric:
-        judged = with_help(result.identifiability, material.rig, result.fitted)
+        judged = suggest_measurements(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     sources = material.sources("train")
