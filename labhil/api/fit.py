@@ -327,7 +327,7 @@ def fit(
     require_analysis("a fit")
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import fit_study
-    from labhil.identify.estimators import estimator_named
+    from labhil.identify.estimators import check_estimator
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
 
@@ -346,7 +346,7 @@ def fit(
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
-        options = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
+        options = Options(length, method, simultaneous, check_estimator(estimator), draw, say, metric)
         study = fit_study(
             material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
         )
