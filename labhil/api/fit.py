@@ -198,7 +198,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._require_study("plot"), axes_of(ax)
-        draw_simulation(axes, study.fit, study.material.judge, self._place(channel))
+        draw_simulation(axes, study.fit, study.material.test, self._place(channel))
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -207,7 +207,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._require_study("plot_errors"), axes_of(ax)
-        draw_errors(axes, study.fit, study.material.judge, self._place(channel))
+        draw_errors(axes, study.fit, study.material.test, self._place(channel))
         return axes
 
     def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -241,7 +241,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import fit_figure
 
         study = self._require_study("figure")
-        return fit_figure(study.fit, study.material.judge)
+        return fit_figure(study.fit, study.material.test)
 
     def _write_page(self, file: Path) -> None:
         require("matplotlib", "a page with plots")

@@ -129,13 +129,11 @@ class ExtendedModel:
         joint = coordinate.part.joint
         speed = unit_of(inner.coordinate_units, coordinate.part.velocity)
         per = f"/({speed})" if coordinate.acts is CurveArgument.DAMPING else ""
+        unit = inner.force_unit + per
         self.coefficients = tuple(
-            Parameter(
-                f"{UNMODELLED_FORCE}.coefficient_{k}", inner.force_unit + per, size,
-                step=COEFFICIENT_STEP, joint=joint,
-            )
+            Parameter(f"{UNMODELLED_FORCE}.coefficient_{k}", unit, size, step=COEFFICIENT_STEP, joint=joint)
             for k in range(spline.count)
-        )  # fmt: skip
+        )
         forward = coordinate.acts in (CurveArgument.TIME, CurveArgument.POSITION, CurveArgument.VELOCITY)
         direction, enters = "" if forward else " against the motion", coordinate.part.enters
         what = "difference" if enters is Enters.DIFFERENCE else "force"

@@ -166,9 +166,8 @@ def minimise(
             better = reestimate(problem, point.z, States(point.states, residuals))
             if better.cost > (1.0 - options.min_decrease_by_states) * float(residuals @ residuals):
                 return Solution(point, residuals, iteration + 1, True)
-            point, residuals, damping = (
-                Point(point.z, better.states), better.residuals, options.initial_damping
-            )  # fmt: skip
+            point, residuals = Point(point.z, better.states), better.residuals
+            damping = options.initial_damping
     return Solution(point, residuals, iterations, False)
 
 
