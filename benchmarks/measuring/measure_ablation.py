@@ -118,7 +118,7 @@ def without(parts: tuple[Part, ...]) -> Iterator[None]:
 def run_search(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> SearchResult:
     """What the search finds in one trial."""
     material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
-    data = data_of(material.model, material.learn, material.judge)
+    data = data_of(material.model, material.train, material.test)
     base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
     return stages.search_structures(data, base, lambda text: None, options)
 

@@ -119,7 +119,7 @@ def _theta(model: ArmFileModel, values: Mapping[str, float]) -> np.ndarray:
 
 
 def _score(model: ArmFileModel, theta: np.ndarray, material: Dataset) -> Score:
-    return score(model, theta, material.judge, noise_of(material.judge), None)
+    return score(model, theta, material.test, noise_of(material.test), None)
 
 
 def _candidate(
@@ -168,7 +168,7 @@ def _run(
         simulator = arm_simulator(draft, None, outputs, bench.simulator.name)
         functions: Companion = cast("Companion", module_of(code))
         file_run = ArmFileRun(
-            simulator, bench.rig, material.judge, functions, model.cut_off, firm=companion.firm
+            simulator, bench.rig, material.test, functions, model.cut_off, firm=companion.firm
         )
         return _score(file_run, start_values(file_run.parameters), material)
 

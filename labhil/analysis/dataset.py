@@ -1,4 +1,4 @@
-"""The data of a result: recordings, their rig, the part to learn from and the part to be judged on."""
+"""Load the data of a fit or a diagnosis: recordings, their rig, training data and test data."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.analysis.motion_check import constant
 from labhil.analysis.results import Source
 from labhil.analysis.rig_choice import common_rig
-from labhil.analysis.still import constant
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
 from labhil.diagnose.intake import with_censored, without_spikes
@@ -33,28 +33,40 @@ from labhil.rig import RigFile
 from labhil.simulators.model import SimulatorModel
 
 HOLDOUT = 0.3
+"""Share of each recording that is held out as test data unless another one is given."""
+
+MIN_TRAINING_SAMPLES = 40
+"""Samples of a recording that must remain for training."""
+
 MODELS_WITH_NOTES = (ArmModel, SolenoidModel, SimulatorModel)
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """What a result is made from: the rig's model, the data to learn from and the data to be judged on.
+    """The data of a fit or a diagnosis, with the rig's model.
 
-    ``measured`` are the data to learn from with those held out of them, as they were recorded. Where nothing
-    is ``held_out``, the model is judged on the data that it learns from.
+    Attributes:
+        rig: The rig file.
+        model: Model of the rig for these recordings.
+        train: Training data, prepared for the model.
+        test: Test data, prepared for the model; the training data where nothing is held out.
+        test_is_separate: The test data are recordings of their own, not parts of the training recordings.
+        measured: The training recordings as they were measured, held-out parts included.
+        recordings: Each recording with its record and its role, "test" or "" for training.
+        held_out: Whether the test data were not used for training.
     """
 
     rig: RigFile
     model: Model
-    learn: Record
-    judge: Record
-    judge_is_test: bool
+    train: Record
+    test: Record
+    test_is_separate: bool
     measured: Record
     recordings: tuple[tuple[Recording, Record, str], ...]
     held_out: bool = True
 
-    def sources(self, learning: str) -> list[Source]:
-        """The recordings as results name them; ``learning`` is the role of those that are no tests."""
+    def sources(self, training_role: str) -> list[Source]:
+        """Describe the recordings for a result; ``training_role`` is the role of the training recordings."""
         numbers = Counter[str]()
         several = max(Counter(role for _, _, role in self.recordings).values()) > 1
         sources = []
@@ -67,7 +79,7 @@ class Dataset:
                     rig=self.rig.kind.name,
                     samples=len(record),
                     duration=record.duration,
-                    role=role or learning,
+                    role=role or training_role,
                     start=float(record.t[0]),
                     recording=numbers[role] if several else None,
                 )
@@ -75,12 +87,12 @@ class Dataset:
         return sources
 
     def notes(self) -> list[str]:
-        """The model's assumptions that a person should know of."""
+        """Describe assumptions of the model and limits of the data, a text each."""
         notes = list(self.model.notes) if isinstance(self.model, MODELS_WITH_NOTES) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
         notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
-        if constant(self.learn.inputs).all():
-            names = ", ".join(self.learn.input_names)
+        if constant(self.train.inputs).all():
+            names = ", ".join(self.train.input_names)
             notes.append(f"No input changes ({names}): only what the rig does by itself can be learnt.")
         untimed = self.untimed()
         return notes if untimed is None else [*notes, untimed]
@@ -90,13 +102,13 @@ class Dataset:
         return why_untimed(self.model, self.measured)
 
     def faults(self) -> tuple[Fault, ...]:
-        """What is wrong with the data that are learnt from, and with what is held out of them."""
+        """Faults of the training recordings, held-out parts included."""
         return all_faults(self.model, self.measured)
 
     def doubts(self, *, misfit: bool) -> list[str]:
-        """What the physics of the rig calls implausible: units, signs, times or columns; a text each.
+        """Describe what is implausible by the rig's physics: units, signs, times or columns; a text each.
 
-        Harder looked for where a model has a ``misfit``.
+        Where the model has a ``misfit``, swaps of columns are checked as well.
         """
         columns = {recording.time_column for recording, _, role in self.recordings if not role}
         time = columns.pop() if len(columns) == 1 else "t"
@@ -104,7 +116,7 @@ class Dataset:
         return [doubt.statement for doubt in doubts]
 
     def losses(self) -> list[str]:
-        """Which device was chosen by default, and what the recordings lack, a line each."""
+        """Describe which device was chosen by default, and lost samples of the recordings; a line each."""
         recordings = [recording for recording, _, _ in self.recordings]
         return [
             line
@@ -113,11 +125,11 @@ class Dataset:
         ]
 
     def naming(self) -> AbstractContextManager[None]:
-        """Name the file in the errors that a fit or a diagnosis raises about its recording."""
+        """Context in which a RecordingError gets the path of the recording."""
         return naming([recording for recording, _, _ in self.recordings])
 
     def refuse_holes(self) -> None:
-        """RecordingError where a recording has values that are not finite, or times that do not increase."""
+        """Raise RecordingError where values of a recording are not finite, or times do not increase."""
         for recording, record, _ in self.recordings:
             refuse_holes(recording.path, record)
 
@@ -139,14 +151,23 @@ def load_dataset(
     device: str | None = None,
     run: int | None = None,
 ) -> Dataset:
-    """Read one recording or several, or the ``span`` from … to (s) of each, and the data to be judged on.
+    """Read one recording or several, and split off or read test data.
 
-    Without ``test_path`` the last ``holdout`` of each recording is held out, after a gap of one scored
-    horizon; with a ``holdout`` of 0, which needs ``allow_no_holdout``, nothing is. The rig file is the given
-    one, or the one that the recordings carry. Recordings that were read already are used as they are.
-    ``device`` chooses one of several devices, ``run`` one of several runs in a file. The parameters that
-    ``per_recording`` names have a value in each recording. Raises UsageError (RecordingError, RigFileError)
-    with what is missing.
+    Args:
+        path: Training recordings; those that were read already are used as they are.
+        rig_file: The rig file; by default the one that the recordings carry.
+        test_path: Test recordings; without them a part of each training recording is held out.
+        holdout: Share at the end of each recording that is held out, after a gap of one scored horizon; 0,
+            which needs ``allow_no_holdout``, holds nothing out.
+        per_recording: Names of parameters that have a value of their own in each recording.
+        span: Part of each training recording that is used, from … to, s.
+        allow_no_holdout: Whether ``holdout`` may be 0.
+        device: One of several devices in a recording.
+        run: One of several runs in a file.
+
+    Raises:
+        UsageError: Options, recordings or the rig file do not fit together (also as OptionError,
+            RecordingError or RigFileError).
     """
     if not (0.05 <= holdout <= 0.9 or (allow_no_holdout and holdout == 0.0)):
         nothing = ", or 0 to hold nothing out" if allow_no_holdout else ""
@@ -164,29 +185,29 @@ def load_dataset(
     )
     if not test_paths and holdout == 0.0:
         with naming(training):
-            learn = model.prepare(without_spikes(measured))
-        return Dataset(rig, model, learn, learn, False, measured, train_entries, held_out=False)
+            train = model.prepare(without_spikes(measured))
+        return Dataset(rig, model, train, train, False, measured, train_entries, held_out=False)
     if not test_paths:
         with naming(training):
-            learn, judge = _split_held_out(model, measured, training, holdout)
-            _refuse_horizon(rig, judge)
-        return Dataset(rig, model, learn, judge, False, measured, train_entries)
-    test_records, test = measured_of(testing, rig, like=measured, of=training[0])
+            train, test = _split_held_out(model, measured, training, holdout)
+            _refuse_horizon(rig, test)
+        return Dataset(rig, model, train, test, False, measured, train_entries)
+    test_records, measured_test = measured_of(testing, rig, like=measured, of=training[0])
     if len(test_records) > 1 and len(records) == 1:
         model = several(model, (), 1)
     test_entries = tuple(
         (recording, record, "test") for recording, record in zip(testing, test_records, strict=True)
     )
     with naming(training):
-        learn = model.prepare(without_spikes(measured))
+        train = model.prepare(without_spikes(measured))
     with naming(testing):
-        judge = model.prepare(without_spikes(test))
-        _refuse_horizon(rig, judge)
-    return Dataset(rig, model, learn, judge, True, measured, (*train_entries, *test_entries))
+        test = model.prepare(without_spikes(measured_test))
+        _refuse_horizon(rig, test)
+    return Dataset(rig, model, train, test, True, measured, (*train_entries, *test_entries))
 
 
 def _device_notes(recording: Recording, rig: RigFile) -> list[str]:
-    """A line that says which of several devices is used."""
+    """A line that names the used one of several devices."""
     devices = list(dict.fromkeys(data.device for data in recording.streams))
     if len(devices) < 2:
         return []
@@ -200,7 +221,7 @@ def _device_notes(recording: Recording, rig: RigFile) -> list[str]:
 
 @contextmanager
 def naming(recordings: Sequence[Recording]) -> Iterator[None]:
-    """Put a recording's path before the message of a RecordingError; several are known by their numbers."""
+    """Put a recording's path before the message of a RecordingError; several are named by their numbers."""
     try:
         yield
     except RecordingError as error:
@@ -211,7 +232,12 @@ def naming(recordings: Sequence[Recording]) -> Iterator[None]:
 
 
 def refuse_holes(path: Path, record: Record) -> None:
-    """RecordingError where inputs or outputs are not finite, or times do not increase."""
+    """Raise RecordingError where inputs or outputs are not finite, or times do not increase.
+
+    Args:
+        path: The recording's file, for the message.
+        record: What was measured.
+    """
     stalled = np.flatnonzero(np.diff(record.t) <= 0.0)
     if len(stalled):
         raise RecordingError(
@@ -236,9 +262,20 @@ def measured_of(
     like: Record | None = None,
     of: Recording | None = None,
 ) -> tuple[list[Record], Record]:
-    """What a model sees of each recording, and of all of them as one record.
+    """Extract the signals of a rig from recordings.
 
-    Raises RecordingError where one has another input than the record ``like`` of the recording ``of``.
+    Args:
+        recordings: One or more.
+        rig: The rig file.
+        span: Part of each recording that is used, from … to, s.
+        like: A record whose input the recordings must have, too.
+        of: The recording of that record, for the message.
+
+    Returns:
+        A record for each recording, and all of them joined.
+
+    Raises:
+        RecordingError: A recording has another input than ``like``.
     """
     records = [
         _cut_to_span(_annotate(record_of(recording, rig.kind), rig), span, recording)
@@ -254,9 +291,9 @@ def measured_of(
 
 
 def _annotate(record: Record, rig: RigFile) -> Record:
-    """A record with the holds that the rig file states, and with what only the complete record shows.
+    """Add the holds that the rig file states, and properties that only the complete record shows.
 
-    That is the noise of channels that rest for a part of it, the noise of a measured input, and readings at
+    These are the noise of channels that rest for a part of it, the noise of a measured input, and readings at
     the ends of their range.
     """
     record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
@@ -282,30 +319,31 @@ def _cut_to_span(record: Record, span: tuple[float, float] | None, recording: Re
 def _split_held_out(
     model: Model, measured: Record, recordings: Sequence[Recording], holdout: float
 ) -> tuple[Record, Record]:
-    """The data to learn from, and the last share of each recording, both prepared.
+    """Training data and the last share of each recording as test data, both prepared.
 
-    Raises RecordingError where too little is left of a recording.
+    RecordingError where a recording is too short for that.
     """
-    # spikes are judged over the whole recording, as its faults are
-    halves = [split(record, holdout, model.horizon) for record in without_spikes(measured).recordings()]
-    if len(halves) > 1:
+    # spikes are found in the whole recording, as its faults are
+    parts = [split(record, holdout, model.horizon) for record in without_spikes(measured).recordings()]
+    if len(parts) > 1:
         # before they are joined, which an empty part would prevent
-        for (learn, _), recording in zip(halves, recordings, strict=True):
-            _refuse_short(learn, recording)
-    learn, judge = (model.prepare(join_records(half)) for half in zip(*halves, strict=True))
-    for part, recording in zip(learn.recordings(), recordings, strict=True):
-        _refuse_short(part, recording)
-    return learn, judge
+        for (train, _), recording in zip(parts, recordings, strict=True):
+            _refuse_short(train, recording)
+    train, test = (model.prepare(join_records(part)) for part in zip(*parts, strict=True))
+    for record, recording in zip(train.recordings(), recordings, strict=True):
+        _refuse_short(record, recording)
+    return train, test
 
 
 def _as_tuple(given: RecordingLike | Sequence[RecordingLike] | None) -> tuple[RecordingLike, ...]:
+    """One item, several or none as a tuple."""
     if given is None:
         return ()
     return (given,) if isinstance(given, (Path, Recording)) else tuple(given)
 
 
 def read_all(items: Sequence[RecordingLike], run: int | None) -> list[Recording]:
-    """The recordings; those given by their paths are read, of each the ``run``."""
+    """Read the recordings that are given by their paths, of each the ``run``; keep the others."""
     read = iter(read_recordings([item for item in items if isinstance(item, Path)], run))
     return [next(read) if isinstance(item, Path) else item for item in items]
 
@@ -313,7 +351,7 @@ def read_all(items: Sequence[RecordingLike], run: int | None) -> list[Recording]
 def _refuse_counts(
     paths: Sequence[RecordingLike], tests: Sequence[RecordingLike], per_recording: Sequence[str]
 ) -> None:
-    """Raise UsageError where it is not clear which recording a value belongs to."""
+    """Raise OptionError where it is not clear which recording a value belongs to."""
     if not per_recording:
         return
     if len(paths) < 2:
@@ -330,9 +368,9 @@ def _refuse_counts(
         )
 
 
-def _refuse_horizon(rig: RigFile, judge: Record) -> None:
-    """Raise RecordingError where a stated horizon is longer than what is judged on."""
-    horizon, shortest = rig.metric.horizon or 0.0, min(judge.durations)
+def _refuse_horizon(rig: RigFile, test: Record) -> None:
+    """Raise RecordingError where the rig file's horizon is longer than the test data."""
+    horizon, shortest = rig.metric.horizon or 0.0, min(test.durations)
     if horizon > shortest:
         raise RecordingError(
             f"[metric] horizon: expected at most the {shortest:.3g} s that are judged on, found {horizon:g}"
@@ -340,7 +378,7 @@ def _refuse_horizon(rig: RigFile, judge: Record) -> None:
 
 
 def _refuse_duplicates(recordings: Sequence[Recording]) -> None:
-    """Raise RecordingError where the same data are to count twice."""
+    """Raise RecordingError where the same recording is given twice."""
     seen: dict[str, Path] = {}
     for recording in recordings:
         if recording.sha256 in seen:
@@ -351,9 +389,10 @@ def _refuse_duplicates(recordings: Sequence[Recording]) -> None:
         seen[recording.sha256] = recording.path
 
 
-def _refuse_short(learn: Record, recording: Recording) -> None:
-    if len(learn) < 40:
+def _refuse_short(train: Record, recording: Recording) -> None:
+    """Raise RecordingError where too few samples remain for training."""
+    if len(train) < MIN_TRAINING_SAMPLES:
         raise RecordingError(
-            f"{recording.path}: too short to hold data out: {len(learn)} samples are left to learn from, "
-            "at least 40 are needed; give a separate recording with --test"
+            f"{recording.path}: too short to hold data out: {len(train)} samples are left to learn from, "
+            f"at least {MIN_TRAINING_SAMPLES} are needed; give a separate recording with --test"
         )

@@ -1,4 +1,4 @@
-"""Whether two models of one recording err differently by more than noise."""
+"""Paired test of two models on one recording: whether their errors differ by more than noise."""
 
 from __future__ import annotations
 
@@ -9,51 +9,54 @@ from scipy import stats
 
 from labhil.signals import FloatArray, IntArray
 
-FEWEST_BLOCKS = 12
-"""Stretches whose errors are set beside each other; with fewer a t test has hardly any power."""
-
-LARGEST_SQUARE = 1e200
-"""Larger squares, and those of a simulation that ran away, count as this."""
+MAX_SQUARE = 1e200
+"""Value of larger squared errors, and of those of a diverged simulation: means stay finite."""
 
 
 def block_squares(
-    errors: Sequence[FloatArray], windows: Sequence[IntArray], levels: FloatArray
+    errors: Sequence[FloatArray],
+    windows: Sequence[IntArray],
+    levels: FloatArray,
+    *,
+    min_blocks: int = 12,
 ) -> FloatArray:
-    """Mean squared errors, in squared noise levels, of stretches of time (blocks,).
+    """Average squared errors over blocks of time.
 
     Args:
         errors: Simulated − measured of each recording, (N, channels).
         windows: The number of the simulated window that each sample belongs to, (N,), of each recording.
         levels: The noise level of each channel, (channels,), in its unit.
+        min_blocks: Number of blocks below which a t test has hardly any power.
 
     Returns:
-        A number for each block: a block is a window, or an equal part of one where there are too few.
+        (blocks,) mean squared errors in squared noise levels. A block is a window, or an equal part of one
+        where there are fewer windows than ``min_blocks``.
     """
     total = sum(len(np.unique(window)) for window in windows)
-    parts = -(-FEWEST_BLOCKS // max(1, total))
+    parts = -(-min_blocks // max(1, total))
     block_means: list[float] = []
     for error, window in zip(errors, windows, strict=True):
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.mean(np.square(error / levels), axis=1)
-        squares = np.nan_to_num(squares, nan=LARGEST_SQUARE, posinf=LARGEST_SQUARE)
+        squares = np.nan_to_num(squares, nan=MAX_SQUARE, posinf=MAX_SQUARE)
         for number in np.unique(window):
-            pieces = np.array_split(np.minimum(squares[window == number], LARGEST_SQUARE), parts)
+            pieces = np.array_split(np.minimum(squares[window == number], MAX_SQUARE), parts)
             block_means += [float(np.mean(piece)) for piece in pieces if len(piece)]
     return np.array(block_means)
 
 
 def paired_p_value(better: FloatArray, worse: FloatArray) -> float:
-    """Probability of errors that differ so much, if both models were equally good.
+    """Test whether two models differ, with a t test of the log ratios of their mean squared errors.
 
-    A t test of the logarithms of the ratio of mean squares over the blocks: a ratio is as likely to be r as
-    1/r where neither model is better. Neighbouring blocks may be correlated; that takes from their number.
+    Where neither model is better, ratios r and 1/r of a block are equally likely. Correlation of neighbouring
+    blocks reduces their effective number.
 
     Args:
-        better: Mean squared errors of the model with the smaller error in all, (blocks,).
-        worse: The same of the other.
+        better: Mean squared errors of the model with the smaller error over all blocks, (blocks,).
+        worse: Those of the other model, (blocks,).
 
     Returns:
-        The p value; 1 where the blocks speak for the other model, or are the same.
+        The p value of equally good models; 1 where the blocks favour the other model, or are the same.
     """
     tiny = np.finfo(np.float64).tiny
     ratios = np.log(np.maximum(worse, tiny)) - np.log(np.maximum(better, tiny))
@@ -62,12 +65,12 @@ def paired_p_value(better: FloatArray, worse: FloatArray) -> float:
         return 1.0
     if spread <= 1e-12 * mean:
         return 0.0
-    effective = max(2.0, len(ratios) * _independence(ratios))
+    effective = max(2.0, len(ratios) * _effective_fraction(ratios))
     return float(2.0 * stats.t.sf(mean / spread * np.sqrt(effective), effective - 1.0))
 
 
-def _independence(values: FloatArray) -> float:
-    """Effective share of n values, (1 − ρ)/(1 + ρ) with ρ their autocorrelation at lag 1.
+def _effective_fraction(values: FloatArray) -> float:
+    """Effective fraction of n values, (1 − ρ)/(1 + ρ) with ρ their autocorrelation at lag 1.
 
     The estimate r of ρ about an estimated mean is too small by (1 + 4ρ)/n (Kendall, Biometrika 41, 1954).
     """

@@ -1,4 +1,4 @@
-"""A repaired MuJoCo file from a diagnosis or a fit: changed, loaded, and run on the held-out data."""
+"""Write a repaired MuJoCo file from a diagnosis or a fit, and check it by simulation on the held-out data."""
 
 from __future__ import annotations
 
@@ -26,10 +26,15 @@ from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.urdf_patches import firm_friction, patch_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
 
-FINER = (2, 4, 8)
-"""Parts of the file's time step that are tried where its own is too long."""
+STEP_DIVISORS = (2, 4, 8)
+"""By which the file's time step is divided, in turn, where it is too long."""
 
-DRY = ("coulomb_friction", "static_friction", "position_dependent_friction", "load_dependent_friction")
+DRY_FRICTION_TERMS = (
+    "coulomb_friction",
+    "static_friction",
+    "position_dependent_friction",
+    "load_dependent_friction",
+)
 
 
 def patch(
@@ -41,7 +46,7 @@ def patch(
     holdout: float = 0.3,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Patch:
-    """Write a repaired copy of a MuJoCo file, if it keeps what a diagnosis promised.
+    """Write a repaired copy of a MuJoCo file, if its error on held-out data is that of the diagnosed model.
 
     Args:
         result: JSON of a diagnosis or a fit on that file.
@@ -49,14 +54,14 @@ def patch(
         out: The new file; nothing may be there.
         rig_file: The rig file of the diagnosis, where it had one.
         holdout: The share that was held out.
-        progress: Is called with a text about each stage.
+        progress: Called with a line of text before each stage.
 
     Returns:
         The patch that was written.
 
     Raises:
-        UsageError: Something is there already, the files do not belong together, or the repaired file does
-            not keep the promise.
+        UsageError: The new file exists already, the files do not belong together, or the error of the
+            repaired file is too large.
     """
     code = out.with_name(f"{out.stem}_effects.py")
     for path in (out, code):
@@ -101,7 +106,13 @@ def patch(
 
 @dataclass(frozen=True)
 class Bench:
-    """A file as it was read, with what the rig file says."""
+    """A MuJoCo file as it was read, with its rig file.
+
+    Attributes:
+        described: The file's mechanism and signals.
+        rig: The rig file, or a default one.
+        section: Its ``[model]``; None without a rig file.
+    """
 
     described: Described
     rig: RigFile
@@ -109,7 +120,7 @@ class Bench:
 
     @classmethod
     def of(cls, into: Path, rig_file: Path | None) -> Bench:
-        """Read a file by the names that a rig file gives, or by its own."""
+        """Read a file with the signal names of a rig file, or with its own."""
         rig = None if rig_file is None else load_rig(rig_file)
         section = None if rig is None else rig.model
         described = _describe(into, section, "" if rig is None else rig.kind.name)
@@ -121,49 +132,51 @@ class Bench:
         return next(iter(self.described.simulator.inputs))
 
     def rest_velocity(self, candidate: Patched) -> float:
-        """Velocity over which dry friction of a companion sets in: what one step can settle."""
+        """Velocity below which a companion's dry friction is viscous, so that one step cannot reverse it."""
         mechanism, remaining = self.described.mechanism, candidate.left
         inertia = mechanism.inertia([value.start for value in mechanism.values])
-        level = sum(abs(number) for name, number in remaining.items() if name.startswith(DRY))
+        level = sum(abs(number) for name, number in remaining.items() if name.startswith(DRY_FRICTION_TERMS))
         return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
 
     def run(
         self, described: Described, material: Dataset, values: Mapping[str, float], horizon: float
     ) -> float:
-        """Error of a file as it stands, stepped by MuJoCo itself; ``values`` are effects beside it."""
+        """RMSE of a file that MuJoCo simulates; ``values`` are effects that are applied in addition."""
         bare = default_rig(described.simulator.name)
-        model = RolledOutModel(described.simulator, bare, material.judge)
+        model = RolledOutModel(described.simulator, bare, material.test)
         return _error(model, material, values, horizon).rmse
 
 
 def _describe(file: Path, section: ModelSection | None, name: str) -> Described:
+    """Read a file with the signal names of a rig file's section, or with its own."""
     inputs, outputs = (None, None) if section is None else (section.inputs, section.outputs)
     return describe(file, inputs, outputs, name)
 
 
 def _known_values(rig: RigFile) -> dict[str, float]:
+    """The numbers of ``[known]`` in a rig file."""
     return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
 
 
 def _error(model: Model, material: Dataset, values: Mapping[str, float], horizon: float) -> Score:
-    """The score of a model with these values on the held-out data."""
+    """Score a model with these values on the held-out data."""
     theta, index = start_values(model.parameters), index_of(model.parameters)
     for name, value in values.items():
         if name in index:
             theta[index[name]] = value
-    return score(model, theta, material.judge, noise_of(material.judge), horizon)
+    return score(model, theta, material.test, noise_of(material.test), horizon)
 
 
 def _candidates(
     described: Described, into: Path, values: Mapping[str, float]
 ) -> Iterator[tuple[str, Patched]]:
-    """The file with the values; then, for what MuJoCo's own steps leave, with firmer friction and finer."""
+    """Yield the file with the values, then with firmer friction and shorter steps; the remedy comes first."""
     urdf = XmlText.read(into).elements[0].tag == "robot"
     put, shorten = (patch_urdf, shorten_urdf_step) if urdf else (patch_mjcf, shorten_step)
     plain = put(described, XmlText.read(into), values)
     yield "", plain
     has_friction = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
-    for parts in (1, *FINER) if has_friction else FINER:
+    for parts in (1, *STEP_DIVISORS) if has_friction else STEP_DIVISORS:
         candidate = put(described, XmlText.read(into), values)
         if has_friction and urdf:
             candidate = replace(candidate, unsaid=True)
@@ -179,7 +192,7 @@ def _candidates(
 def _run_candidate(
     bench: Bench, candidate: Patched, text: str, out: Path, material: Dataset, horizon: float
 ) -> float:
-    """Error of a candidate, loaded under a temporary name from the folder of the new file."""
+    """RMSE of a candidate, which is loaded under a temporary name from the folder of the new file."""
     with drafts(out) as (draft, code):
         draft.write_bytes(candidate.text.changed())
         described = _describe(draft, bench.section, bench.described.simulator.name)
@@ -193,6 +206,7 @@ def _run_candidate(
 
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, remaining: SortedEffects) -> str:
+    """The message where no candidate is written; ``model`` is the RMSE of the diagnosed model."""
     if remaining.unknown:
         return (
             f"{into}: no way is known to write {', '.join(remaining.unknown)} of this size into a file (an "

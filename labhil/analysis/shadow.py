@@ -1,8 +1,8 @@
-"""An accepted model beside a rig: samples in, residuals and the state of agreement out.
+"""Simulate an accepted model beside a running rig: samples in, residuals and states of agreement out.
 
-The model is simulated in short stretches along the samples. Each begins from the state that the samples
-before it suggest, so that what is seen is the model's error and not a drift that began long ago. Nothing
-here knows a screen, a bus or a clock: time is that of the samples.
+The model is simulated in short stretches along the samples. The initial state of each is estimated from the
+samples before it, so that residuals show the model's error and not an accumulated drift. Time is that of the
+samples; screen and bus are elsewhere (``tui``). ``agreement`` decides whether residuals stay within a band.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from labhil.analysis.saved_model import Reference
 from labhil.analysis.simulate import model_on
 from labhil.diagnose.intake import with_censored
 from labhil.errors import RecordingError
-from labhil.identify.adequacy import FLOOR_KNOWN_TO
+from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.score import score
 from labhil.identify.windows import FEWEST_SAMPLES, ScoredWindows, noise_of
 from labhil.physics.model import Metric, Record, Windows
@@ -26,45 +26,58 @@ from labhil.physics.terms import keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Stream
 
-STRETCH_IN_HORIZONS = 0.25
-"""Length of a simulated stretch, in horizons of the rig's metric: short, so that news comes soon."""
+BAND_QUANTILE = 0.999
+"""Quantile of the absolute residuals of validated data at which the band ends."""
 
-LEAD_IN_HORIZONS = 0.5
-"""Of the samples before it, from which its state is estimated; as in the metric."""
+NORMAL_QUANTILE = 3.29
+"""Two-sided quantile of normal noise at that level, in standard deviations; no band is narrower."""
 
-PAST_IN_HORIZONS = 1.0
-"""Of the samples before those, which states that no sample shows are carried along."""
 
-QUANTILE = 0.999
-"""Of the model's own validated errors, in noise levels: the half width of the band."""
+@dataclass(frozen=True, slots=True)
+class ShadowOptions:
+    """Lengths of simulated stretches, and limits of the waiting samples (chosen values).
 
-NORMAL = 3.29
-"""The same of noise alone; no band is narrower."""
+    Attributes:
+        stretch_horizons: Length of a stretch, in horizons of the rig's metric: short, so that a change shows
+            soon.
+        lead_horizons: Length of the samples before it from which its initial state is estimated, in horizons,
+            as in the metric.
+        past_horizons: Length of the samples before those, along which states without a sensor are simulated,
+            in horizons.
+        calm_horizons: Time within the band after which the model agrees again, in horizons; long, so that a
+            rig that passes the same place now and then leaves the band once.
+        min_calm: The same of a fast rig, s.
+        max_gap_periods: Time between two samples, in periods, from which the motion between them is unknown.
+        max_wait: Time for which samples are kept before the model can start, s.
+        inverse_horizon: Horizon of a rig whose metric is inverse dynamics, which has none, s.
+        max_behind: Stretches that may wait; older samples are dropped and counted.
+    """
 
-CALM_IN_HORIZONS = 2.0
-"""How long residuals have to be back within the band until the model agrees again; a rig that comes by the
-same place once in a while is to leave it once.
-"""
+    stretch_horizons: float = 0.25
+    lead_horizons: float = 0.5
+    past_horizons: float = 1.0
+    calm_horizons: float = 2.0
+    min_calm: float = 5.0
+    max_gap_periods: float = 5.0
+    max_wait: float = 10.0
+    inverse_horizon: float = 2.0
+    max_behind: float = 3.0
 
-SHORTEST_CALM = 5.0
-"""The same in s, of a quick rig."""
 
-LONGEST_STEP = 5.0
-"""Periods between two samples from which on the motion between them is not known."""
-
-LONGEST_WAIT = 10.0
-"""How far back samples are kept while too little happens to begin, s."""
-
-INVERSE_HORIZON = 2.0
-"""Of a rig whose metric is inverse dynamics, which has none, s."""
-
-MOST_BEHIND = 3.0
-"""Stretches that may wait; older samples are dropped, and counted."""
+DEFAULT_OPTIONS = ShadowOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """One simulated stretch: times (n,) s, residuals (n, outputs) in noise levels, noise levels in units."""
+    """One simulated stretch.
+
+    Attributes:
+        t: (n,) times, s.
+        residuals: (n, outputs) measured − simulated, in noise levels.
+        noise: (outputs,) noise levels, in the outputs' units.
+        names: Of the outputs, with the joint.
+        units: Of the outputs.
+    """
 
     t: FloatArray
     residuals: FloatArray
@@ -74,40 +87,46 @@ class Stretch:
 
 
 class Shadow:
-    """Simulates the model of a result along samples of a stream.
+    """Simulates an accepted model along the samples of a stream.
 
-    Give it samples with :meth:`take`, then call :meth:`step` until it returns None.
+    Add samples with :meth:`take`, then call :meth:`step` until it returns None.
     """
 
     def __init__(
-        self, saved: Reference, rig: RigFile, stream: Stream, bands: Sequence[float] | None = None
+        self,
+        saved: Reference,
+        rig: RigFile,
+        stream: Stream,
+        bands: Sequence[float] | None = None,
+        options: ShadowOptions = DEFAULT_OPTIONS,
     ) -> None:
-        """Begin without samples.
+        """Start without samples.
 
         Args:
             saved: The accepted model.
-            rig: The rig file: its kind, and what is known of it.
-            stream: What the samples are of.
-            bands: Half widths of the bands of the outputs, in noise levels; those of noise when absent.
+            rig: The rig file: its kind and known values.
+            stream: Columns and rate of the samples.
+            bands: Half widths of the bands of the outputs, in noise levels; by default those of noise alone.
+            options: Lengths of stretches and limits.
         """
-        self._saved, self._rig, self._stream = saved, rig, stream
+        self._saved, self._rig, self._stream, self._options = saved, rig, stream, options
         self._bands = None if bands is None else tuple(bands)
         self._t, self._values = np.empty(0), np.empty((0, stream.width))
         self._next: float | None = None
         self._horizon: float | None = None
         self.agreements: tuple[Agreement, ...] = ()
-        """Of each output, once the first stretch was simulated."""
+        """State of each output, once the first stretch was simulated."""
         self.dropped = 0.0
-        """Seconds that were not simulated, since the work was too slow or samples were missing."""
+        """Seconds that were not simulated, since the simulation was too slow or samples were missing."""
         self.unjudged = ""
-        """Why the newest stretch says nothing, as of an arm at rest; empty where it does."""
+        """Why the newest stretch could not be scored, as of an arm at rest; empty where it could."""
         self.gaps = 0
-        """How often samples were missing, so that the model began anew."""
+        """Number of gaps in the samples after which the model started anew."""
 
     @property
     def agrees(self) -> bool:
         """Whether the model explains all outputs."""
-        return all(each.agrees for each in self.agreements)
+        return all(agreement.agrees for agreement in self.agreements)
 
     @property
     def behind(self) -> float:
@@ -115,10 +134,14 @@ class Shadow:
         return 0.0 if self._next is None or not len(self._t) else max(0.0, float(self._t[-1]) - self._next)
 
     def take(self, t: FloatArray, values: FloatArray) -> None:
-        """Take samples: times (n,) s, increasing, and values (n, columns) in SI units.
+        """Add samples.
 
-        Where samples are missing the model begins anew after the gap. Samples that are not newer than those
-        that are known are left out, and so are those that are not finite.
+        After a gap the model starts anew. Samples that are not newer than earlier ones, or not finite, are
+        left out.
+
+        Args:
+            t: (n,) times in rising order, s.
+            values: (n, columns) in SI units.
         """
         last = self._t[-1] if len(self._t) else -np.inf
         kept = (t > last) & np.isfinite(values).all(axis=1)
@@ -129,7 +152,8 @@ class Shadow:
         steps = np.diff(times)
         if len(steps):
             period = float(np.median(steps)) if self._stream.rate <= 0.0 else 1.0 / self._stream.rate
-            gap_rows = np.flatnonzero(steps > LONGEST_STEP * max(period, float(np.median(steps))))
+            longest = self._options.max_gap_periods * max(period, float(np.median(steps)))
+            gap_rows = np.flatnonzero(steps > longest)
             if len(gap_rows):
                 self._restart_after_gap(
                     float(times[gap_rows[-1] + 1]) - (self._next or float(times[gap_rows[-1] + 1]))
@@ -138,6 +162,7 @@ class Shadow:
         self._t, self._values = times, samples
 
     def _restart_after_gap(self, lost: float) -> None:
+        """Count a gap of ``lost`` s; the next stretch starts after it."""
         self.gaps += 1
         self.dropped += max(0.0, lost)
         self._next = None
@@ -146,46 +171,48 @@ class Shadow:
         """Simulate the next stretch; None where there are not enough samples yet.
 
         Raises:
-            ModelFileError: The model is none of this rig.
-            RecordingError: The samples lack what the model needs.
+            ModelFileError: The model is not one of this rig.
+            RecordingError: The samples lack signals that the model needs.
         """
+        options = self._options
         if len(self._t) < 2 * FEWEST_SAMPLES:
             return None
         horizon = self._metric_horizon()
         if horizon is None:
-            self._forget(self._t[-1] - LONGEST_WAIT)
+            self._forget(self._t[-1] - options.max_wait)
             return None
         length, lead = self._lengths(horizon)
         if self._next is None:
             self._next = float(self._t[0]) + lead
-        late = self._next + MOST_BEHIND * length
+        late = self._next + options.max_behind * length
         if self._t[-1] > late + length:  # skip to the newest complete stretch; the gap counts as dropped
-            fresh = float(self._t[-1]) - length
-            self.dropped += fresh - self._next
-            self._next = fresh
+            newest = float(self._t[-1]) - length
+            self.dropped += newest - self._next
+            self._next = newest
         if self._t[-1] < self._next + length:
             return None
         begin, end = self._next, self._next + length
         self._next = end
         self.unjudged = ""
-        used = (self._t >= begin - lead - PAST_IN_HORIZONS * horizon) & (self._t < end)
+        used = (self._t >= begin - lead - options.past_horizons * horizon) & (self._t < end)
         stretch = self._simulate(self._t[used], self._values[used], begin, lead)
-        self._forget(end - lead - PAST_IN_HORIZONS * horizon)
-        self._update_agreements(stretch, max(CALM_IN_HORIZONS * horizon, SHORTEST_CALM))
+        self._forget(end - lead - options.past_horizons * horizon)
+        self._update_agreements(stretch, max(options.calm_horizons * horizon, options.min_calm))
         return stretch
 
     def _forget(self, before: float) -> None:
+        """Drop samples before a time, s."""
         kept = self._t >= before
         self._t, self._values = self._t[kept], self._values[kept]
 
     def _lengths(self, horizon: float) -> tuple[float, float]:
-        """Of a stretch and of its lead-in, s; both have samples enough."""
+        """Lengths of a stretch and of its lead-in, s; both have enough samples."""
         period = float(np.median(np.diff(self._t)))
-        length = max(STRETCH_IN_HORIZONS * horizon, 0.5 * FEWEST_SAMPLES * period)
-        return length, max(LEAD_IN_HORIZONS * horizon, (FEWEST_SAMPLES + 1) * period)
+        length = max(self._options.stretch_horizons * horizon, 0.5 * FEWEST_SAMPLES * period)
+        return length, max(self._options.lead_horizons * horizon, (FEWEST_SAMPLES + 1) * period)
 
     def _metric_horizon(self) -> float | None:
-        """The horizon of the rig's metric with the model's values, s; None while too little happens."""
+        """Horizon of the rig's metric with the model's values, s; None while there is too little motion."""
         if self._horizon is None:
             measured, stated = self._record(self._t, self._values), self._rig.metric.horizon
             try:
@@ -193,13 +220,13 @@ class Shadow:
             except RecordingError as error:
                 self.unjudged = str(error)
                 return None
-            model_horizon = (
-                INVERSE_HORIZON if model.metric is Metric.INVERSE_DYNAMICS else model.horizon_at(theta)
-            )
+            is_inverse = model.metric is Metric.INVERSE_DYNAMICS
+            model_horizon = self._options.inverse_horizon if is_inverse else model.horizon_at(theta)
             self._horizon = stated or model_horizon
         return self._horizon
 
     def _record(self, t: FloatArray, values: FloatArray) -> Record:
+        """The samples as a record of the rig."""
         record = record_of_samples(self._stream, t, values, self._rig.kind)
         if record is None:
             raise RecordingError(
@@ -210,16 +237,18 @@ class Shadow:
         return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
 
     def _simulate(self, t: FloatArray, values: FloatArray, begin: float, lead: float) -> Stretch:
+        """Simulate from ``begin`` on, s; an empty stretch where that is not possible."""
         measured = self._record(t, values)
         try:
             return self._score_stretch(measured, begin, lead)
-        except RecordingError as error:  # too little happens to say anything of it
+        except RecordingError as error:  # there is too little motion
             self.unjudged = str(error)
             names = tuple(keyed(*measured.channel(j)) for j in range(len(measured.output_names)))
             nothing = np.empty((0, len(names)))
             return Stretch(np.empty(0), nothing, noise_of(measured), names, measured.output_units)
 
     def _score_stretch(self, measured: Record, begin: float, lead: float) -> Stretch:
+        """Simulate from ``begin`` on, with the ``lead`` s before as lead-in."""
         model, record, theta = model_on(measured, self._rig, self._saved)
         first, middle = (int(np.searchsorted(record.t, at)) for at in (begin - lead, begin))
         windows = ScoredWindows(
@@ -228,20 +257,21 @@ class Shadow:
             np.arange(first, len(record)) >= middle,
             float(record.t[-1] - begin),
         )
-        scored = score(model, theta, record, noise_of(record), windows=windows)
-        new = record.t[scored.rows] >= begin
-        noise = np.array([channel.noise_floor for channel in scored.channels])
+        result = score(model, theta, record, noise_of(record), windows=windows)
+        new = record.t[result.rows] >= begin
+        noise = np.array([channel.noise_floor for channel in result.channels])
         return Stretch(
-            t=record.t[scored.rows][new],
-            residuals=-scored.errors[new] / noise,
+            t=record.t[result.rows][new],
+            residuals=-result.errors[new] / noise,
             noise=noise,
-            names=tuple(keyed(channel.channel, channel.joint) for channel in scored.channels),
-            units=tuple(channel.unit for channel in scored.channels),
+            names=tuple(keyed(channel.channel, channel.joint) for channel in result.channels),
+            units=tuple(channel.unit for channel in result.channels),
         )
 
     def _update_agreements(self, stretch: Stretch, calm: float) -> None:
+        """Update the state of each output; ``calm`` (s) is the time until a model agrees again."""
         if not self.agreements:
-            bands = self._bands or (FLOOR_KNOWN_TO * NORMAL,) * len(stretch.names)
+            bands = self._bands or (NOISE_FLOOR_FACTOR * NORMAL_QUANTILE,) * len(stretch.names)
             self.agreements = tuple(Agreement(band) for band in bands)
         self.agreements = tuple(
             agreement.after(stretch.t, stretch.residuals[:, j], calm)
@@ -252,19 +282,19 @@ class Shadow:
 def validated_bands(
     saved: Reference, rig: RigFile, stream: Stream, t: FloatArray, values: FloatArray
 ) -> tuple[float, ...] | None:
-    """Half widths of the bands of a model on a recording that it was judged on, in noise levels.
+    """Estimate the bands of a model's residuals from a recording on which it was validated.
 
     Args:
         saved: The accepted model.
         rig: The rig file.
-        stream: What the samples are of.
+        stream: Columns and rate of the samples.
         t: Times of the samples, (n,) s.
         values: Their values, (n, columns).
 
     Returns:
-        For each output 1.15 times (as well as noise is known) the 99.9 % quantile of its residuals over the
-        noise, simulated in the same short stretches, and not less than that of noise; None where the
-        recording is too short.
+        Half width for each output, in noise levels: 1.15 times (the factor to which noise is known) the 99.9
+        % quantile of its residuals, simulated in the same short stretches, and at least that of noise alone.
+        None where the recording is too short.
     """
     shadow = Shadow(saved, rig, stream)
     sizes = []
@@ -274,5 +304,6 @@ def validated_bands(
             sizes.append(np.abs(stretch.residuals))
     if sum(map(len, sizes)) < FEWEST_SAMPLES:
         return None
-    quantiles = np.quantile(np.nan_to_num(np.vstack(sizes), nan=np.inf), QUANTILE, axis=0, method="higher")
-    return tuple(FLOOR_KNOWN_TO * max(NORMAL, float(q)) for q in quantiles)
+    finite = np.nan_to_num(np.vstack(sizes), nan=np.inf)
+    quantiles = np.quantile(finite, BAND_QUANTILE, axis=0, method="higher")
+    return tuple(NOISE_FLOOR_FACTOR * max(NORMAL_QUANTILE, float(q)) for q in quantiles)

@@ -9,16 +9,16 @@ from typing import Any
 
 from labhil.analysis.dataset import Dataset
 from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
+from labhil.analysis.motion_check import require_motion
 from labhil.analysis.results import diagnosis_json, fit_json
 from labhil.analysis.saved_model import Reference, accepted_of, terms_of, values_of
 from labhil.analysis.schema import DiagnosisPart, FitPart, validate
-from labhil.analysis.still import refuse_still
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.answer import Diagnosis
 from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
-from labhil.identify.further_channels import with_help
+from labhil.identify.further_channels import suggest_measurements
 from labhil.identify.windows import FEWEST_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
@@ -70,8 +70,8 @@ def fit_study(
     RecordingError where there is nothing to fit: values that are not finite, or a rig that does not move.
     """
     material.refuse_holes()
-    refuse_still(material.recordings[0][0].path, material.learn, material.model.metric)
-    shortest = FEWEST_IN_WINDOW * material.learn.period
+    require_motion(material.recordings[0][0].path, material.train, material.model.metric)
+    shortest = FEWEST_IN_WINDOW * material.train.period
     settings = options or Options()
     if settings.window is not None and not 0.99 * shortest <= settings.window < float("inf"):
         raise OptionError(
@@ -89,11 +89,11 @@ def fit_study(
         raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
     began = time.perf_counter()
     initial = for_every_recording(model, values_of(start)) if start is not None else None
-    test = material.judge if material.held_out else None
+    test = material.test if material.held_out else None
     with material.naming():
-        result = fit(model, material.learn, chosen, test=test, start=initial, options=settings)
+        result = fit(model, material.train, chosen, test=test, start=initial, options=settings)
     if result.criterion is model.metric:
-        judged = with_help(result.identifiability, material.rig, result.fitted)
+        judged = suggest_measurements(result.identifiability, material.rig, result.fitted)
         result = replace(result, identifiability=judged)
     seconds = time.perf_counter() - began
     sources = material.sources("train")
@@ -151,9 +151,9 @@ def diagnose_study(
     with material.naming():
         diagnosis = diagnose(
             model,
-            material.learn,
-            material.judge,
-            heldout_is_test=material.judge_is_test,
+            material.train,
+            material.test,
+            heldout_is_test=material.test_is_separate,
             baseline=chosen,
             reference=values,
             accepted=None if reference is None else accepted_of(reference),
@@ -176,9 +176,9 @@ def _observable_terms(model: Model, names: Sequence[str]) -> tuple[str, ...]:
 
 def _held_out_spans(material: Dataset) -> list[list[float]]:
     """Which stretch of each recording was held out of it, s; none where whole recordings were."""
-    if material.judge_is_test or not material.held_out:
+    if material.test_is_separate or not material.held_out:
         return []
-    return [[float(record.t[0]), float(record.t[-1])] for record in material.judge.recordings()]
+    return [[float(record.t[0]), float(record.t[-1])] for record in material.test.recordings()]
 
 
 def _reference_values(material: Dataset, reference: Reference | None) -> Mapping[str, float] | None:

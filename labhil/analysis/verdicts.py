@@ -1,13 +1,9 @@
-"""What each verdict of a fit and of a diagnosis says, in a plain sentence."""
+"""Sentences for the verdicts of fits and diagnoses, shared by text, pages and screen."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
 
 VERDICTS = {
     "no_mismatch": "No mismatch: the data do not contradict the baseline.",
@@ -18,8 +14,8 @@ VERDICTS = {
     "not_decidable": "These data cannot tell.",
 }
 
-NOT_ASKED = "these data do not tell whether it suffices"
-"""Instead of a p value, where the data are at fault or know nothing."""
+NOT_TESTED = "these data do not tell whether it suffices"
+"""In place of a p value, where the data are at fault or not informative."""
 
 FIT_VERDICTS = {
     "explained": "Explained to the noise",
@@ -29,14 +25,17 @@ FIT_VERDICTS = {
 
 
 def fit_verdict(verdict: str, residual_over_noise: Mapping[str, float | None], r2: float | None) -> str:
-    """The verdict of a fit as one line; ``r2`` is the smallest R² of what is not explained, a fraction.
+    """Write the verdict of a fit as one line.
 
-    Channels whose ratio is not known have None: their simulation ran away.
+    Args:
+        verdict: A key of ``FIT_VERDICTS``.
+        residual_over_noise: RMSE over noise floor by channel; None where the simulation diverged.
+        r2: Smallest R² of the channels that are not explained, a fraction; None or NaN where there is none.
     """
-    known = {name: math.inf if ratio is None else ratio for name, ratio in residual_over_noise.items()}
-    worst = max(known, key=lambda name: known[name], default="")
-    of = f" of {worst}" if len(known) > 1 else ""
-    ratio = known.get(worst, math.nan)
+    ratios = {name: math.inf if ratio is None else ratio for name, ratio in residual_over_noise.items()}
+    worst = max(ratios, key=lambda name: ratios[name], default="")
+    of = f" of {worst}" if len(ratios) > 1 else ""
+    ratio = ratios.get(worst, math.nan)
     times = f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
     line = f"{FIT_VERDICTS[verdict]}: residual{of} {times} times the noise"
     if verdict == "worse_than_mean" and r2 is not None and math.isfinite(r2):
@@ -44,13 +43,17 @@ def fit_verdict(verdict: str, residual_over_noise: Mapping[str, float | None], r
     return line + "."
 
 
-DISAGREEING = 1.1
-"""Scale factor of errors from which it is worth a sentence."""
+def disagreement(scale_factor: float | None, *, min_scale_factor: float = 1.1) -> str:
+    """Write a sentence on standard errors where parts of the data disagree on the values.
 
+    Args:
+        scale_factor: By which the errors of the fit were multiplied; None where they were not.
+        min_scale_factor: Factor below which there is no sentence.
 
-def disagreement(scale_factor: float | None) -> str:
-    """What to know of errors where parts of the data disagree on the values; empty elsewhere."""
-    if scale_factor is None or scale_factor < DISAGREEING:
+    Returns:
+        The sentence; empty where the data agree.
+    """
+    if scale_factor is None or scale_factor < min_scale_factor:
         return ""
     return (
         f"Errors are {scale_factor:.2g} times those of the fit: by so much parts of the data disagree on the"

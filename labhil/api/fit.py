@@ -198,7 +198,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._require_study("plot"), axes_of(ax)
-        draw_simulation(axes, study.fit, study.material.judge, self._place(channel))
+        draw_simulation(axes, study.fit, study.material.test, self._place(channel))
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -207,7 +207,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._require_study("plot_errors"), axes_of(ax)
-        draw_errors(axes, study.fit, study.material.judge, self._place(channel))
+        draw_errors(axes, study.fit, study.material.test, self._place(channel))
         return axes
 
     def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -241,7 +241,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import fit_figure
 
         study = self._require_study("figure")
-        return fit_figure(study.fit, study.material.judge)
+        return fit_figure(study.fit, study.material.test)
 
     def _write_page(self, file: Path) -> None:
         require("matplotlib", "a page with plots")
@@ -327,7 +327,7 @@ def fit(
     require_analysis("a fit")
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import fit_study
-    from labhil.identify.estimators import estimator_named
+    from labhil.identify.estimators import check_estimator
     from labhil.identify.fit import Options, criterion_named
     from labhil.identify.intervals import interval_method
 
@@ -346,7 +346,7 @@ def fit(
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
-        options = Options(length, method, simultaneous, estimator_named(estimator), draw, say, metric)
+        options = Options(length, method, simultaneous, check_estimator(estimator), draw, say, metric)
         study = fit_study(
             material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
         )

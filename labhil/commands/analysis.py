@@ -304,6 +304,6 @@ def linear(
     tell(material.losses())
     material.refuse_holes()
     with status() as say:
-        rows = linear_study(material.learn, material.judge, split_names(models), progress=say)
+        rows = linear_study(material.train, material.test, split_names(models), progress=say)
     data = {"schema": "labhil.linear/1", "models": study_json(rows)}
     deliver(data, json_path, lambda: show(*study_text(rows)))

@@ -152,4 +152,4 @@ def _held_out_score(data: Data, result: SearchResult) -> Score:
     """How well a result predicts the held-out data, on the metric's windows."""
     theta = result.final.theta
     noise = estimate_coloured_noise(data.model, theta, data.test, noise_of(data.test))
-    return score(data.model, theta, data.test, noise.sigma, lasts=noise.lasts)
+    return score(data.model, theta, data.test, noise.sigma, variance_inflation=noise.variance_inflation)

@@ -49,7 +49,7 @@ def far_from_nominal(data: Data, baseline: Fitted) -> tuple[Collapsed, ...]:
     problem, collapsed = baseline.problem, list[Collapsed]()
     for j, i in enumerate(problem.free):
         parameter, value, nominal = data.model.parameters[i], float(baseline.theta[i]), float(data.begin[i])
-        if not problem.is_size(j) or baseline.noise < NOISE or not nominal > 0.0:
+        if not problem.is_positive_constant(j) or baseline.noise < NOISE or not nominal > 0.0:
             continue
         if parameter.at_bound(value) or not nominal / FAR < value < nominal * FAR:
             collapsed.append(Collapsed(parameter.key, value, nominal, parameter.unit))

@@ -83,7 +83,13 @@ class HeldOutScores:
         model, theta = data.model, result.final.theta
         horizon = scored_horizon(model, theta, data.test)
         noise = estimate_coloured_noise(model, theta, data.test, noise_of(data.test))
-        score_of = partial(score, record=data.test, sigma=noise.sigma, horizon=horizon, lasts=noise.lasts)
+        score_of = partial(
+            score,
+            record=data.test,
+            sigma=noise.sigma,
+            horizon=horizon,
+            variance_inflation=noise.variance_inflation,
+        )
         before = score_of(model, result.baseline.theta)
         return cls(before, score_of(model, theta) if result.missing else before, noise.sigma, score_of)
 

@@ -138,7 +138,7 @@ def _orthogonal(
     problem: Problem, slopes: FloatArray, jacobian: FloatArray, columns: FloatArray
 ) -> FloatArray:
     """What of ``columns`` (N·c, k) neither windows' states nor parameters could explain."""
-    columns = problem.beside(slopes, columns)
+    columns = problem.project_out_states(slopes, columns)
     length = np.linalg.norm(jacobian, axis=0)
     vectors, singular, _ = np.linalg.svd(
         jacobian[:, length > 0.0] / length[length > 0.0], full_matrices=False

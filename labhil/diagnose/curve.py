@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from labhil.diagnose.evidence import bic
-from labhil.identify.extended import NAME, Coordinate, ExtendedModel
+from labhil.identify.extended import UNMODELLED_FORCE, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.least_squares import Solution
 from labhil.identify.penalised import Projected, minimise
@@ -149,9 +149,9 @@ def glance(begun: Fitted, coordinate: Coordinate, along: FloatArray) -> Curved:
     penalty = _smoothest(near, model)
     z = near.solve(penalty)
     solution = replace(begun.solution, point=replace(point, z=z), residuals=near.residuals_at(z))
-    fitted = Fitted((*begun.terms, NAME), problem.theta(z), problem, solution, begun.window)
+    fitted = Fitted((*begun.terms, UNMODELLED_FORCE), problem.theta(z), problem, solution, begun.window)
     identity = np.eye(model.spline.count)
-    return Curved(fitted, model, penalty, near, near.degrees(penalty), along, identity)
+    return Curved(fitted, model, penalty, near, near.effective_dof(penalty), along, identity)
 
 
 def _smoothest(near: Projected, model: ExtendedModel) -> FloatArray:
@@ -201,7 +201,7 @@ def minimise_penalised(curved: Curved, start: Point | None, iterations: int) -> 
     near, _ = Projected.at(problem, solution.point, solution.residuals)
     penalty = _smoothest(near, curved.model)
     fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
-    return replace(curved, fitted=fitted, penalty=penalty, near=near, degrees=near.degrees(penalty))
+    return replace(curved, fitted=fitted, penalty=penalty, near=near, degrees=near.effective_dof(penalty))
 
 
 def criterion(curved: Curved, effective: float) -> float:
@@ -222,7 +222,9 @@ def criterion(curved: Curved, effective: float) -> float:
     marks = [mark(final_residuals, curved.degrees + states)]
     for weight in SMOOTHING:
         penalty = _penalty(near, curved.model, weight)
-        marks.append(mark(near.residuals_at(near.solve(penalty)), near.degrees(penalty) + states) + missed)
+        marks.append(
+            mark(near.residuals_at(near.solve(penalty)), near.effective_dof(penalty) + states) + missed
+        )
     return min(marks)
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
-from labhil.identify.statistics import modelled_variance, neighbours
+from labhil.identify.statistics import autoregressive_variance, lag_one_products
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray, IntArray
 
@@ -50,7 +50,7 @@ def independent_samples(
     rounded.
     """
     power = float(np.sum(residuals**2))
-    rho = float(np.sum(neighbours(residuals, begins))) / power if power > 0 else 0.0
+    rho = float(np.sum(lag_one_products(residuals, begins))) / power if power > 0 else 0.0
     rho = min(max(rho, 0.0), 0.99)
     return residuals.size * min((1.0 - rho) / (1.0 + rho), effective_fraction)
 
@@ -125,7 +125,9 @@ def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, be
         return 1.0
     product = float(np.sum(step * _clip(before)))
     by_window = np.bincount(owner, np.sum(step * errors, axis=1))
-    modelled = float(modelled_variance(step.reshape(-1, 1), errors.ravel(), errors.shape[1], begins)[0, 0])
+    modelled = float(
+        autoregressive_variance(step.reshape(-1, 1), errors.ravel(), errors.shape[1], begins)[0, 0]
+    )
     by_samples = stats.norm.sf(product / np.sqrt(modelled + 1e-300))
     by_windows = stats.t.sf(product / np.sqrt(by_window @ by_window + 1e-300), windows - 1)
     return float(max(by_samples, by_windows))
@@ -147,7 +149,7 @@ def _scale(after: Score) -> FloatArray:
 
 def _independent_share(errors: FloatArray, begins: Sequence[int]) -> float:
     """Share of the samples of errors (N, c) that are worth an independent one, by each channel's AR(1)."""
-    rho = np.sum(neighbours(errors, begins), axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
+    rho = np.sum(lag_one_products(errors, begins), axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
     rho = float(np.clip(np.max(rho), 0.0, 0.99))
     return (1.0 - rho) / (1.0 + rho)
 

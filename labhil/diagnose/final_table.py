@@ -11,7 +11,7 @@ from labhil.diagnose.discrepancy import AbsentEffects, absent_effects, discrepan
 from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly
 from labhil.identify.fitted import Fitted
-from labhil.identify.statistics import Estimate, stated_estimates, with_error, with_wider_error
+from labhil.identify.statistics import Estimate, estimates_from_errors, with_min_error, with_wider_error
 from labhil.identify.table import ParameterTable, table_of
 from labhil.physics.model import Metric, index_of, terms_named
 
@@ -84,10 +84,10 @@ def _with_held(rows: list[Estimate], result: SearchResult, accepted: Accepted | 
     places = index_of(fitted.problem.model.parameters)
     values = np.array([fitted.theta[places[p.key]] for p in held])
     errors = np.array([result.errors.get(p.key, accepted_error(accepted, p)) for p in held])
-    rows = stated_estimates(held, values, errors) + rows
+    rows = estimates_from_errors(held, values, errors) + rows
     constants = [p for term in terms_named(fitted.problem.model, fitted.terms) for p in term.known]
-    rows += stated_estimates(constants, np.array([p.scale for p in constants]), np.zeros(len(constants)))
-    return [with_error(row, result.errors.get(row.key, 0.0)) for row in rows]
+    rows += estimates_from_errors(constants, np.array([p.scale for p in constants]), np.zeros(len(constants)))
+    return [with_min_error(row, result.errors.get(row.key, 0.0)) for row in rows]
 
 
 def _with_bias(row: Estimate, result: SearchResult, scale: float, moved: float) -> Estimate:

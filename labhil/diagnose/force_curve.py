@@ -25,7 +25,7 @@ from labhil.diagnose.curve import (
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, heldout_gain
 from labhil.diagnose.judge import TRUSTED, Data, is_supported
 from labhil.diagnose.search_result import FittedCurve
-from labhil.identify.extended import NAME, Coordinate, ExtendedModel
+from labhil.identify.extended import UNMODELLED_FORCE, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Problem
 from labhil.identify.saved_curve import SavedCurve
@@ -180,7 +180,7 @@ def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
     """One glance at a curve over each of these coordinates that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
-    sampled = [(coordinate, coordinate.of(along)) for coordinate in possible]
+    sampled = [(coordinate, coordinate.values(along)) for coordinate in possible]
     return [glance(fitted, coordinate, values) for coordinate, values in sampled if np.ptp(values) > 0.0]
 
 
@@ -222,7 +222,7 @@ def _force_curve(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) 
         (part.velocity,) if coordinate.acts in (CurveArgument.POSITION_AGAINST, CurveArgument.DAMPING) else ()
     )
     return ForceCurve(
-        term=NAME,
+        term=UNMODELLED_FORCE,
         joint=part.joint,
         enters=part.enters.value,
         depends_on=(coordinate.name, *also),

@@ -13,7 +13,7 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import SearchResult
 from labhil.identify.fitted import Fitted
-from labhil.identify.saved_curve import under
+from labhil.identify.saved_curve import apply_curves
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 
 LEFT = 1.15
@@ -68,5 +68,5 @@ def _beside(data: Data, final: Fitted, curves: Sequence[ForceCurve]) -> tuple[Da
     if not curves:
         return data, final
     assert isinstance(data.model, AcceptsExtraForce)
-    data = replace(data, model=under(data.model, [curve.kept for curve in curves], data.search))
+    data = replace(data, model=apply_curves(data.model, [curve.kept for curve in curves], data.search))
     return data, refit(data, final, final.terms, ())

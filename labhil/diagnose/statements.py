@@ -242,7 +242,7 @@ def _curve_location(
     name, model = force_curve.depends_on[0], force_curve.model
     record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
     motion = model.coordinates(force_curve.fit.theta, record, windows, states)
-    along = model.coordinate.of(motion)[counted]
+    along = model.coordinate.values(motion)[counted]
     regimes = locate.regimes({name: along}, np.interp(along, force_curve.x, force_curve.value) ** 2)
     channel, joint = _channel(before, after)
     times, recordings = locate.times(before, after, held_out)
@@ -351,5 +351,7 @@ def _sizes_at_bound(fitted: Fitted) -> list[str]:
     problem = fitted.problem
     if fitted.noise < NOISE:
         return []
-    sizes = [problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_size(j)]
+    sizes = [
+        problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_positive_constant(j)
+    ]
     return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]

@@ -16,9 +16,9 @@ from scipy import stats
 from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
-from labhil.identify.adequacy import FLOOR_KNOWN_TO, Adequacy, adequacy_of
+from labhil.identify.adequacy import NOISE_FLOOR_FACTOR, Adequacy, adequacy_of
 from labhil.identify.fitted import Fitted, covariances, free_of
-from labhil.identify.identifiability import lost_directions
+from labhil.identify.identifiability import undetermined_directions
 from labhil.identify.ladder import WINDOW_IN_HORIZONS
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
@@ -177,7 +177,7 @@ def _fit(
     residuals = problem.residuals(Point(z, states))
     noise = float(np.sqrt(np.mean(residuals**2)))
     slopes = sensitivities(problem, Point(z, states), residuals, noise) / problem.scale
-    lost, _ = lost_directions([model.parameters[i] for i in free], theta[free], slopes, noise)
+    lost, _ = undetermined_directions([model.parameters[i] for i in free], theta[free], slopes, noise)
     known = np.delete(np.arange(len(free)), lost)
     pinned = problem.pin(lost, theta)
     solution = least_squares(pinned, Point(z[known], states), settled=True)
@@ -211,7 +211,7 @@ def _channels(
         dynamics = model.metric is Metric.INVERSE_DYNAMICS
         allowed = accepted.allowed_ratio(ratio_key, reached if dynamics else None)
         channel_slopes = slopes[j :: len(sigma)] * sigma[j]
-        limited = FLOOR_KNOWN_TO * allowed
+        limited = NOISE_FLOOR_FACTOR * allowed
         p_value, limit = contradiction.excess_p_value(
             marks, j, channel_slopes, finite, limited, allowed > 1.0
         )

@@ -1,8 +1,8 @@
-"""The one gate between a fit that explains its data and one that does not.
+"""Adequacy of a model: whether its residuals are noise.
 
-A model explains a recording when what it leaves is noise. The measure is RMSE over noise floor, by channel,
-in the windows by which the rig is scored: ``labhil fit``, ``labhil verify``, the worker of a lab, the screen
-and the pages all state the verdict of :func:`adequacy_of`.
+The measure is RMSE over noise floor of each channel, in the windows by which the rig is scored. ``labhil
+fit``, ``labhil verify``, the worker of a lab, the screen and the pages all state the verdict of
+:func:`adequacy_of`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from math import inf, isfinite, sqrt
 from labhil.identify.score import ChannelScore, Score
 from labhil.physics.terms import keyed
 
-FLOOR_KNOWN_TO = 1.15
+NOISE_FLOOR_FACTOR = 1.15
 """Factor to which the noise floor is known: a controller that reacts to noise makes it look too small."""
 
-MISFIT_AS_LARGE_AS_NOISE = sqrt(2.0)
-"""RMSE over noise where noise and misfit have the same variance: beyond it, most of the rest is misfit."""
+RATIO_OF_EQUAL_MISFIT = sqrt(2.0)
+"""RMSE over noise where noise and misfit have the same variance; beyond it, misfit is the larger part."""
 
-EXPLAINED_TO = FLOOR_KNOWN_TO * MISFIT_AS_LARGE_AS_NOISE
+MAX_EXPLAINED_RATIO = NOISE_FLOOR_FACTOR * RATIO_OF_EQUAL_MISFIT
 """RMSE over noise floor up to which a channel counts as explained, 1.63.
 
-It is no test: a good recording shows far smaller misfits, and ``labhil diagnose`` tests for them. It is the
-level at which standard errors, which are made of residuals, begin to describe the misfit and not the noise.
+This is not a test: a good recording shows far smaller misfits, and ``labhil diagnose`` tests for them. From
+this ratio on, standard errors, which are computed from residuals, describe the misfit and not the noise.
 """
 
 
@@ -39,11 +39,13 @@ class FitVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Adequacy:
-    """The verdict of the gate.
+    """Whether a model explains its data, and by how much it misses.
 
-    ``residual_over_noise`` maps channels (with the joint, as ``keyed``) to the ratio; ``worst`` is the one
-    with the largest, ``r2`` the smallest R² of any channel that is not explained, a fraction (not a
-    number where there is none).
+    Attributes:
+        verdict: Over all channels.
+        residual_over_noise: RMSE over noise floor by channel (with the joint, as ``keyed``).
+        worst: The channel with the largest ratio.
+        r2: Smallest R² of the channels that are not explained, a fraction; NaN where there is none.
     """
 
     verdict: FitVerdict
@@ -53,20 +55,21 @@ class Adequacy:
 
     @property
     def explained(self) -> bool:
-        """Whether noise is all that is left."""
+        """Whether the residuals are noise."""
         return self.verdict is FitVerdict.EXPLAINED
 
 
-def adequacy_of(scores: Sequence[Score], level: float = EXPLAINED_TO) -> Adequacy:
-    """Judge a model by its scores: on the data of the fit and, where there are any, on others.
+def adequacy_of(scores: Sequence[Score], level: float = MAX_EXPLAINED_RATIO) -> Adequacy:
+    """Decide from a model's scores whether it explains the data.
 
     Args:
-        scores: One score or more of the same channels; each channel counts where it is worst.
+        scores: On the data of the fit and, where there are any, on test data; each channel counts where it
+            is worst.
         level: RMSE over noise floor up to which a channel is explained.
 
     Returns:
-        ``explained`` when every channel is; else ``worse_than_mean`` when the mean of what was measured would
-        predict some channel better (R² < 0), which is ``unexplained`` otherwise.
+        ``explained`` when every channel is; else ``worse_than_mean`` when the measured mean would predict
+        some channel better (R² < 0); else ``unexplained``.
     """
     ratios: dict[str, float] = {}
     r2 = inf
@@ -84,5 +87,5 @@ def adequacy_of(scores: Sequence[Score], level: float = EXPLAINED_TO) -> Adequac
 
 
 def _ratio(channel: ChannelScore) -> float:
-    """RMSE over noise floor; infinite where a simulation ran away."""
+    """RMSE over noise floor; infinite where a simulation diverged."""
     return channel.rmse / channel.noise_floor if isfinite(channel.rmse) else inf

@@ -1,4 +1,7 @@
-"""A model with one more force: a spline whose coefficients are parameters like all others."""
+"""A model with an additional free-form force: a spline of one coordinate with coefficients as parameters.
+
+``diagnose.curve`` estimates it; ``saved_curve`` applies an estimated curve to other recordings.
+"""
 
 from __future__ import annotations
 
@@ -13,22 +16,28 @@ from labhil.physics.model import Metric, Model, PartlyLinear, Record, Windows, u
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.signals import FloatArray
 
-NAME = "unmodelled_force"
-NODES = 513
-"""Places at which a kernel keeps the spline, straight in between."""
+UNMODELLED_FORCE = "unmodelled_force"
+"""Name of the term in results."""
 
-STEP = 1e-2
-"""Difference, in scales, with which slopes by coefficients are taken: small ones drown where motion stops."""
+GRID_POINTS = 513
+"""Points at which a kernel tabulates the spline; it interpolates linearly between them."""
 
-RESOLVED = 0.5
-"""Share of the narrowest stretch between knots that one step of a simulation may pass."""
+COEFFICIENT_STEP = 1e-2
+"""Step, in scales, of differences by coefficients: smaller ones vanish in rounding where motion stops."""
+
+MAX_KNOT_SHARE_PER_STEP = 0.5
+"""Share of the smallest distance between knots that one step of a simulation may pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """What the force is a function of.
+    """The argument of a force curve.
 
-    ``name`` is the coordinate's, ``unit`` its unit; ``acts`` says which way, ``part`` on what.
+    Attributes:
+        name: Of the coordinate.
+        unit: Of the coordinate.
+        acts: How the curve enters as a force.
+        part: The moving part that it acts on.
     """
 
     name: str
@@ -37,37 +46,52 @@ class Coordinate:
     part: MovedPart
 
     @property
-    def turn(self) -> float:
-        """Period of a position that repeats; 0 of anything else."""
+    def period(self) -> float:
+        """Period of a position that repeats, such as an angle; 0 for other coordinates."""
         return self.part.turn if self.name == self.part.position else 0.0
 
-    def beside(
+    def add_force(
         self, generalised_force: FloatArray, curve: FloatArray, coordinates: Mapping[str, FloatArray]
     ) -> FloatArray:
-        """A model's ``generalised_force``, (N,) or (N, joints), with that of the curve's values (N,)."""
+        """Add the force of a curve to a model's generalised force.
+
+        Args:
+            generalised_force: (N,), or (N, joints) of an arm, whose torques are those of its drives.
+            curve: (N,) values of the curve.
+            coordinates: The model's coordinates, each (N,).
+
+        Returns:
+            The sum, in the shape of ``generalised_force``.
+        """
         velocity = coordinates[self.part.velocity]
         force = along_positive(self.acts, curve, velocity, np.sign(velocity))
         if self.part.joint is None:
             return np.asarray(generalised_force + force)
-        # of an arm it is what the drives have to exert
+        # the drives of an arm have to exert the opposite torque
         torques = generalised_force.copy()
         torques[:, self.part.joint] -= force
         return torques
 
-    def of(self, along: Mapping[str, FloatArray]) -> FloatArray:
-        """Its values where a model's coordinates are ``along``, (N,)."""
-        values = along[self.name]
+    def values(self, coordinates: Mapping[str, FloatArray]) -> FloatArray:
+        """Values (N,) of the argument for a model's coordinates, each (N,)."""
+        values = coordinates[self.name]
         if self.acts is CurveArgument.SPEED_AGAINST:
             return np.abs(values)
-        return np.mod(values, self.turn) if self.turn else values
+        return np.mod(values, self.period) if self.period else values
 
     def force(self, grid: FloatArray, values: FloatArray, width: float) -> ExtraForce:
-        """As a model takes it: ``values`` (m,) at evenly spaced places ``grid`` (m,)."""
-        joint = self.part.joint
-        return ExtraForce(self.acts, grid, values, width, turn=self.turn, of=self.name, joint=joint)
+        """Make the force that a model applies.
 
-    def of_record(self, record: Record) -> FloatArray:
-        """Its values along a record, (n,), where it is an input, an input's rate or time."""
+        Args:
+            grid: (m,) evenly spaced values of the coordinate.
+            values: (m,) of the curve there.
+            width: Largest change of the coordinate in one step of a simulation.
+        """
+        joint = self.part.joint
+        return ExtraForce(self.acts, grid, values, width, turn=self.period, of=self.name, joint=joint)
+
+    def values_in_record(self, record: Record) -> FloatArray:
+        """Values (n,) along a record of a coordinate that is an input, an input's rate or time."""
         if self.name in record.input_names:
             return record.inputs[:, record.input_names.index(self.name)]
         if self.name.removesuffix("_rate") in record.input_names:
@@ -77,10 +101,16 @@ class Coordinate:
 
 
 class ExtendedModel:
-    """A model under a force that is a spline of one coordinate (satisfies ``physics.model.Model``).
+    """A model with a force that is a spline of one coordinate (satisfies ``physics.model.Model``).
 
-    Its parameters are those of ``inner`` and after them the spline's coefficients; all else is the inner
-    model's. ``size`` is a typical value of the curve.
+    Its parameters are those of the inner model, followed by the spline's coefficients. The methods are those
+    of ``Model``.
+
+    Args:
+        inner: The model without the force.
+        coordinate: What the force is a function of.
+        spline: Its basis functions.
+        size: Typical value of the force, which scales the coefficients.
     """
 
     def __init__(self, inner: AcceptsExtraForce, coordinate: Coordinate, spline: Spline, size: float) -> None:
@@ -99,15 +129,17 @@ class ExtendedModel:
         joint = coordinate.part.joint
         speed = unit_of(inner.coordinate_units, coordinate.part.velocity)
         per = f"/({speed})" if coordinate.acts is CurveArgument.DAMPING else ""
+        unit = inner.force_unit + per
         self.coefficients = tuple(
-            Parameter(f"{NAME}.coefficient_{k}", inner.force_unit + per, size, step=STEP, joint=joint)
+            Parameter(f"{UNMODELLED_FORCE}.coefficient_{k}", unit, size, step=COEFFICIENT_STEP, joint=joint)
             for k in range(spline.count)
         )
         forward = coordinate.acts in (CurveArgument.TIME, CurveArgument.POSITION, CurveArgument.VELOCITY)
         direction, enters = "" if forward else " against the motion", coordinate.part.enters
         what = "difference" if enters is Enters.DIFFERENCE else "force"
         term = Term(
-            NAME, enters, f"a {what} along {coordinate.name}{direction} that no named effect explains",
+            UNMODELLED_FORCE, enters,
+            f"a {what} along {coordinate.name}{direction} that no named effect explains",
             f"F = f({coordinate.name})", "estimated: a penalised spline (Eilers and Marx 1996)",
             f"motion over the whole range of {coordinate.name}", self.coefficients, joint=joint,
         )  # fmt: skip
@@ -115,65 +147,65 @@ class ExtendedModel:
         self.parameters = (*inner.parameters, *self.coefficients)
 
     def split(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The inner model's vector and the spline's coefficients (K,)."""
+        """Split a parameter vector into that of the inner model and the spline's coefficients (K,)."""
         return theta[: -self.spline.count], theta[-self.spline.count :]
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """The inner model's, s."""
+        """The inner model's horizon, s."""
         return self.inner.horizon_at(self.split(theta)[0])
 
     def prepare(self, record: Record) -> Record:
-        """As the inner model does."""
+        """The record as the inner model prepares it."""
         return self.inner.prepare(record)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """The inner model's, (w, states)."""
+        """The inner model's initial states, (w, states)."""
         return self.inner.initial_states(record, windows)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Simulated outputs of all windows, (N, channels)."""
         inner_theta, coefficients = self.split(theta)
-        return self._under(coefficients, record).simulate(inner_theta, record, windows, states)
+        return self._with_force(coefficients, record).simulate(inner_theta, record, windows, states)
 
     def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
-        """The inner model's slopes by parameters that it is linear in, under the force."""
+        """Slopes by parameters that the inner model is linear in, with the force applied."""
         inner_theta, coefficients = self.split(theta)
-        inner = self._under(coefficients, record)
+        inner = self._with_force(coefficients, record)
         assert isinstance(inner, PartlyLinear)
         return inner.regressor(inner_theta, record, free_keys)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Coordinates along the simulation under the force, each (N,)."""
+        """Coordinates along the simulation with the force applied, each (N,)."""
         inner_theta, coefficients = self.split(theta)
-        return self._under(coefficients, record).coordinates(inner_theta, record, windows, states)
+        return self._with_force(coefficients, record).coordinates(inner_theta, record, windows, states)
 
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The inner model's."""
+        """The inner model's driven coordinates."""
         return self.inner.driven(self.split(theta)[0], record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The inner model's force and the curve's, (N,)."""
+        """The inner model's generalised force plus the curve's, (N,) or (N, joints)."""
         inner_theta, coefficients = self.split(theta)
         generalised_force = self.inner.generalised_force(inner_theta, coordinates)
         if self.coordinate.name not in coordinates:
             return generalised_force
-        curve = self.spline.design(self.coordinate.of(coordinates)) @ coefficients
-        return self.coordinate.beside(generalised_force, curve, coordinates)
+        curve = self.spline.design(self.coordinate.values(coordinates)) @ coefficients
+        return self.coordinate.add_force(generalised_force, curve, coordinates)
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """The inner model's."""
+        """The inner model's characteristic scales."""
         return self.inner.characteristic_scales(record)
 
-    def _under(self, coefficients: FloatArray, record: Record) -> Model:
-        """The inner model under the force that these coefficients make of the record."""
+    def _with_force(self, coefficients: FloatArray, record: Record) -> Model:
+        """The inner model with the force of these coefficients."""
         spline = self.spline
-        grid = np.linspace(spline.low, spline.high, NODES)
-        force = self.coordinate.force(grid, grid, RESOLVED * spline.narrowest)
+        grid = np.linspace(spline.low, spline.high, GRID_POINTS)
+        force = self.coordinate.force(grid, grid, MAX_KNOT_SHARE_PER_STEP * spline.narrowest)
         if force.acts is CurveArgument.TIME:
-            course = spline.design(self.coordinate.of_record(record)) @ coefficients
+            course = spline.design(self.coordinate.values_in_record(record)) @ coefficients
             return self.inner.with_force(replace(force, course=course))
-        return self.inner.with_force(replace(force, values=spline.on(NODES) @ coefficients))
+        return self.inner.with_force(replace(force, values=spline.on(GRID_POINTS) @ coefficients))

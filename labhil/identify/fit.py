@@ -10,7 +10,7 @@ import numpy as np
 from labhil.ending import EndedEarly, accept
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
-from labhil.identify.adequacy import EXPLAINED_TO, Adequacy, adequacy_of
+from labhil.identify.adequacy import MAX_EXPLAINED_RATIO, Adequacy, adequacy_of
 from labhil.identify.estimators import DEFAULT
 from labhil.identify.fitted import Fitted, covariances, start_theta, trusted_rung
 from labhil.identify.identifiability import Identifiability, identifiability
@@ -195,9 +195,9 @@ def _comparable_windows(by_window: Sequence[WindowEstimate], chosen: int) -> lis
     Where some windows, mostly the shortest, fit to the noise, only those that do: longer ones are biased by
     what disturbs the plant, which is no fault of the estimate on short ones. Else all.
     """
-    disturbed = min(rung.residual for rung in by_window) <= EXPLAINED_TO
+    disturbed = min(rung.residual for rung in by_window) <= MAX_EXPLAINED_RATIO
     others = [rung for k, rung in enumerate(by_window) if k != chosen]
-    return [rung for rung in others if not disturbed or rung.residual <= EXPLAINED_TO]
+    return [rung for rung in others if not disturbed or rung.residual <= MAX_EXPLAINED_RATIO]
 
 
 def _channels_of(fitted: Fitted) -> tuple[FittedChannel, ...]:
@@ -247,8 +247,8 @@ def _assemble(
         simultaneous=how.simultaneous,
         train=scores[0],
         test=scores[1] if len(scores) > 1 else None,
-        ljung_box_p=statistics.of_channels(lambda r, _: statistics.whiteness(r), residuals, begins),
-        input_crosscorrelation_p=statistics.of_channels(
+        ljung_box_p=statistics.smallest_p_value(lambda r, _: statistics.whiteness(r), residuals, begins),
+        input_crosscorrelation_p=statistics.smallest_p_value(
             lambda r, rows: statistics.input_crosscorrelation(r, inputs[rows]), residuals, begins
         ),
         evaluations=sum(rung.problem.evaluations for rung in rungs),

@@ -10,8 +10,8 @@ import numpy as np
 
 from labhil.cores import side_by_side
 from labhil.identify import statistics
-from labhil.identify.adequacy import EXPLAINED_TO
-from labhil.identify.least_squares import TOLERANCE, Solution, least_squares, settle
+from labhil.identify.adequacy import MAX_EXPLAINED_RATIO
+from labhil.identify.least_squares import TOLERANCE, Solution, least_squares, search_lower_minima
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.windows import fit_windows
@@ -276,7 +276,7 @@ def trusted_rung(rungs: Sequence[Fitted], lengths: Sequence[float], horizon: flo
     anything was fitted, give the values that predict best what the model is judged by.
     """
     least = min(rung.noise for rung in rungs)
-    if least > EXPLAINED_TO:
+    if least > MAX_EXPLAINED_RATIO:
         return int(np.argmin(np.abs(np.log(np.asarray(lengths[: len(rungs)]) / horizon))))
     trusted = [i for i, rung in enumerate(rungs) if rung.noise <= WORST_GROWTH * least]
     return max(trusted)
@@ -289,7 +289,7 @@ def settle_fit(fitted: Fitted) -> Fitted:
     relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)
     variances, directions = np.linalg.eigh(relative) if len(scale) else (np.empty(0), np.empty((0, 0)))
     spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
-    solution = settle(fitted.problem, fitted.solution, spread)
+    solution = search_lower_minima(fitted.problem, fitted.solution, spread)
     return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)
 
 

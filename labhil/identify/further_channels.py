@@ -1,4 +1,7 @@
-"""Which further channel, or which known value, would free the directions that the data do not know."""
+"""Which further channel, or which known value, would make more parameters identifiable.
+
+Each is tried on the fitted model by simulation (``identifiability`` has the criterion).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from labhil.identify.fitted import Fitted, covariances
-from labhil.identify.identifiability import Identifiability, identifiability, what_would_help
+from labhil.identify.identifiability import Identifiability, identifiability, with_helpful_options
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.physics.model import Record, index_of, start_values
@@ -19,23 +22,32 @@ from labhil.physics.terms import Parameter, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
 
-SUPPOSED_NOISE = 0.02
-"""Noise of a channel that nobody has measured yet, as a share of its RMS."""
 
+def suggest_measurements(
+    result: Identifiability, rig: RigFile, fitted: Fitted, *, assumed_noise: float = 0.02
+) -> Identifiability:
+    """Name outputs to record and constants to measure that would determine more parameters.
 
-def with_help(finding: Identifiability, rig: RigFile, fitted: Fitted) -> Identifiability:
-    """The same finding with what would help: outputs of the rig that are not recorded, own parameters."""
+    Args:
+        result: Identifiability of the fit.
+        rig: Its rig file; outputs of its kind that are not recorded are tried, and constants of the rig.
+        fitted: The fit.
+        assumed_noise: Noise of a channel that is not measured yet, as a share of its RMS (an assumption).
+
+    Returns:
+        ``result`` with their names in ``would_help``.
+    """
     options: dict[str, Callable[[], Identifiability]] = {}
     record = fitted.problem.record
     for signal in rig.kind.outputs:
         if signal.width == 1 and signal.name not in record.output_names:
-            options[signal.name] = partial(_with_channel, rig, fitted, signal)
+            options[signal.name] = partial(_with_channel, rig, fitted, signal, assumed_noise)
     for j, place in enumerate(fitted.problem.free):
         parameter = fitted.problem.model.parameters[place]
         if parameter.term is None:
             option = keyed(f"known.{parameter.name}", None, parameter.recording)
             options[option] = partial(_with_known, fitted, j)
-    return what_would_help(finding, options)
+    return with_helpful_options(result, options)
 
 
 def _with_known(fitted: Fitted, j: int) -> Identifiability:
@@ -48,7 +60,7 @@ def _with_known(fitted: Fitted, j: int) -> Identifiability:
     return identifiability(parameters, values, jacobian[:, others], fitted.noise)
 
 
-def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiability:
+def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal, assumed_noise: float) -> Identifiability:
     """Identifiability when ``signal`` is recorded too, as the fitted model simulates it."""
     old = fitted.problem
     further = _with_column(old.record, signal)
@@ -58,8 +70,8 @@ def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiabili
     simulated = model.simulate(theta, further, old.windows, states)
     measured = np.zeros((len(further), simulated.shape[1]))
     measured[old.windows.rows] = simulated
-    supposed = SUPPOSED_NOISE * max(float(np.sqrt(np.mean(measured[:, -1] ** 2))), 1e-12)
-    sigma = np.append(fitted.noise * old.sigma, supposed)
+    assumed_sigma = assumed_noise * max(float(np.sqrt(np.mean(measured[:, -1] ** 2))), 1e-12)
+    sigma = np.append(fitted.noise * old.sigma, assumed_sigma)
     places = index_of(model.parameters)
     free = np.array([places[old.model.parameters[i].key] for i in old.free], dtype=np.int64)
     further = replace(further, outputs=measured)
@@ -70,6 +82,7 @@ def _with_channel(rig: RigFile, fitted: Fitted, signal: Signal) -> Identifiabili
 
 
 def _with_column(record: Record, signal: Signal) -> Record:
+    """The record with one more output, all zeros."""
     return replace(
         record,
         outputs=np.column_stack([record.outputs, np.zeros(len(record))]),
@@ -83,7 +96,7 @@ def _with_column(record: Record, signal: Signal) -> Record:
 
 
 def _carry_over(fitted: Fitted, parameters: Sequence[Parameter]) -> FloatArray:
-    """The fitted vector in another model of the same rig, by key; what only that one has is neutral."""
+    """Parameter vector of another model of the same rig: fitted values by key, neutral ones for the rest."""
     theta = start_values(parameters)
     places = index_of(parameters)
     for parameter, value in zip(fitted.problem.model.parameters, fitted.theta, strict=True):

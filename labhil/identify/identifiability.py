@@ -1,9 +1,9 @@
-"""What the data cannot know: directions in which parameters change nothing, and what is constant along them.
+"""Practical identifiability: directions of the parameters that the data do not determine.
 
-Sensitivities are taken by relative changes (log-parameters), so a direction is a product of powers: from
-voltage and speed alone, resistance and inductance times a, inertia and friction divided by a, change
-nothing, and resistance·inertia is what is known. A direction is weak when its standard error, σ̂ over its
-singular value, is larger than one: the data do not even know its order of magnitude.
+Sensitivities are by relative changes (log-parameters), so a direction is a product of powers. From voltage
+and speed alone, for example, the data determine resistance·inertia: resistance and inductance may grow by any
+factor if inertia and friction shrink by it. A direction is weak when its standard error, σ̂ over its singular
+value, is larger than one, so that not even its order of magnitude is determined.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ import numpy as np
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray, IntArray
 
-WEAK = 1.0
-"""Standard error (in relative units) from which a direction counts as unknown."""
+WEAK_RELATIVE_ERROR = 1.0
+"""Relative standard error beyond which a direction is weak: its order of magnitude is not determined."""
 
-LOST = 20.0
-"""Standard error (in relative units) from which nothing can be followed along a direction."""
-
-INVOLVED = 0.05
-"""Share of a weak direction from which a parameter counts as part of it."""
+MIN_COMPONENT = 0.05
+"""Component of a unit direction from which a parameter counts as part of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """What the data can know of the parameters, by their sensitivities.
+    """Which parameters, and which of their combinations, the data determine.
 
-    ``rank`` of the directions ``of`` so many parameters are known; ``combinations`` are products of powers
-    that are known where single values are not; ``would_help`` names channels and values that would free
-    them. ``singular_values`` are those of the sensitivities by relative changes, in units of noise.
+    Attributes:
+        rank: Number of directions that the data determine.
+        of: Number of parameters.
+        combinations: Products of powers that are determined where single values are not.
+        would_help: Names of channels and known values that would determine more directions.
+        singular_values: Those of the sensitivities by relative changes, in units of noise.
     """
 
     rank: int
@@ -43,18 +43,28 @@ class Identifiability:
 
 
 def identifiability(
-    parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray, noise: float
+    parameters: Sequence[Parameter],
+    values: FloatArray,
+    jacobian: FloatArray,
+    noise: float,
+    *,
+    weak_error: float = WEAK_RELATIVE_ERROR,
 ) -> Identifiability:
-    """Judge the sensitivities ``jacobian`` (N, P), in units of noise per SI unit, at ``values`` (P,).
+    """Find out which parameters and combinations the data determine, from sensitivities.
 
-    ``noise`` is the standard deviation of the residuals in the same units.
+    Args:
+        parameters: P of them.
+        values: (P,) SI units.
+        jacobian: (N, P) sensitivities in units of noise per SI unit, states projected out.
+        noise: Standard deviation of the residuals in units of noise.
+        weak_error: Relative standard error beyond which a direction is not determined.
     """
     if not len(values):
         return Identifiability(0, 0, (), ())
     scale, singular, rows = relative_svd(parameters, values, jacobian)
-    weak = noise / np.maximum(singular, 1e-300) > WEAK
+    weak = noise / np.maximum(singular, 1e-300) > weak_error
     names = [p.key for p in parameters]
-    # from steps in scales to steps in logarithms; what is zero has none
+    # from steps in scales to steps in logarithms; a value of zero has none
     size = np.abs(values)
     logarithmic = np.divide(scale, size, out=np.zeros_like(scale), where=size > 0.0)
     return Identifiability(
@@ -67,53 +77,97 @@ def identifiability(
 
 
 def weak_parameters(
-    parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray, noise: float
+    parameters: Sequence[Parameter],
+    values: FloatArray,
+    jacobian: FloatArray,
+    noise: float,
+    *,
+    weak_error: float = WEAK_RELATIVE_ERROR,
 ) -> np.ndarray:
-    """Which parameters take part in a direction that the data do not know, (P,) of bool."""
+    """Mark the parameters of directions that the data do not determine.
+
+    Args:
+        parameters: P of them.
+        values: (P,) SI units.
+        jacobian: (N, P) sensitivities in units of noise per SI unit, states projected out.
+        noise: Standard deviation of the residuals in units of noise.
+        weak_error: Relative standard error beyond which a direction is not determined.
+
+    Returns:
+        (P,) of bool.
+    """
     if not len(values):
         return np.empty(0, dtype=bool)
     _, singular, rows = relative_svd(parameters, values, jacobian)
-    weak = noise / np.maximum(singular, 1e-300) > WEAK
-    return np.asarray(np.any(np.abs(rows[weak]) > INVOLVED, axis=0))
+    weak = noise / np.maximum(singular, 1e-300) > weak_error
+    return np.asarray(np.any(np.abs(rows[weak]) > MIN_COMPONENT, axis=0))
 
 
-def lost_directions(
-    parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray, noise: float
+def undetermined_directions(
+    parameters: Sequence[Parameter],
+    values: FloatArray,
+    jacobian: FloatArray,
+    noise: float,
+    *,
+    undetermined_error: float = 20.0,
 ) -> tuple[IntArray, np.ndarray]:
-    """Places of parameters which, held, leave no direction that is lost, and all that take part in one (P,).
+    """Choose parameters to hold, so that no direction is left along which a refit could drift by factors.
 
-    Along a lost direction parameters may change by factors and the data do not see it.
+    Args:
+        parameters: P of them.
+        values: (P,) SI units.
+        jacobian: (N, P) sensitivities in units of noise per SI unit, states projected out.
+        noise: Standard deviation of the residuals in units of noise.
+        undetermined_error: Relative standard error from which a refit drifts along a direction.
+
+    Returns:
+        Indices of the parameters to hold, one for each such direction, and a mask (P,) of all parameters
+        that such a direction involves.
     """
     if not len(values):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=bool)
     _, singular, rows = relative_svd(parameters, values, jacobian)
-    lost = rows[noise / np.maximum(singular, 1e-300) > LOST]
-    involved = np.asarray(np.any(np.abs(lost) > INVOLVED, axis=0))
-    return np.array(sorted(_pivots(lost)), dtype=np.int64), involved
+    undetermined = rows[noise / np.maximum(singular, 1e-300) > undetermined_error]
+    involved = np.asarray(np.any(np.abs(undetermined) > MIN_COMPONENT, axis=0))
+    return np.array(sorted(_pivots(undetermined)), dtype=np.int64), involved
 
 
-def what_would_help(
-    finding: Identifiability, options: Mapping[str, Callable[[], Identifiability]]
+def with_helpful_options(
+    result: Identifiability, options: Mapping[str, Callable[[], Identifiability]]
 ) -> Identifiability:
-    """Try each option (a further channel, a known value) and keep the names of those that free a direction.
+    """Try options (a further channel, a known value) and name those that determine more directions.
 
-    An option gives the identifiability that it would lead to, where ``of`` may be smaller.
+    Args:
+        result: The identifiability as it is.
+        options: By name a function that returns the identifiability with that option; ``of`` may be smaller.
+
+    Returns:
+        ``result`` with their names in ``would_help``.
     """
-    lacking = finding.of - finding.rank
-    if not lacking:
-        return finding
+    missing = result.of - result.rank
+    if not missing:
+        return result
     helpful = [
-        name for name, judge in options.items() if (alternative := judge()).of - alternative.rank < lacking
+        name
+        for name, evaluate in options.items()
+        if (alternative := evaluate()).of - alternative.rank < missing
     ]
-    return replace(finding, would_help=tuple(helpful))
+    return replace(result, would_help=tuple(helpful))
 
 
 def relative_svd(
     parameters: Sequence[Parameter], values: FloatArray, jacobian: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What a relative change at ``values`` (P,) is, (P,); singular values (k,) of slopes (N, P) by these.
+    """Singular value decomposition of a Jacobian by relative changes of the parameters.
 
-    It is one of a value's size, or of its scale where that is larger. Last come the directions, (k, P).
+    Args:
+        parameters: P of them.
+        values: (P,) SI units.
+        jacobian: (N, P) per SI unit.
+
+    Returns:
+        The unit of a relative change (P,), SI, which is a value's size or its scale where that is larger;
+        singular values (k,); right singular vectors (k, P).
     """
     scale = np.array([max(abs(v), p.scale) for v, p in zip(values, parameters, strict=True)])
     _, singular, rows = np.linalg.svd(jacobian * scale, full_matrices=False)
@@ -121,17 +175,22 @@ def relative_svd(
 
 
 def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
-    """Products of powers that stay constant when log-parameters move along ``directions`` (k, P).
+    """Find products of powers that stay constant when log-parameters move along some directions.
 
-    Every involved parameter beyond k gives one, written with as few others as the directions allow.
+    Every involved parameter beyond k gives one product, with as few other parameters as possible.
 
-    >>> invariants(["a", "b", "c"], np.array([[0.7, 0.7, 0.0]]))
-    ('a/b',)
+    Args:
+        names: Names of the P parameters.
+        directions: (k, P) steps of their logarithms.
+
+    Example:
+        >>> invariants(["a", "b", "c"], np.array([[0.7, 0.7, 0.0]]))
+        ('a/b',)
     """
     largest = np.abs(directions).max(axis=1, initial=0.0)
-    # a direction along which only parameters at zero move is none of logarithms
+    # parameters at zero have no logarithm: a direction of these alone is left out
     directions = directions[largest > 0.0] / largest[largest > 0.0, None]
-    involved = [i for i in range(len(names)) if np.any(np.abs(directions[:, i]) > INVOLVED)]
+    involved = [i for i in range(len(names)) if np.any(np.abs(directions[:, i]) > MIN_COMPONENT)]
     moving = directions[:, involved]
     free = _pivots(moving)
     others = [j for j in range(len(involved)) if j not in free]
@@ -146,7 +205,7 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
 
 
 def _pivots(directions: FloatArray) -> list[int]:
-    """Columns (as many as rows) that together move in all directions: the strongest, the first of equals."""
+    """Choose as many columns as there are rows, the strongest first, by pivoting (first of equals)."""
     remaining = directions.copy()
     chosen: list[int] = []
     for _ in range(len(directions)):
@@ -158,13 +217,14 @@ def _pivots(directions: FloatArray) -> list[int]:
 
 
 def _product(powers: Mapping[str, float]) -> str:
-    """As people write it, the first name above the line."""
-    if next((p for p in powers.values() if abs(p) > INVOLVED), 1.0) < 0.0:
+    """Write a product of powers as text, with the first name in the numerator."""
+    if next((p for p in powers.values() if abs(p) > MIN_COMPONENT), 1.0) < 0.0:
         powers = {name: -p for name, p in powers.items()}
-    above = [_power(name, p) for name, p in powers.items() if p > INVOLVED]
-    below = [_power(name, -p) for name, p in powers.items() if p < -INVOLVED]
-    return "·".join(above) + "".join(f"/{text}" for text in below)
+    numerator = [_power(name, p) for name, p in powers.items() if p > MIN_COMPONENT]
+    denominator = [_power(name, -p) for name, p in powers.items() if p < -MIN_COMPONENT]
+    return "·".join(numerator) + "".join(f"/{text}" for text in denominator)
 
 
 def _power(name: str, power: float) -> str:
-    return name if abs(power - 1.0) < INVOLVED else f"{name}^{power:.2g}"
+    """Write a power as text, without an exponent near one."""
+    return name if abs(power - 1.0) < MIN_COMPONENT else f"{name}^{power:.2g}"

@@ -1,8 +1,8 @@
-"""What data know of functions of parameters that they do not know by themselves.
+"""Covariance of functions of parameters that are identifiable only in combination.
 
-From a motor's speed dry friction and torque constant are known to a common factor only. Their ratio is well
-known, and still not found from their covariance: the difference of huge numbers is lost in rounding. So the
-directions that the data do not know are kept apart.
+A motor's speed, for example, determines dry friction and torque constant only up to a common factor, but
+their ratio well. The parameters' covariance does not show it, since the difference of huge numbers is lost in
+rounding. The identifiable directions are therefore kept apart from the others.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.identify.fitted import Fitted
-from labhil.identify.identifiability import WEAK, relative_svd
+from labhil.identify.identifiability import WEAK_RELATIVE_ERROR, relative_svd
 from labhil.identify.statistics import robust_covariance
 from labhil.signals import FloatArray
 
-FAINT = 1e-2
-"""Share of a slope that may lie in an unknown direction: slopes from differences are no better known."""
-
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """Directions ``rows`` (k, P) in which relative changes of parameters are known; ``unknown`` ones.
+class IdentifiableDirections:
+    """Directions of relative changes of the parameters that the data determine, and those they do not.
 
-    ``spread`` (k, k) is the covariance along the known ones, ``scale`` (P,) what a relative change is one of,
-    in the parameters' units.
+    Attributes:
+        scale: (P,) the unit of a relative change, in the parameters' units.
+        rows: (k, P) identifiable directions.
+        spread: (k, k) covariance along these.
+        unknown: (P − k, P) directions that are not identifiable.
     """
 
     scale: FloatArray
@@ -34,12 +34,17 @@ class Known:
     unknown: FloatArray
 
     @classmethod
-    def of(cls, fitted: Fitted, jacobian: FloatArray) -> Known:
-        """Of a fit and its projected Jacobian (N, P) by SI units; residuals may be correlated."""
+    def of(cls, fitted: Fitted, jacobian: FloatArray) -> IdentifiableDirections:
+        """Find the directions of a fit; its residuals may be correlated.
+
+        Args:
+            fitted: The fit.
+            jacobian: (N, P) of its residuals per SI unit, states projected out.
+        """
         problem, solution = fitted.problem, fitted.solution
         parameters = [problem.model.parameters[i] for i in problem.free]
         scale, singular, rows = relative_svd(parameters, fitted.theta[problem.free], jacobian)
-        known = singular * WEAK > fitted.noise
+        known = singular * WEAK_RELATIVE_ERROR > fitted.noise
         along = (jacobian * scale) @ rows[known].T
         unit = np.maximum(np.linalg.norm(along, axis=0), 1e-300)
         spread = robust_covariance(
@@ -47,12 +52,21 @@ class Known:
         )
         return cls(scale, rows[known], spread / np.outer(unit, unit), rows[~known])
 
-    def covariance(self, slopes: FloatArray) -> FloatArray:
-        """That of functions with slopes (m, P) to first order, (m, m); infinite where one is not known."""
+    def covariance(self, slopes: FloatArray, *, max_unknown_share: float = 1e-2) -> FloatArray:
+        """Covariance of functions of the parameters, to first order.
+
+        Args:
+            slopes: (m, P) of the functions, per SI unit.
+            max_unknown_share: Share of a slope that may lie in directions that are not identifiable; slopes
+                from finite differences are no more exact.
+
+        Returns:
+            (m, m), with an infinite variance of functions that are not identifiable.
+        """
         scaled = slopes * self.scale
         along = scaled @ self.rows.T
         covariance = along @ self.spread @ along.T
         size = np.linalg.norm(scaled, axis=1)
-        lost = np.linalg.norm(scaled @ self.unknown.T, axis=1) > FAINT * size
-        covariance[lost, lost] = np.inf
+        undetermined = np.linalg.norm(scaled @ self.unknown.T, axis=1) > max_unknown_share * size
+        covariance[undetermined, undetermined] = np.inf
         return np.asarray(covariance)

@@ -1,6 +1,7 @@
-"""Levenberg and Marquardt's least squares with bounds, over parameters and the states of all windows.
+"""Nonlinear least squares with bounds, over parameters and the initial states of all windows.
 
-The states are nested (``window_states``): after every step of the parameters each window may improve its own.
+The method is Levenberg and Marquardt's (Marquardt 1963). The states are nested (``window_states``): after
+every step of the parameters each window may improve its own. ``penalised`` adds a quadratic penalty.
 """
 
 from __future__ import annotations
@@ -23,31 +24,42 @@ from labhil.identify.window_states import (
 )
 from labhil.signals import FloatArray
 
-SHAKES = 4
-"""Times that a settled fit is pushed away, by about its own uncertainty, to see where it comes back to."""
-
-SAME = 0.3
-"""Costs that differ by less, in mean squared residuals (at least in squares of noise), are one minimum."""
-
-DAMPING = 1e-3
-"""Of the first step, in diagonals of the normal equations."""
-
-MOST_DAMPING = 1e4
-"""A step as short as this lowers no cost any more."""
-
 TOLERANCE = 1e-6
-"""Share of the cost that a step has to gain for another one to follow."""
+"""Relative decrease of the cost below which a fit has converged."""
 
-RESCUED = 1e-3
-"""Share of the cost that better states of windows have to gain for a fit to go on."""
 
-WORTH = 0.5
-"""A step that lowers the cost by less than this share of what it promised is polished."""
+@dataclass(frozen=True, slots=True)
+class StepOptions:
+    """How Levenberg and Marquardt's method chooses its steps; relative figures without unit.
+
+    Attributes:
+        initial_damping: Damping of the first step, relative to the diagonal of the normal equations.
+        max_damping: Damping beyond which a step is too short to lower the cost.
+        min_decrease_by_states: Relative decrease of the cost by better initial states of windows, for which a
+            converged fit goes on.
+        min_gain_ratio: Actual over predicted decrease of the cost below which the windows first improve their
+            own states, before a step is accepted or rejected.
+    """
+
+    initial_damping: float = 1e-3
+    max_damping: float = 1e4
+    min_decrease_by_states: float = 1e-3
+    min_gain_ratio: float = 0.5
+
+
+DEFAULT_STEPS = StepOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """Where the least squares ended, with the residuals in units of noise."""
+    """Where a minimisation ended.
+
+    Attributes:
+        point: Estimated parameters and states.
+        residuals: (N·c,) in units of noise.
+        iterations: Number of steps.
+        converged: False where the number of steps ran out.
+    """
 
     point: Point
     residuals: FloatArray
@@ -56,7 +68,7 @@ class Solution:
 
     @property
     def cost(self) -> float:
-        """Sum of squares."""
+        """Sum of squared residuals."""
         return float(self.residuals @ self.residuals)
 
 
@@ -69,16 +81,25 @@ def least_squares(
     settled: bool = False,
     thorough: bool = True,
     on_step: Callable[[float], None] | None = None,
+    options: StepOptions = DEFAULT_STEPS,
 ) -> Solution:
-    """Minimise the sum of squares from ``start``; bounds hold throughout.
+    """Minimise the sum of squared residuals from ``start``; bounds hold throughout.
 
-    ``settled`` says that the states of ``start`` belong to a model close by, so they are not sought anew;
-    ``thorough`` gives outlying windows a second chance.
-    Stops when an accepted step lowers the cost by less than ``tolerance`` of it, or when no damping
-    finds a lower one.
+    Args:
+        problem: What is estimated.
+        start: Where to begin; its parameters are clipped to the bounds.
+        iterations: Largest number of steps.
+        tolerance: Relative decrease of the cost by a step below which the fit has converged.
+        settled: The states of ``start`` belong to a model close by: they are refined, not estimated anew.
+        thorough: Estimate the states of outlying windows anew from other starts, first and at convergence.
+        on_step: Called with the cost after each step.
+        options: How steps are chosen.
+
+    Returns:
+        The solution; it has also converged where no damping finds a lower cost.
     """
     z = np.clip(start.z, problem.lower, problem.upper)
-    # The measurement is a candidate too: a window that once was taken for a body at rest has no slope
+    # The measured states are candidates too: a window whose simulated body rests has no slope
     # by which it would ever move again.
     if settled:
         estimate = refine(problem, z, evaluate(problem, z, start.states), evaluate(problem, z, problem.guess))
@@ -86,82 +107,110 @@ def least_squares(
         estimate = evaluate(problem, z, fit_states(problem, z, start.states))
     estimate = rescue_states(problem, z, estimate) if thorough else estimate
     point, residuals = Point(z, estimate.states), estimate.residuals
-    damping = DAMPING
+    damping = options.initial_damping
     for iteration in range(iterations):
         cost = float(residuals @ residuals)
-        step = _lower(problem, point, residuals, damping, tolerance)
+        step = _lower_cost(problem, point, residuals, damping, tolerance, options)
         if step is None and thorough:
-            step = _rescue(problem, point, residuals)
+            step = _improve_states(problem, point, residuals, options)
         if step is None:
             return Solution(point, residuals, iteration, True)
         point, residuals, damping = step
-        gained = cost - float(residuals @ residuals)
+        decrease = cost - float(residuals @ residuals)
         if on_step is not None:
-            on_step(cost - gained)
-        if gained < tolerance * cost:
-            rescue = _rescue(problem, point, residuals) if thorough else None
-            if rescue is None:
+            on_step(cost - decrease)
+        if decrease < tolerance * cost:
+            better = _improve_states(problem, point, residuals, options) if thorough else None
+            if better is None:
                 return Solution(point, residuals, iteration + 1, True)
-            point, residuals, damping = rescue
+            point, residuals, damping = better
     return Solution(point, residuals, iterations, False)
 
 
-def settle(problem: Problem, solution: Solution, spread: FloatArray, *, seed: int = 0) -> Solution:
-    """Look for lower minima around a solution; the better one of both is returned.
+def search_lower_minima(
+    problem: Problem,
+    solution: Solution,
+    spread: FloatArray,
+    *,
+    seed: int = 0,
+    restarts: int = 4,
+    min_decrease: float = 0.3,
+) -> Solution:
+    """Search for a lower minimum within the uncertainty of a solution.
 
-    The cost has many shallow minima where windows begin near a stop: each window looks for a better
-    state, and the parameters are pushed away by about their uncertainty, which the columns of
-    ``spread`` (P, P) span, in scaled units. ``seed`` fixes the draws.
+    The cost has many shallow minima where windows begin near a stop. Each window therefore looks for better
+    initial states, and the fit restarts from parameters that are drawn around the best ones.
+
+    Args:
+        problem: What is estimated.
+        solution: A converged fit.
+        spread: (P, P) square root of the covariance of the scaled parameters.
+        seed: Of the random draws.
+        restarts: Number of draws.
+        min_decrease: Decrease of the cost that makes a minimum a lower one, in mean squared residuals (and
+            in squares of the noise at least).
+
+    Returns:
+        The best solution, which may be ``solution`` itself.
     """
     random = np.random.default_rng(seed)
-    same = SAME * max(1.0, solution.cost / max(len(solution.residuals), 1))
-    best = _deepen(problem, solution, same, random)
-    for _ in range(SHAKES):
+    threshold = min_decrease * max(1.0, solution.cost / max(len(solution.residuals), 1))
+    best = _alternate(problem, solution, threshold, random)
+    for _ in range(restarts):
         z = best.point.z + spread @ random.standard_normal(len(best.point.z))
         begin = Point(np.clip(z, problem.lower, problem.upper), best.point.states)
         trial = least_squares(problem, begin, iterations=12, settled=True, thorough=False)
-        if trial.cost < best.cost - same:
-            best = _deepen(problem, trial, same, random)
+        if trial.cost < best.cost - threshold:
+            best = _alternate(problem, trial, threshold, random)
     return best
 
 
-def _deepen(problem: Problem, solution: Solution, same: float, random: np.random.Generator) -> Solution:
-    """Better states and better parameters in turn, until neither lowers the cost any more."""
+def _alternate(
+    problem: Problem, solution: Solution, threshold: float, random: np.random.Generator
+) -> Solution:
+    """Improve states and parameters in turn, until the cost falls by less than ``threshold``."""
     best = solution
     for _ in range(6):
         states = search_states(problem, best.point.z, best.point.states, random)
         begin = Point(best.point.z, states)
         trial = least_squares(problem, begin, iterations=20, settled=True, thorough=False)
-        if trial.cost > best.cost - same:
+        if trial.cost > best.cost - threshold:
             return trial if trial.cost < best.cost else best
         best = trial
     return best
 
 
-def _rescue(problem: Problem, point: Point, residuals: FloatArray) -> tuple[Point, FloatArray, float] | None:
-    """The same parameters with better states of some windows, or None when there are none."""
+def _improve_states(
+    problem: Problem, point: Point, residuals: FloatArray, options: StepOptions
+) -> tuple[Point, FloatArray, float] | None:
+    """The same parameters with better states of some windows, or None where there are none."""
     better = reestimate(problem, point.z, States(point.states, residuals))
-    if better.cost < (1.0 - RESCUED) * float(residuals @ residuals):
-        return Point(point.z, better.states), better.residuals, DAMPING
+    if better.cost < (1.0 - options.min_decrease_by_states) * float(residuals @ residuals):
+        return Point(point.z, better.states), better.residuals, options.initial_damping
     return None
 
 
-def _lower(
-    problem: Problem, point: Point, residuals: FloatArray, damping: float, tolerance: float
+def _lower_cost(
+    problem: Problem,
+    point: Point,
+    residuals: FloatArray,
+    damping: float,
+    tolerance: float,
+    options: StepOptions,
 ) -> tuple[Point, FloatArray, float] | None:
-    """A point of lower cost, its residuals and the next damping; None when no damping finds one.
+    """A point of lower cost, its residuals and the next damping; None where no damping finds one.
 
-    Where the step by itself does not keep most of what it promised, the windows get the chance to
-    improve their own states before it is judged.
+    Where a step lowers the cost by much less than predicted, the windows improve their own states before the
+    step is accepted or rejected.
     """
     lin = problem.linearise(point, residuals)
     cost = float(residuals @ residuals)
-    while damping < MOST_DAMPING:
-        trial, promised = _step(problem, point, lin, damping)
-        if abs(promised) < tolerance * cost:
+    while damping < options.max_damping:
+        trial, predicted = _damped_step(problem, point, lin, damping, options)
+        if abs(predicted) < tolerance * cost:
             return None
         reached = evaluate(problem, trial.z, trial.states)
-        if cost - reached.cost < WORTH * promised:
+        if cost - reached.cost < options.min_gain_ratio * predicted:
             reached = refine(problem, trial.z, reached, evaluate(problem, trial.z, point.states))
         if reached.cost < cost:
             return Point(trial.z, reached.states), reached.residuals, max(0.1 * damping, 1e-8)
@@ -169,37 +218,39 @@ def _lower(
     return None
 
 
-def _step(problem: Problem, point: Point, lin: Linearised, damping: float) -> tuple[Point, float]:
-    """One damped Gauss-Newton step, and by how much it promises to lower the cost.
+def _damped_step(
+    problem: Problem, point: Point, lin: Linearised, damping: float, options: StepOptions
+) -> tuple[Point, float]:
+    """One damped Gauss-Newton step, and the decrease of the cost that the linearised model predicts.
 
-    After a first step that failed, states are damped as parameters are: where a window is far off, its whole
-    step leads nowhere however short that of the parameters is. Parameters that press against a bound stay
-    there.
+    States are damped, as parameters are, only after a first step failed: where a window is far from its
+    minimum, an undamped step of its state leads nowhere however short the step of the parameters is.
     """
-    of_states = damping if damping > DAMPING else 0.0
-    z = _parameter_step(problem, point, lin, damping, of_states)
-    gram = problem.state_gram(lin.by_states, np.full(len(point.states), of_states))
-    remaining = lin.residuals + lin.by_parameters @ (z - point.z)
-    pull = problem.products(lin.by_states, remaining[:, None])
-    states = np.asarray(np.linalg.solve(gram, pull), dtype=np.float64)
-    expected = without_states(remaining[:, None], lin.by_states, states, problem.edges)[:, 0]
-    promised = float(lin.residuals @ lin.residuals - expected @ expected)
-    return Point(z, point.states - states[:, :, 0] * problem.model.state_scale), promised
+    state_damping = damping if damping > options.initial_damping else 0.0
+    z = _parameter_step(problem, point, lin, damping, state_damping)
+    gram = problem.state_gram(lin.by_states, np.full(len(point.states), state_damping))
+    linearised = lin.residuals + lin.by_parameters @ (z - point.z)
+    gradient = problem.products(lin.by_states, linearised[:, None])
+    step = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
+    expected = without_states(linearised[:, None], lin.by_states, step, problem.edges)[:, 0]
+    predicted = float(lin.residuals @ lin.residuals - expected @ expected)
+    return Point(z, point.states - step[:, :, 0] * problem.model.state_scale), predicted
 
 
 def _parameter_step(
-    problem: Problem, point: Point, lin: Linearised, damping: float, of_states: float
+    problem: Problem, point: Point, lin: Linearised, damping: float, state_damping: float
 ) -> FloatArray:
+    """Scaled parameters (P,) after a damped step; those that the gradient presses onto a bound stay there."""
     if not len(point.z):
         return point.z
-    both = problem.project(lin, np.column_stack([lin.by_parameters, lin.residuals]), of_states)
-    gradient = lin.by_parameters.T @ both[:, -1]
-    normal = lin.by_parameters.T @ both[:, :-1]
+    projected = problem.project(lin, np.column_stack([lin.by_parameters, lin.residuals]), state_damping)
+    gradient = lin.by_parameters.T @ projected[:, -1]
+    normal = lin.by_parameters.T @ projected[:, :-1]
     diagonal = np.diag(normal)
     normal = normal + np.diag(damping * diagonal + 1e-9 * diagonal.max() + 1e-12)
-    pressed = ((point.z <= problem.lower) & (gradient > 0)) | ((point.z >= problem.upper) & (gradient < 0))
+    at_bound = ((point.z <= problem.lower) & (gradient > 0)) | ((point.z >= problem.upper) & (gradient < 0))
     z = point.z.copy()
-    moving = np.flatnonzero(~pressed)
-    if len(moving):
-        z[moving] -= np.linalg.solve(normal[np.ix_(moving, moving)], gradient[moving])
+    inactive = np.flatnonzero(~at_bound)
+    if len(inactive):
+        z[inactive] -= np.linalg.solve(normal[np.ix_(inactive, inactive)], gradient[inactive])
     return np.clip(z, problem.lower, problem.upper)

@@ -1,10 +1,11 @@
-"""Noise of outputs as a fitted model leaves it on windows too short for its own errors to grow.
+"""Estimate coloured measurement noise (AR(1)) from the residuals of a fitted model on short windows.
 
-Differences of neighbouring samples (:func:`labhil.identify.windows.noise_of`) know noise of one sample only:
-of noise that lasts for a few samples they see too little. On short windows with initial states of their own
-a model that is wrong by a force errs by that force times half of the window squared, which is little; noise
-is all there but for what the windows' states take of it, and of noise that lasts they take more. Taken for an
-autoregression of first order it is found from the variance and the covariance of neighbours that are left.
+Differences of neighbouring samples (:func:`labhil.identify.windows.noise_of`) give the variance of white
+noise; of noise that is correlated over a few samples they show too little. On short windows with initial
+states of their own, a missing force F causes an error of only F·T²/2 (T the length of the window), while the
+noise is in the residuals but for the part that the fitted states absorb, which is larger for correlated
+noise. Variance and lag-one covariance of the residuals therefore give the two parameters of an autoregression
+of first order.
 """
 
 from __future__ import annotations
@@ -19,99 +20,114 @@ from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
 
-SAMPLES = 24
-"""In a short window: many times what noise lasts for, few enough for errors of the model."""
+THIRD_DIFFERENCE = (20.0, -30.0, 12.0, -2.0)
+"""Variance of third differences, as coefficients of the noise's autocovariance at lags 0 to 3."""
 
-LONGEST = 1.0 / 8.0
-"""Of the scored horizon that such a window may take."""
-
-THIRD = (20.0, -30.0, 12.0, -2.0)
-"""Variance of third differences by the covariance of the noise of rows 0 to 3 apart."""
-
-MOST = 3.0
-"""Factor beyond which what is left is no noise."""
-
+MAX_NOISE_RATIO = 3.0
+"""Largest standard deviation of coloured noise over that of white noise; beyond, a model error is assumed."""
 
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85])
-"""Of neighbouring samples, among which that of the noise is looked for: beyond, it would be a motion."""
-
-TYPICAL = 3.0
-"""Times the median power of a window up to which it counts: one begins in a wrong state, one has a jump."""
-
-COUNTED = 24
-"""Windows, at most, in which the states' share is worked out: they are much alike."""
+"""Grid of lag-one correlations of the noise; a correlation beyond its end would be a motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of each channel: standard deviation (c,), and correlation (c,) of neighbouring samples."""
+    """Coloured noise of each channel, an autoregression of first order.
+
+    Attributes:
+        sigma: (c,) standard deviation, in the channels' units.
+        correlation: (c,) correlation of neighbouring samples.
+    """
 
     sigma: FloatArray
     correlation: FloatArray
 
     @property
-    def lasts(self) -> FloatArray:
-        """Variance of a mean of many samples over that of as many independent ones, (c,)."""
+    def variance_inflation(self) -> FloatArray:
+        """Variance of the mean of many samples over that of as many independent ones, (c,)."""
         return np.asarray((1.0 + self.correlation) / (1.0 - self.correlation))
 
 
-def white(sigma: FloatArray) -> Noise:
-    """Noise (c,) of which every sample is independent."""
+def white_noise(sigma: FloatArray) -> Noise:
+    """White noise with standard deviations ``sigma`` (c,)."""
     return Noise(sigma, np.zeros(len(sigma)))
 
 
-def estimate_coloured_noise(model: Model, theta: FloatArray, record: Record, sigma: FloatArray) -> Noise:
-    """Each channel's noise, its standard deviation at least ``sigma`` and at most 3 times that.
+def estimate_coloured_noise(
+    model: Model,
+    theta: FloatArray,
+    record: Record,
+    sigma: FloatArray,
+    *,
+    window_samples: int = 24,
+    max_horizon_share: float = 1.0 / 8.0,
+) -> Noise:
+    """Estimate the standard deviation and the lag-one correlation of each channel's noise.
 
-    ``theta`` is the model's fitted vector. Inverse dynamics has no windows: there it is the noise of what the
-    model leaves, without the motion, and it may be less than ``sigma``.
+    Args:
+        model: A model that was fitted to the record.
+        theta: Its parameter vector.
+        record: What was measured.
+        sigma: (c,) standard deviation of the noise if it were white, in the channels' units.
+        window_samples: Samples in a short window: many times the correlation time of noise, and few enough
+            that errors of the model stay small.
+        max_horizon_share: Longest such window, as a share of the scored horizon.
+
+    Returns:
+        Standard deviations between ``sigma`` and 3 times ``sigma``. Of inverse dynamics, which has no
+        windows, it is white noise from differences of the residuals, and may be less than ``sigma``.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
-        return white(_filtered_noise(model, theta, record))
-    length = min(SAMPLES * record.period, LONGEST * model.horizon)
-    if length < SAMPLES / 2 * record.period:
-        return white(sigma)
+        return white_noise(_filtered_noise(model, theta, record))
+    length = min(window_samples * record.period, max_horizon_share * model.horizon)
+    if length < window_samples / 2 * record.period:
+        return white_noise(sigma)
     problem = Problem(model, record, fit_windows(record, length), np.empty(0, dtype=np.int64), theta, sigma)
     point = Point(np.empty(0), fit_states(problem, np.empty(0), problem.guess))
     residuals = problem.residuals(point)
-    typical = _ResidualPower.of(problem, residuals.reshape(-1, len(sigma)))
+    measured = _ResidualPower.of(problem, residuals.reshape(-1, len(sigma)))
     after_states = _noise_after_states(problem, problem.linearise(point, residuals).by_states)
-    power, neighbours = after_states[:, 0], after_states[:, 1]
+    power, products = after_states[:, 0], after_states[:, 1]
     correlation = np.array(
-        [np.interp(typical.ratio[j], neighbours[:, j] / power[:, j], CORRELATIONS) for j in range(len(sigma))]
+        [np.interp(measured.ratio[j], products[:, j] / power[:, j], CORRELATIONS) for j in range(len(sigma))]
     )
     share = np.array([np.interp(correlation[j], CORRELATIONS, power[:, j]) for j in range(len(sigma))])
-    return Noise(np.asarray(sigma * np.clip(np.sqrt(typical.power / share), 1.0, MOST)), correlation)
+    ratio = np.clip(np.sqrt(measured.power / share), 1.0, MAX_NOISE_RATIO)
+    return Noise(np.asarray(sigma * ratio), correlation)
 
 
 def _filtered_noise(model: Model, theta: FloatArray, record: Record) -> FloatArray:
-    """Noise (c,) of what inverse dynamics leaves, where there is no motion."""
+    """Noise (c,) of the residuals of inverse dynamics, from third differences of the filtered signals."""
     recordings = Windows.of(record.spans)
     residuals = record.outputs - model.simulate(
         theta, record, recordings, model.initial_states(record, recordings)
     )
-    # of white noise 20; a filter takes away most where differences are the largest
-    attenuation = np.sqrt(THIRD[0] / np.dot(THIRD, record.alike))
+    # third differences of white noise have 20 times its variance; the filter attenuates them more than it
+    attenuation = np.sqrt(THIRD_DIFFERENCE[0] / np.dot(THIRD_DIFFERENCE, record.alike))
     return np.asarray(noise_of(replace(record, outputs=residuals)) * attenuation)
 
 
 @dataclass(frozen=True, slots=True)
 class _ResidualPower:
-    """Of typical windows and each channel, squares per sample (c,), and neighbours' products over these."""
+    """Mean square (c,) of the residuals in typical windows, and their lag-one products over it (c,)."""
 
     power: FloatArray
     ratio: FloatArray
 
     @classmethod
-    def of(cls, problem: Problem, residuals: FloatArray) -> _ResidualPower:
-        """Of residuals (N, c)."""
+    def of(cls, problem: Problem, residuals: FloatArray, *, max_power_ratio: float = 3.0) -> _ResidualPower:
+        """From residuals (N, c).
+
+        Windows whose power is more than ``max_power_ratio`` times the median's do not count: their initial
+        state may be wrong, or a jump lies in them.
+        """
         owner = problem.windows.owner
         counts = np.bincount(owner)
         squares, products = residuals**2, residuals[:-1] * residuals[1:] * (np.diff(owner) == 0)[:, None]
         by_window = np.array([np.bincount(owner, column) for column in squares.T]).T
         pairs = np.array([np.bincount(owner[:-1], column, len(counts)) for column in products.T]).T
         mean = by_window / counts[:, None]
-        typical = mean <= TYPICAL * np.median(mean, axis=0)
+        typical = mean <= max_power_ratio * np.median(mean, axis=0)
         total = np.sum(by_window * typical, axis=0)
         return cls(
             total / np.sum(counts[:, None] * typical, axis=0),
@@ -119,14 +135,15 @@ class _ResidualPower:
         )
 
 
-def _noise_after_states(problem: Problem, by_states: FloatArray) -> FloatArray:
-    """What windows' states leave of unit noise, (R, 2, c) for R correlations.
+def _noise_after_states(problem: Problem, by_states: FloatArray, *, max_windows: int = 24) -> FloatArray:
+    """Expected squares and lag-one products of AR(1) noise after states are fitted to it, (R, 2, c).
 
-    Squares and products of neighbours, per sample; ``by_states`` (N·c, S) are the residuals' slopes.
+    Per sample, for noise of unit variance and R correlations. ``by_states`` (N·c, S) are the residuals'
+    slopes; as windows differ little, no more than ``max_windows`` are used.
     """
     c = len(problem.sigma)
     edges = np.append(problem.edges, len(by_states))
-    chosen = np.unique(np.linspace(0, len(edges) - 2, COUNTED).astype(int))
+    chosen = np.unique(np.linspace(0, len(edges) - 2, max_windows).astype(int))
     sums, samples = np.zeros((len(CORRELATIONS), 2, c)), 0
     for w in chosen:
         slopes = by_states[edges[w] : edges[w + 1]]

@@ -1,12 +1,12 @@
-"""Least squares with a quadratic penalty: smooth curves estimated together with a model's parameters.
+"""Penalised least squares: smooth curves (P-splines) estimated together with a model's parameters.
 
 Minimises |r(z)|² + zᵀΠz, r in units of noise. The estimate's covariance
 
     C = H⁻¹ · (S + σ̂²·Π) · H⁻¹,   H = JᵀJ + Π,
 
 has in S the long-run variance of the scores (``identify.statistics``: residuals may be correlated in time)
-and in σ̂²Π what smoothing may have taken away. With white residuals it is Wahba's (1983) σ̂²·H⁻¹, whose
-pointwise bands cover on the average over the curve.
+and in σ̂²Π the bias that smoothing may cause. With white residuals it is Wahba's (1983) σ̂²·H⁻¹, whose
+pointwise bands cover on the average over the curve. ``diagnose.curve`` uses it.
 """
 
 from __future__ import annotations
@@ -16,27 +16,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.least_squares import RESCUED, Solution
+from labhil.identify.least_squares import DEFAULT_STEPS, Solution, StepOptions
 from labhil.identify.problem import Linearised, Point, Problem
-from labhil.identify.statistics import long_run_variance, modelled_variance
+from labhil.identify.statistics import autoregressive_variance, long_run_variance
 from labhil.identify.window_states import States, evaluate, reestimate, refine
 from labhil.signals import FloatArray, IntArray
 
-DAMPED, LEAST_DAMPED, MOST_DAMPED = 1e-3, 1e-8, 1e4
-"""Damping of the first step, the least and the most, over the curvature."""
-
-TOLERANCE = 3e-4
-"""Share of the cost that a step has to gain."""
-
-FOLDS = 10
-"""In which windows are left out in turn."""
+MIN_DAMPING = 1e-8
+"""Smallest damping of a step, relative to the curvature."""
 
 
 @dataclass(frozen=True, slots=True)
 class Projected:
-    """Residuals (N,) and slopes (N, P) at a point ``z`` (P,), without what the windows' states explain.
+    """A linearised problem with the windows' initial states projected out.
 
-    ``owner`` (N,) is the window of each row; recordings begin at the samples ``begins``.
+    Attributes:
+        z: (P,) scaled parameters at which it is linearised.
+        residuals: (N,) in units of noise.
+        slopes: (N, P) of the residuals by the scaled parameters.
+        owner: (N,) index of the window that a residual belongs to.
+        begins: Samples at which recordings begin.
     """
 
     z: FloatArray
@@ -47,13 +46,25 @@ class Projected:
 
     @classmethod
     def at(cls, problem: Problem, point: Point, residuals: FloatArray) -> tuple[Projected, Linearised]:
-        """Linearise a problem."""
+        """Linearise a problem at ``point``, where its residuals are ``residuals`` (N,).
+
+        Returns:
+            The projected problem, and the same before projection.
+        """
         lin = problem.linearise(point, residuals)
-        both = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
-        return cls(point.z, both[:, -1], both[:, :-1], problem.owner, problem.begins), lin
+        columns = problem.project(lin, np.column_stack([lin.by_parameters, residuals]))
+        return cls(point.z, columns[:, -1], columns[:, :-1], problem.owner, problem.begins), lin
 
     def solve(self, penalty: FloatArray, damping: float = 0.0) -> FloatArray:
-        """The ``z`` (P,) at which the linearised, penalised cost is least, or ``damping`` short of it."""
+        """Minimise the linearised, penalised cost.
+
+        Args:
+            penalty: (P, P) matrix Π of the penalty.
+            damping: By which the curvature is damped, relative to its diagonal.
+
+        Returns:
+            The scaled parameters, (P,).
+        """
         normal = self.slopes.T @ self.slopes
         gradient = self.slopes.T @ self.residuals + penalty @ self.z
         curvature = normal + penalty + _regularisation(normal)
@@ -61,35 +72,49 @@ class Projected:
         return np.asarray(self.z - np.linalg.solve(curvature, gradient))
 
     def residuals_at(self, z: FloatArray) -> FloatArray:
-        """Residuals (N,) that the linearised model has at ``z``."""
+        """Residuals (N,) of the linearised model at ``z`` (P,)."""
         return np.asarray(self.residuals + self.slopes @ (z - self.z))
 
-    def degrees(self, penalty: FloatArray) -> float:
+    def effective_dof(self, penalty: FloatArray) -> float:
         """Effective degrees of freedom, the trace of (JᵀJ + Π)⁻¹·JᵀJ (Hastie and Tibshirani 1990)."""
         normal = self.slopes.T @ self.slopes
         return float(np.trace(np.linalg.solve(normal + penalty + _regularisation(normal), normal)))
 
-    def cross_validate(self, penalties: Sequence[FloatArray]) -> FloatArray:
-        """Squared residuals of windows that had no part in the estimate, in turn for a tenth of them.
+    def cross_validate(self, penalties: Sequence[FloatArray], *, max_folds: int = 10) -> FloatArray:
+        """Cross-validate the linearised problem over its windows.
 
-        One sum for each of the ``penalties``.
+        Args:
+            penalties: Candidate penalty matrices (P, P).
+            max_folds: Number of folds, where there are as many windows.
+
+        Returns:
+            For each candidate the sum of squared residuals of the windows that were left out.
         """
-        folds = min(FOLDS, int(self.owner.max()) + 1)
-        both = np.column_stack([self.slopes, self.residuals - self.slopes @ self.z])
-        parts = [rows.T @ rows for rows in (both[self.owner % folds == fold] for fold in range(folds))]
-        total = np.sum(parts, axis=0)
-        totals = np.zeros(len(penalties))
+        folds = min(max_folds, int(self.owner.max()) + 1)
+        columns = np.column_stack([self.slopes, self.residuals - self.slopes @ self.z])
+        grams = [rows.T @ rows for rows in (columns[self.owner % folds == fold] for fold in range(folds))]
+        total = np.sum(grams, axis=0)
+        costs = np.zeros(len(penalties))
         for i, penalty in enumerate(penalties):
-            for part in parts:
-                training = total - part
+            for test in grams:
+                training = total - test
                 normal = training[:-1, :-1]
                 z = np.linalg.solve(normal + penalty + _regularisation(normal), -training[:-1, -1])
-                moved = np.r_[z, 1.0]
-                totals[i] += float(moved @ part @ moved)
-        return totals
+                extended = np.r_[z, 1.0]
+                costs[i] += float(extended @ test @ extended)
+        return costs
 
     def covariance(self, penalty: FloatArray, dof: float, channels: int) -> FloatArray:
-        """Covariance (P, P) of the estimate, in units of the parameters' scales."""
+        """Covariance of the penalised estimate; residuals may be correlated in time.
+
+        Args:
+            penalty: (P, P) matrix Π of the penalty.
+            dof: Degrees of freedom of the residuals.
+            channels: Number of output channels, which follow each other in each sample.
+
+        Returns:
+            (P, P) in units of the parameters' scales.
+        """
         n = len(self.residuals)
         normal = self.slopes.T @ self.slopes
         inverse = np.linalg.inv(normal + penalty + _regularisation(normal))
@@ -98,63 +123,87 @@ class Projected:
         classical = power * inverse
         variances = [
             long_run_variance(scores, self.begins),
-            modelled_variance(self.slopes, self.residuals, channels, self.begins),
+            autoregressive_variance(self.slopes, self.residuals, channels, self.begins),
         ]
         spreads = [inverse @ (s * (n / dof) + power * penalty) @ inverse for s in variances] + [classical]
         widest = np.max([np.diag(spread) for spread in spreads], axis=0)
         robust = spreads[0]
-        raised = np.sqrt(widest / np.maximum(np.diag(robust), 1e-300))
-        return np.asarray(robust * np.outer(raised, raised))
+        factors = np.sqrt(widest / np.maximum(np.diag(robust), 1e-300))
+        return np.asarray(robust * np.outer(factors, factors))
 
 
 def _regularisation(normal: FloatArray) -> FloatArray:
-    """Enough on the diagonal that directions of which the data know nothing do no harm."""
+    """A small diagonal matrix that makes the normal equations solvable along undetermined directions."""
     return np.diag(1e-9 * np.diag(normal) + 1e-12 * max(float(np.diag(normal).max()), 1e-300))
 
 
-def minimise(problem: Problem, start: Point, penalty: FloatArray, iterations: int) -> Solution:
-    """Levenberg and Marquardt's method on the penalised cost; ``penalty`` is (P, P)."""
-    point, residuals, damping = start, problem.residuals(start), DAMPED
+def minimise(
+    problem: Problem,
+    start: Point,
+    penalty: FloatArray,
+    iterations: int,
+    *,
+    tolerance: float = 3e-4,
+    options: StepOptions = DEFAULT_STEPS,
+) -> Solution:
+    """Minimise the penalised cost |r(z)|² + zᵀΠz by Levenberg and Marquardt's method.
+
+    Args:
+        problem: What is estimated.
+        start: Where to begin.
+        penalty: (P, P) matrix Π of the penalty, for scaled parameters.
+        iterations: Largest number of steps.
+        tolerance: Relative decrease of the cost by a step below which the fit has converged.
+        options: How steps are chosen; the gain ratio is not used.
+    """
+    point, residuals, damping = start, problem.residuals(start), options.initial_damping
     for iteration in range(iterations):
         cost = _cost(point.z, residuals, penalty)
-        lower = _lower(problem, point, residuals, penalty, damping)
+        lower = _lower_cost(problem, point, residuals, penalty, damping, options.max_damping)
         if lower is not None:
             point, residuals, damping = lower
-        if cost - _cost(point.z, residuals, penalty) < TOLERANCE * cost:
+        if cost - _cost(point.z, residuals, penalty) < tolerance * cost:
             better = reestimate(problem, point.z, States(point.states, residuals))
-            if better.cost > (1.0 - RESCUED) * float(residuals @ residuals):
+            if better.cost > (1.0 - options.min_decrease_by_states) * float(residuals @ residuals):
                 return Solution(point, residuals, iteration + 1, True)
-            point, residuals, damping = Point(point.z, better.states), better.residuals, DAMPED
+            point, residuals = Point(point.z, better.states), better.residuals
+            damping = options.initial_damping
     return Solution(point, residuals, iterations, False)
 
 
-def _lower(
-    problem: Problem, point: Point, residuals: FloatArray, penalty: FloatArray, damping: float
+def _lower_cost(
+    problem: Problem,
+    point: Point,
+    residuals: FloatArray,
+    penalty: FloatArray,
+    damping: float,
+    max_damping: float,
 ) -> tuple[Point, FloatArray, float] | None:
-    """A point of lower cost, its residuals and the next damping; None when no damping finds one."""
+    """A point of lower cost, its residuals and the next damping; None where no damping finds one."""
     projected, lin = Projected.at(problem, point, residuals)
     cost = _cost(point.z, residuals, penalty)
-    while damping < MOST_DAMPED:
+    while damping < max_damping:
         z = np.clip(projected.solve(penalty, damping), problem.lower, problem.upper)
         followed = evaluate(problem, z, _follow_states(problem, lin, point, residuals, z))
         trial = refine(problem, z, evaluate(problem, z, point.states), followed)
         if _cost(z, trial.residuals, penalty) < cost:
-            return Point(z, trial.states), trial.residuals, max(0.1 * damping, LEAST_DAMPED)
+            return Point(z, trial.states), trial.residuals, max(0.1 * damping, MIN_DAMPING)
         damping *= 10.0
     return None
 
 
 def _cost(z: FloatArray, residuals: FloatArray, penalty: FloatArray) -> float:
+    """The penalised cost |r|² + zᵀΠz."""
     return float(residuals @ residuals + z @ penalty @ z)
 
 
 def _follow_states(
     problem: Problem, lin: Linearised, point: Point, residuals: FloatArray, z: FloatArray
 ) -> FloatArray:
-    """The windows' states (W, S) that the linearised model has best at ``z``."""
+    """The windows' states (W, S) that are best for the linearised model at ``z``."""
     if not point.states.shape[1]:
         return point.states
     linearised = residuals + lin.by_parameters @ (z - point.z)
-    pull = problem.products(lin.by_states, linearised[:, None])
-    step = np.linalg.solve(problem.state_gram(lin.by_states), pull)[:, :, 0]
+    gradient = problem.products(lin.by_states, linearised[:, None])
+    step = np.linalg.solve(problem.state_gram(lin.by_states), gradient)[:, :, 0]
     return np.asarray(point.states - step * problem.model.state_scale)

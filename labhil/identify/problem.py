@@ -1,8 +1,8 @@
-"""A problem turns a model and a record into residuals and a Jacobian; estimators know only that.
+"""The estimation problem: residuals and Jacobian of a model that is simulated over windows of a record.
 
-Every window has an initial state of its own. Those states are nuisance: they are taken out of the
-Jacobian window by window (Golub and Pereyra's projection), so that the part that is left is as wide
-as the model has free parameters, however many windows there are.
+Every window has an initial state of its own. These states are nuisance parameters: variable projection
+(Golub and Pereyra 1973) takes them out of the Jacobian window by window, so that its width is the number of
+free parameters, however many windows there are. Estimators (``least_squares``, ``estimators``) see only this.
 """
 
 from __future__ import annotations
@@ -20,12 +20,20 @@ from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 STATE_STEP = 1e-5
-WORST = 1e7
+"""Step of the finite differences by initial states, in units of the states' scale."""
+
+MAX_RESIDUAL = 1e7
+"""Size, in units of noise, at which residuals are clipped: their squares stay finite numbers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """Where an estimator stands: free parameters in units of their scale, and all windows' states."""
+    """Values of everything that is estimated.
+
+    Attributes:
+        z: (P,) free parameters in units of their scale.
+        states: (W, S) initial state of each window, SI units.
+    """
 
     z: FloatArray
     states: FloatArray
@@ -33,15 +41,30 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """Residuals (N·c,) in units of noise, the Jacobian by parameters (N·c, P) and by own states (N·c, S)."""
+    """A problem to first order around a point.
+
+    Attributes:
+        residuals: (N·c,) in units of noise.
+        by_parameters: (N·c, P) slopes of the residuals by the scaled free parameters.
+        by_states: (N·c, S) slopes of the residuals by the initial state of their own window, in units of the
+            states' scale.
+    """
 
     residuals: FloatArray
     by_parameters: FloatArray
     by_states: FloatArray
 
 
-def begins_among(record: Record, windows: Windows) -> tuple[int, ...]:
-    """Which of the windows' rows are the first of a recording."""
+def recording_starts(record: Record, windows: Windows) -> tuple[int, ...]:
+    """Find the rows of the windows at which a recording begins.
+
+    Args:
+        record: One recording or several in a row.
+        windows: Windows of it, with n rows in all.
+
+    Returns:
+        Indices among the n rows, in rising order; the first is 0.
+    """
     places = np.searchsorted(windows.rows, [begin.row for begin in record.begins])
     return tuple(sorted({0, *(int(place) for place in places if place < len(windows.rows))}))
 
@@ -49,12 +72,29 @@ def begins_among(record: Record, windows: Windows) -> tuple[int, ...]:
 class Problem:
     """Residuals of simulated windows against a record, in units of the noise.
 
-    ``free`` (P,) are the places of the estimated parameters in the model's vector; ``base`` is that
-    vector with everything else in place; ``sigma`` (channels,) the noise that residuals are divided by, and
-    ``noise`` the same at the windows' rows, where recordings differ in it, (N, channels). ``begins`` are the
-    rows of the windows (of samples, not of channels) at which a recording begins. A censored reading, one at
-    the end of its range, leaves no residual where the simulation lies beyond that end; one that is ``UNREAD``
-    leaves none anywhere.
+    N is the number of samples in all W windows, c the number of output channels, P the number of free
+    parameters and S that of states. Arrays (N·c,) hold the channels of one sample after the other.
+
+    A censored reading, one at the end of its range, has the residual zero where the simulation lies beyond
+    that end; a reading that is ``UNREAD`` always has the residual zero.
+
+    Args:
+        model: What is simulated.
+        record: What was measured.
+        windows: The windows of the record that are simulated.
+        free: (P,) indices of the estimated parameters in the model's parameter vector.
+        base: The model's parameter vector, which holds the values of all parameters that are not estimated.
+        sigma: (c,) standard deviation of the noise of each channel, in the channel's unit.
+
+    Attributes:
+        scale: (P,) typical size of each free parameter, SI units.
+        lower: (P,) lower bounds in units of ``scale``; ``upper`` the upper ones.
+        owner: (N·c,) index of the window that a residual belongs to.
+        edges: (W,) first residual of each window.
+        begins: Rows of the windows (samples, not channels) at which a recording begins.
+        noise: (c,), or (N, c) where recordings differ in their noise: ``sigma`` at the windows' rows.
+        guess: (W, S) initial states guessed from the measurement.
+        evaluations: Number of simulations so far.
     """
 
     def __init__(
@@ -83,7 +123,7 @@ class Problem:
         channels = record.outputs.shape[1]
         self.owner = np.repeat(windows.owner, channels)
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
-        self.begins = begins_among(record, windows)
+        self.begins = recording_starts(record, windows)
         self.noise = noise_at(record, windows.rows, sigma)
         self.evaluations = 0
         self.guess = model.initial_states(record, windows)
@@ -92,61 +132,69 @@ class Problem:
 
     @cached_property
     def effective_fraction(self) -> FloatArray:
-        """Share of an independent sample that each residual (N·c,) is worth: rounding may repeat itself."""
+        """Share of an independent sample that each residual (N·c,) is worth; rounding errors may repeat."""
         return effective_fractions(self.record, self.sigma)[self.windows.rows].ravel()
 
-    def of_windows(self, chosen: IntArray) -> Problem:
-        """The same problem on some of its windows only."""
+    def select_windows(self, chosen: IntArray) -> Problem:
+        """The same problem on some of its windows only, by their indices or a mask (W,)."""
         spans = list(
             zip(self.windows.first[chosen].tolist(), self.windows.last[chosen].tolist(), strict=True)
         )
-        return self.on_windows(Windows.of(spans))
+        return self.with_windows(Windows.of(spans))
 
-    def on_windows(self, windows: Windows) -> Problem:
-        """The same problem on other windows."""
+    def with_windows(self, windows: Windows) -> Problem:
+        """The same problem on other windows of its record."""
         return Problem(self.model, self.record, windows, self.free, self.base, self.sigma)
 
     def pin(self, places: IntArray, theta: FloatArray) -> Problem:
-        """The same problem with the free parameters at ``places`` held where the vector ``theta`` is."""
+        """The same problem with some free parameters held constant.
+
+        Args:
+            places: Indices of these among the free parameters.
+            theta: The model's parameter vector with the values that they are held at.
+        """
         others = np.delete(self.free, places)
         return Problem(self.model, self.record, self.windows, others, theta, self.sigma)
 
-    def is_size(self, j: int) -> bool:
-        """Whether free parameter ``j`` is a rig's own size that cannot be zero: a mass, a resistance."""
+    def is_positive_constant(self, j: int) -> bool:
+        """Whether free parameter ``j`` is a constant of the rig that cannot be zero: a mass, a resistance."""
         return self.model.parameters[self.free[j]].term is None and bool(self.lower[j] > 0.0)
 
     def start(self) -> Point:
-        """The base values, with initial states guessed from the measurement."""
+        """The point of the base values, with initial states guessed from the measurement."""
         return Point(self.base[self.free] / self.scale, self.guess)
 
     def theta(self, z: FloatArray) -> FloatArray:
-        """The model's whole vector for scaled free parameters ``z``."""
+        """The model's parameter vector (SI units) for scaled free parameters ``z`` (P,)."""
         theta = self.base.copy()
         theta[self.free] = z * self.scale
         return theta
 
     def residuals(self, point: Point) -> FloatArray:
-        """(simulated − measured) / noise, (N·c,)."""
+        """(simulated − measured) / noise at a point, (N·c,)."""
         return self.residuals_at(self.theta(point.z), point.states)
 
     def residuals_at(self, theta: FloatArray, states: FloatArray) -> FloatArray:
-        """The same at a whole vector ``theta`` and the windows' ``states``, (N·c,)."""
+        """(simulated − measured) / noise for a parameter vector ``theta`` and ``states`` (W, S), (N·c,)."""
         checkpoint()
         self.evaluations += 1
-        # a plant that runs away is wrong by enough; its square must still be a number
+        # a simulation may diverge
         with np.errstate(over="ignore"):
             simulated = self.model.simulate(theta, self.record, self.windows, states)
             residuals = (simulated - self._measured) / self.noise
             if self._censored is not None:
-                silent = (self._censored == UNREAD) | (self._censored * residuals > 0.0)
-                residuals = np.where(silent, 0.0, residuals)
-        residuals = np.clip(residuals.ravel(), -WORST, WORST)
-        return np.where(np.isnan(residuals), WORST, residuals)
+                uninformative = (self._censored == UNREAD) | (self._censored * residuals > 0.0)
+                residuals = np.where(uninformative, 0.0, residuals)
+        residuals = np.clip(residuals.ravel(), -MAX_RESIDUAL, MAX_RESIDUAL)
+        return np.where(np.isnan(residuals), MAX_RESIDUAL, residuals)
 
     def linearise(self, point: Point, residuals: FloatArray, *, central: bool = False) -> Linearised:
-        """Differences of the simulation; ``central`` where the bounds leave room, else one-sided.
+        """Linearise the residuals by finite differences, or exactly by parameters that are linear.
 
-        The slopes by parameters that the model is linear in are its own, exact ones.
+        Args:
+            point: Where.
+            residuals: (N·c,) those at ``point``.
+            central: Take central differences by parameters where the bounds leave room, else one-sided.
         """
         by_parameters = np.empty((residuals.size, len(self.free)))
         by_parameters[:, self._linear] = self._exact_slopes(point, residuals)
@@ -155,7 +203,7 @@ class Problem:
         return Linearised(residuals, by_parameters, self.state_slopes(point, residuals))
 
     def _exact_slopes(self, point: Point, residuals: FloatArray) -> FloatArray:
-        """Slopes (N·c, L) by the free parameters that the model is linear in."""
+        """Slopes (N·c, L) by the free parameters that the outputs are linear in."""
         if not self._linear.any() or not isinstance(self.model, PartlyLinear):
             return np.empty((residuals.size, 0))
         keys = [self.model.parameters[i].key for i in self.free[self._linear]]
@@ -164,12 +212,18 @@ class Problem:
         slopes = regressor[self.windows.rows] * self.scale[self._linear]
         slopes /= np.broadcast_to(self.noise, slopes.shape[:2])[:, :, None]
         if self._censored is not None:
-            beyond = (self._censored != 0) & (residuals.reshape(-1, outputs[1]) == 0.0)
-            slopes = np.where(beyond[:, :, None], 0.0, slopes)
+            uninformative = (self._censored != 0) & (residuals.reshape(-1, outputs[1]) == 0.0)
+            slopes = np.where(uninformative[:, :, None], 0.0, slopes)
         return np.asarray(slopes.reshape(residuals.size, len(keys)))
 
     def state_slopes(self, point: Point, residuals: FloatArray, step: float = STATE_STEP) -> FloatArray:
-        """Slopes of the residuals by each window's own state, in units of the states' scale (N·c, S)."""
+        """Slopes (N·c, S) of the residuals by the initial state of their window, by forward differences.
+
+        Args:
+            point: Where.
+            residuals: (N·c,) those at ``point``.
+            step: In units of the states' scale; negative for backward differences.
+        """
         by_states = np.empty((residuals.size, point.states.shape[1]))
         for s, scale in enumerate(self.model.state_scale):
             states = point.states.copy()
@@ -178,16 +232,20 @@ class Problem:
         return by_states
 
     def flatter_state_slopes(self, point: Point, lin: Linearised) -> FloatArray:
-        """Slopes by the states to the side on which the residuals of a window change less, (N·c, S).
+        """Take each window's one-sided slopes by its state on the side where the residuals change less.
 
-        A part breaks away or stays where it is, and the best state is often at the edge between both. Data
-        bound it there to one side as if they knew it exactly, and to the other leave it as it ever was.
+        With dry friction the best state is often at the edge between sticking and sliding. On one side of it
+        the residuals jump, as if the data determined the state exactly; on the other they hardly change.
+
+        Returns:
+            (N·c, S) slopes, in units of the states' scale.
         """
-        behind = self.state_slopes(point, lin.residuals, -STATE_STEP)
-        flatter = self.per_window(behind**2) < self.per_window(lin.by_states**2)
-        return np.where(flatter[self.owner], behind, lin.by_states)
+        backward = self.state_slopes(point, lin.residuals, -STATE_STEP)
+        is_flatter = self.per_window(backward**2) < self.per_window(lin.by_states**2)
+        return np.where(is_flatter[self.owner], backward, lin.by_states)
 
     def _slope(self, point: Point, residuals: FloatArray, j: int, central: bool) -> FloatArray:
+        """Slope (N·c,) by the scaled free parameter ``j``, from differences within its bounds."""
         step = self.step[j] * max(1.0, abs(point.z[j]))
         up, down = point.z.copy(), point.z.copy()
         up[j] += step
@@ -208,7 +266,14 @@ class Problem:
         return window_products(left, right, self.edges)
 
     def state_gram(self, by_states: FloatArray, damping: FloatArray | None = None) -> FloatArray:
-        """AᵀA of each window's own states (W, S, S), damped; invertible even where a state has no effect."""
+        """Normal matrices AᵀA of the windows' states, (W, S, S).
+
+        The diagonal is raised slightly, so that they are invertible even where a state has no effect.
+
+        Args:
+            by_states: (N·c, S) slopes A by the states.
+            damping: (W,) by which the diagonal is raised relatively (Levenberg and Marquardt); None for none.
+        """
         gram = self.products(by_states, by_states)
         if not by_states.shape[1]:
             return gram
@@ -219,13 +284,24 @@ class Problem:
         return gram
 
     def project(self, lin: Linearised, columns: FloatArray, damping: float = 0.0) -> FloatArray:
-        """Take out of ``columns`` (N·c, k) what the windows' own states, so much damped, could explain."""
-        return self.beside(lin.by_states, columns, damping)
+        """Project the windows' initial states of a linearised problem out of ``columns`` (N·c, k)."""
+        return self.project_out_states(lin.by_states, columns, damping)
 
-    def beside(self, by_states: FloatArray, columns: FloatArray, damping: float = 0.0) -> FloatArray:
-        """The same with these slopes (N·c, S) by the states."""
+    def project_out_states(
+        self, by_states: FloatArray, columns: FloatArray, damping: float = 0.0
+    ) -> FloatArray:
+        """Subtract from columns their least-squares fit by the windows' initial states.
+
+        Args:
+            by_states: (N·c, S) slopes by the states.
+            columns: (N·c, k).
+            damping: By which the states' normal matrices are damped, relative to their diagonals.
+
+        Returns:
+            The residual columns, (N·c, k).
+        """
         if not by_states.shape[1]:
             return columns
         gram = self.state_gram(by_states, np.full(len(self.edges), damping))
-        share = np.linalg.solve(gram, self.products(by_states, columns))
-        return without_states(columns, by_states, np.asarray(share, dtype=np.float64), self.edges)
+        coefficients = np.linalg.solve(gram, self.products(by_states, columns))
+        return without_states(columns, by_states, np.asarray(coefficients, dtype=np.float64), self.edges)

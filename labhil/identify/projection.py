@@ -1,4 +1,7 @@
-"""What neither a fit's parameters nor its windows' states explain, to first order."""
+"""Residuals of a fit that neither its parameters nor its windows' states can explain, to first order.
+
+Candidate terms are screened by what they explain of these residuals (``waves``).
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,14 @@ from labhil.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Unexplained:
-    """Residuals of a fit beside what it can explain.
+class ProjectedResiduals:
+    """Residuals of a fit with its parameters and initial states projected out.
 
-    ``basis`` (N·c, P) spans what parameters explain where states do what they can, ``target`` (N·c,) is what
-    neither does.
+    Attributes:
+        fitted: The fit.
+        lin: The fit linearised.
+        basis: (N·c, P) orthonormal basis of the parameters' slopes, states projected out.
+        target: (N·c,) residuals with states and parameters projected out, in units of noise.
     """
 
     fitted: Fitted
@@ -26,29 +32,29 @@ class Unexplained:
     target: FloatArray
 
     @classmethod
-    def of(cls, fitted: Fitted) -> Unexplained:
-        """Linearise a fit where it stands."""
+    def of(cls, fitted: Fitted) -> ProjectedResiduals:
+        """Linearise a fit at its estimate and project its residuals."""
         projected, lin = Projected.at(fitted.problem, fitted.solution.point, fitted.solution.residuals)
         basis = orthonormal(projected.slopes)
         return cls(fitted, lin, basis, projected.residuals - basis @ (basis.T @ projected.residuals))
 
     def residual_change(self, theta: FloatArray) -> FloatArray:
-        """What another vector ``theta`` changes in the residuals, (N·c,), all states held."""
+        """Change (N·c,) of the residuals by another parameter vector ``theta``, all states held."""
         solution = self.fitted.solution
         return self.fitted.problem.residuals_at(theta, solution.point.states) - solution.residuals
 
-    def beside_states(self, columns: FloatArray) -> FloatArray:
-        """Columns (N·c, k) without what states explain of them."""
+    def project_out_states(self, columns: FloatArray) -> FloatArray:
+        """Columns (N·c, k) with the initial states projected out."""
         return self.fitted.problem.project(self.lin, columns)
 
-    def beside(self, columns: FloatArray) -> FloatArray:
-        """Columns (N·c, k) without what states and parameters explain of them."""
-        new = self.beside_states(columns)
-        return new - self.basis @ (self.basis.T @ new)
+    def project_out_all(self, columns: FloatArray) -> FloatArray:
+        """Columns (N·c, k) with initial states and parameters projected out."""
+        projected = self.project_out_states(columns)
+        return projected - self.basis @ (self.basis.T @ projected)
 
 
 def orthonormal(columns: FloatArray) -> FloatArray:
-    """An orthonormal basis of the span of columns (N, k), those of no length left out."""
+    """Orthonormal basis of the span of columns (N, k), without those of length zero."""
     length = np.linalg.norm(columns, axis=0)
     columns = columns[:, length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)]
     if not columns.shape[1]:

@@ -1,4 +1,8 @@
-"""A curve that a diagnosis estimated, kept as a part of a model: the same force on other recordings."""
+"""A force curve that a diagnosis estimated and saved, applied to a model on other recordings.
+
+``extended`` is the model in which such a curve is estimated; ``analysis.kept_curve`` reads and writes the
+file.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +13,25 @@ import numpy as np
 
 from labhil.identify.extended import Coordinate
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, with_place
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 
-RESOLVED = 0.02
+MAX_RANGE_SHARE_PER_STEP = 0.02
 """Share of the curve's range that one step of a simulation may pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class SavedCurve:
-    """A force with the values ``value`` (m,), in ``unit``, at the evenly spaced places ``x`` (m,).
+    """A force as a tabulated function of a coordinate; beyond its range it keeps its last value.
 
-    ``low`` … ``high`` (m,) is its pointwise 99 % band. Beyond its range it keeps its last value.
+    Attributes:
+        coordinate: The argument.
+        x: (m,) evenly spaced values of the coordinate.
+        value: (m,) force there, in ``unit``.
+        low: (m,) lower end of the pointwise 99 % band; ``high`` the upper end.
+        unit: Of the force.
+        formula: A law that fits the curve, as text; None where none does.
     """
 
     coordinate: Coordinate
@@ -33,21 +43,24 @@ class SavedCurve:
     formula: str | None = None
 
     def at(self, places: FloatArray) -> FloatArray:
-        """The curve at other places (N,)."""
+        """Interpolate the force at values (N,) of the coordinate."""
         return np.interp(places, self.x, self.value)
 
     def force(self, record: Record) -> ExtraForce:
-        """As a model takes it, on this record."""
-        force = self.coordinate.force(self.x, self.value, RESOLVED * float(self.x[-1] - self.x[0]))
+        """Make the force that a model applies on this record."""
+        width = MAX_RANGE_SHARE_PER_STEP * float(self.x[-1] - self.x[0])
+        force = self.coordinate.force(self.x, self.value, width)
         if self.coordinate.acts is not CurveArgument.TIME:
             return force
-        return replace(force, course=self.at(self.coordinate.of_record(record)))
+        return replace(force, course=self.at(self.coordinate.values_in_record(record)))
 
 
 class ModelUnderCurves:
-    """A model under known forces (satisfies ``physics.model.Model``); all else is the inner one's.
+    """A model with known forces applied (satisfies ``physics.model.Model``, whose methods it has).
 
-    Of a single moving part one force, of an arm one or several on each joint.
+    Args:
+        inner: The model without them.
+        curves: One force for a model with a single moving part; one or several on each joint of an arm.
     """
 
     def __init__(self, inner: AcceptsExtraForce, curves: Sequence[SavedCurve]) -> None:
@@ -67,52 +80,49 @@ class ModelUnderCurves:
         self.parameters = inner.parameters
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """The inner model's, s."""
+        """The inner model's horizon, s."""
         return self.inner.horizon_at(theta)
 
     def prepare(self, record: Record) -> Record:
-        """As the inner model does."""
+        """The record as the inner model prepares it."""
         return self.inner.prepare(record)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """The inner model's, (w, states)."""
+        """The inner model's initial states, (w, states)."""
         return self.inner.initial_states(record, windows)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Simulated outputs of all windows, (N, channels)."""
-        return self._under(record).simulate(theta, record, windows, states)
+        return apply_curves(self.inner, self.curves, record).simulate(theta, record, windows, states)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Coordinates along the simulation under the forces, each (N,)."""
-        return self._under(record).coordinates(theta, record, windows, states)
+        """Coordinates along the simulation with the forces applied, each (N,)."""
+        return apply_curves(self.inner, self.curves, record).coordinates(theta, record, windows, states)
 
     def driven(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The inner model's."""
+        """The inner model's driven coordinates."""
         return self.inner.driven(theta, record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The inner model's force and the curves', (N,) or (N, joints)."""
+        """The inner model's generalised force plus the curves', (N,) or (N, joints)."""
         generalised_force = self.inner.generalised_force(theta, coordinates)
         for curve in self.curves:
             if curve.coordinate.name in coordinates:
-                values = curve.at(curve.coordinate.of(coordinates))
-                generalised_force = curve.coordinate.beside(generalised_force, values, coordinates)
+                values = curve.at(curve.coordinate.values(coordinates))
+                generalised_force = curve.coordinate.add_force(generalised_force, values, coordinates)
         return generalised_force
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """The inner model's."""
+        """The inner model's characteristic scales."""
         return self.inner.characteristic_scales(record)
 
-    def _under(self, record: Record) -> Model:
-        return under(self.inner, self.curves, record)
 
-
-def under(model: AcceptsExtraForce, curves: Sequence[SavedCurve], record: Record) -> AcceptsExtraForce:
-    """The model under these curves on one record."""
+def apply_curves(model: AcceptsExtraForce, curves: Sequence[SavedCurve], record: Record) -> AcceptsExtraForce:
+    """Apply force curves to a model for the simulation of one record."""
     for curve in curves:
         model = model.with_force(curve.force(record))
     return model

@@ -1,4 +1,8 @@
-"""The metric of the contract: windowed simulation with an unscored lead-in, and its noise floor."""
+"""Score a model: errors of windowed simulation with an unscored lead-in, and the noise floor.
+
+``labhil.identify.windows`` cuts the windows; ``adequacy`` decides from scores whether a model explains its
+data.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +22,29 @@ from labhil.physics.drive_balance import HasInverseDynamics
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
 
-PHASES = np.arange(16) / 16.0
-"""Of a converter's steps, over which what its rounding leaves is averaged."""
+QUANTISER_PHASES = np.arange(16) / 16.0
+"""Positions of a converter's steps over which the error of its rounding is averaged."""
 
-ROUNDING = 1e-9
-"""Of its size: a channel that varies by less is a constant."""
+MIN_RELATIVE_SPREAD = 1e-9
+"""Standard deviation over RMS below which a channel counts as constant (machine precision)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelScore:
-    """How well one output is simulated: MSE in unit²; RMSE, largest error, floor in unit; R² a fraction.
+    """Errors of one output.
 
-    ``relative_error`` is RMSE over the RMS of what was measured, by inverse dynamics, where zero is no force.
+    Attributes:
+        channel: Name of the output.
+        joint: Joint of an arm; None for others.
+        unit: Of the output.
+        mse: Mean squared error, unit².
+        rmse: Its root, unit.
+        max_abs_error: Largest absolute error, unit.
+        r2: 1 − SSE/SST, a fraction; NaN of a constant output.
+        noise_floor: RMSE of a perfect model, initial-state error included, unit.
+        metric: How the output was computed.
+        relative_error: RMSE over RMS of the measured forces, of inverse dynamics only, where zero is no
+            force.
     """
 
     channel: str
@@ -46,9 +61,11 @@ class ChannelScore:
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Headline figures of some channels.
+    """Figures over some channels.
 
-    ``beside`` are figures by another metric: they are shown, and enter no headline.
+    Attributes:
+        channels: The scored channels.
+        beside: Scores by another metric, which are reported but do not enter the figures.
     """
 
     channels: tuple[ChannelScore, ...]
@@ -56,19 +73,19 @@ class Figures:
 
     @property
     def reported(self) -> tuple[ChannelScore, ...]:
-        """The scored channels, then the figures beside them."""
+        """The scored channels, then those by another metric."""
         return self.channels + self.beside
 
     @property
     def rmse(self) -> float:
-        """The headline: in its unit with one channel, else mean of RMSE over floor."""
+        """RMSE, in its unit, of a single channel; of several the mean of RMSE over noise floor."""
         if len(self.channels) == 1:
             return self.channels[0].rmse
         return float(np.mean([c.rmse / c.noise_floor for c in self.channels]))
 
     @property
     def mse(self) -> float:
-        """The headline's mean square."""
+        """MSE, in its unit, of a single channel; of several the mean of MSE over squared noise floor."""
         if len(self.channels) == 1:
             return self.channels[0].mse
         return float(np.mean([c.mse / c.noise_floor**2 for c in self.channels]))
@@ -85,18 +102,23 @@ class Figures:
 
     @property
     def excess(self) -> float:
-        """RMSE over the noise floor, of the worst channel."""
+        """Largest RMSE over noise floor of any channel."""
         return max(c.rmse / c.noise_floor for c in self.channels)
 
     @property
     def noise_floor(self) -> float:
-        """The figure that a perfect model would reach, initial-state error included."""
+        """The ``rmse`` of a perfect model, initial-state error included."""
         return self.channels[0].noise_floor if len(self.channels) == 1 else 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingScore(Figures):
-    """The same on one of several recordings, by its number; ``places`` are its among the scored samples."""
+    """Figures of one of several recordings.
+
+    Attributes:
+        recording: Its number.
+        places: Its samples among the scored ones.
+    """
 
     recording: int
     places: slice
@@ -104,9 +126,17 @@ class RecordingScore(Figures):
 
 @dataclass(frozen=True, slots=True)
 class Score(Figures):
-    """Errors (N, c), simulated − measured, of all scored samples; ``rows`` (N,) are their places.
+    """Figures and errors of a model on a record.
 
-    ``recordings`` are the figures of each recording, where there are several.
+    Attributes:
+        errors: (N, c) simulated − measured of all scored samples, in the channels' units.
+        rows: (N,) rows of these samples in the record.
+        window: (N,) index of the window that each belongs to.
+        metric: How outputs were computed.
+        horizon: Length of the scored part of a window, s; None of inverse dynamics.
+        windows: The windows.
+        states: (W, S) initial states.
+        recordings: Figures of each recording, where there are several.
     """
 
     errors: FloatArray
@@ -119,7 +149,7 @@ class Score(Figures):
     recordings: tuple[RecordingScore, ...] = ()
 
     def of_joint(self, joint: int | None) -> Score:
-        """The score of one joint's output; the whole for None."""
+        """The score of one joint's output; of all outputs for None."""
         if joint is None:
             return self
         columns = [k for k, channel in enumerate(self.channels) if channel.joint == joint]
@@ -129,9 +159,10 @@ class Score(Figures):
 
 
 def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
-    """The horizon of a model's metric, s; where it is longer than a recording, one that fits twice.
+    """Horizon (s) by which a model is scored on a record.
 
-    A vector with hardly any damping has so long a horizon.
+    It is the model's own, or where that is longer than a recording (with hardly any damping), one that fits
+    into it twice.
     """
     wanted = model.horizon_at(theta)
     return wanted if wanted <= min(record.durations) else record.countable
@@ -143,14 +174,22 @@ def score(
     record: Record,
     sigma: FloatArray,
     horizon: float | None = None,
-    lasts: FloatArray | None = None,
+    variance_inflation: FloatArray | None = None,
     windows: ScoredWindows | None = None,
 ) -> Score:
-    """Simulate the windows of a record, each from the state that its own lead-in suggests.
+    """Simulate the windows of a record, each from a state that is estimated from its lead-in, and score them.
 
-    ``sigma`` (channels,) is the measurement noise, and ``lasts`` (channels,) how many times the variance of a
-    mean of white noise its mean has (default: 1); ``windows`` take the place of those that ``horizon`` cuts.
-    Raises RecordingError when the record is too short.
+    Args:
+        model: What is simulated.
+        theta: Its parameter vector.
+        record: What was measured.
+        sigma: (c,) standard deviation of each channel's noise, in its unit.
+        horizon: Length of the scored part of a window, s; by default :func:`scored_horizon`.
+        variance_inflation: (c,) variance of the noise's mean over that of white noise; by default 1.
+        windows: Windows to use instead of those that ``horizon`` gives.
+
+    Raises:
+        RecordingError: The record is too short.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
         windows = all_of(record)
@@ -165,17 +204,17 @@ def score(
     noise = noise_at(record, rows, sigma)
     errors = residuals.reshape(-1, c)[windows.scored] * noise
     carried = _state_error_variance(
-        problem, windows, states, residuals, np.ones(c) if lasts is None else lasts
+        problem, windows, states, residuals, np.ones(c) if variance_inflation is None else variance_inflation
     )
     owner = windows.whole.owner[windows.scored]
-    stated = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
+    reported_horizon = None if model.metric is Metric.INVERSE_DYNAMICS else windows.horizon
     return Score(
         _channels(record, errors, rows, noise, carried, model.metric),
         errors,
         rows,
         owner,
         model.metric,
-        stated,
+        reported_horizon,
         windows,
         states,
         _by_recording(record, errors, rows, noise, carried, model.metric),
@@ -185,12 +224,20 @@ def score(
 def with_forces(
     simulation_score: Score, model: Model, theta: FloatArray, record: Record, sigma: FloatArray
 ) -> Score:
-    """The same score with inverse dynamics beside it, where the model can say what its drive had to push."""
+    """Add the error of the drive's force by inverse dynamics to a score, where the model has it.
+
+    Args:
+        simulation_score: By windowed simulation.
+        model: Unchanged score unless it ``HasInverseDynamics``.
+        theta: Its parameter vector.
+        record: What was measured.
+        sigma: (c,) standard deviation of each channel's noise, in its unit.
+    """
     if not isinstance(model, HasInverseDynamics):
         return simulation_score
     try:
         forces = model.balance(theta, record)
-    except RecordingError:  # hardly anything moves: there is nothing to show beside
+    except RecordingError:  # hardly anything moves
         return simulation_score
     errors = forces.needed - forces.exerted
     spread = float(np.sum((forces.exerted - forces.exerted.mean()) ** 2))
@@ -253,9 +300,9 @@ def _row(
     floor: float,
     metric: Metric,
 ) -> ChannelScore:
-    """The figures of errors (N,) beside what was measured (N,); ``name`` is channel, joint and unit.
+    """The figures of errors (N,) of a measured output (N,); ``name`` is channel, joint and unit.
 
-    ``sst`` is the sum of squares about the mean of what was measured; of a constant there is no R².
+    ``sst`` is the sum of squares of the measured output about its mean; a constant output has no R².
     """
     sse = float(errors @ errors)
     rmse, size = float(np.sqrt(sse / len(errors))), float(np.sqrt(np.mean(measured**2)))
@@ -267,7 +314,7 @@ def _row(
         mse=sse / len(errors),
         rmse=rmse,
         max_abs_error=float(np.abs(errors).max()),
-        r2=1.0 - sse / sst if sst > len(errors) * (ROUNDING * size) ** 2 else float("nan"),
+        r2=1.0 - sse / sst if sst > len(errors) * (MIN_RELATIVE_SPREAD * size) ** 2 else float("nan"),
         noise_floor=float(floor),
         metric=metric,
         relative_error=rmse / size if metric is Metric.INVERSE_DYNAMICS and size > 0 else None,
@@ -284,50 +331,56 @@ def _spread(record: Record, j: int, rows: IntArray) -> float:
     return total
 
 
-def _lasting_rounding(
-    rounded: Sequence[Rounding | None], simulated: FloatArray, problem: Problem, phase: float
+def _mean_rounding_errors(
+    roundings: Sequence[Rounding | None], simulated: FloatArray, problem: Problem, phase: float
 ) -> FloatArray:
-    """What of rounding lasts, over the noise, (N·c,), with all converters' steps shifted by a ``phase``.
+    """Mean quantisation errors (N·c,) in units of noise, with all converters' steps shifted by a ``phase``.
 
-    A floor is that of any device like this one, whose steps may lie elsewhere.
+    The noise floor is that of any device of this kind, whose steps may lie elsewhere.
     """
     errors = np.zeros_like(simulated)
-    for j, rounding in enumerate(rounded):
+    for j, rounding in enumerate(roundings):
         if rounding is not None:
-            errors[:, j] = rounding.lasting(simulated[:, j], phase)
+            errors[:, j] = rounding.mean_error(simulated[:, j], phase)
     return np.asarray((errors / problem.noise).ravel())
 
 
 def _state_error_variance(
-    problem: Problem, windows: ScoredWindows, states: FloatArray, residuals: FloatArray, lasts: FloatArray
+    problem: Problem,
+    windows: ScoredWindows,
+    states: FloatArray,
+    residuals: FloatArray,
+    variance_inflation: FloatArray,
 ) -> FloatArray:
-    """What the initial state's error adds to the variance of each scored sample (N, c), over the noise's.
+    """Variance (N, c) that errors of the initial state add to each scored sample, in units of the noise's.
 
-    a·(AᵀA)⁻¹·AᵀLA·(AᵀA)⁻¹·aᵀ, A over the lead-in, a over the scored part, L how long noise lasts; the noise
-    floor is σ·√(1 + its mean). What of rounding lasts goes through the same by itself, and so does what the
-    noise of a measured input makes of the simulation, beside that itself.
+    It is a·(AᵀA)⁻¹·AᵀLA·(AᵀA)⁻¹·aᵀ, with slopes A by the state over the lead-in, a over the scored part, and
+    the variance inflation L of coloured noise. The noise floor is σ·√(1 + its mean). Mean quantisation errors
+    and the noise of a measured input enter the estimated state in the same way; the latter also enters the
+    simulation itself.
     """
     c = len(problem.sigma)
     point = Point(np.empty(0), states)
     lin = problem.linearise(point, residuals)
     lead = lin.by_states * np.repeat(~windows.scored, c)[:, None]
     inverse = np.linalg.inv(problem.state_gram(lead))
-    rounded = [Rounding.of(problem.record.outputs[:, j], problem.sigma[j]) for j in range(c)]
-    apart = np.array([1.0 - rounding.share if rounding is not None else 1.0 for rounding in rounded])
-    lasting = problem.state_gram(lead * np.tile(np.sqrt(lasts * apart), len(lead) // c)[:, None])
-    spread = (inverse @ lasting @ inverse)[problem.owner]
-    carried = np.einsum("ns,nst,nt->n", lin.by_states, spread, lin.by_states)
-    if np.any(apart < 1.0):
+    roundings = [Rounding.of(problem.record.outputs[:, j], problem.sigma[j]) for j in range(c)]
+    independent = np.array([1.0 - rounding.share if rounding is not None else 1.0 for rounding in roundings])
+    weights = np.sqrt(variance_inflation * independent)
+    inflated = problem.state_gram(lead * np.tile(weights, len(lead) // c)[:, None])
+    covariance = (inverse @ inflated @ inverse)[problem.owner]
+    carried = np.einsum("ns,nst,nt->n", lin.by_states, covariance, lin.by_states)
+    if np.any(independent < 1.0):
         simulated = problem.record.outputs[problem.windows.rows] + residuals.reshape(-1, c) * problem.noise
-        errors = [_lasting_rounding(rounded, simulated, problem, phase) for phase in PHASES]
-        moved = [(inverse @ problem.products(lead, error[:, None]))[:, :, 0] for error in errors]
-        along = [np.sum(lin.by_states * shift[problem.owner], axis=1) for shift in moved]
-        carried += np.mean(np.square(along), axis=0)
-    # a state that its lead-in cannot see (a ball that rests there) stays where it was put
+        errors = [_mean_rounding_errors(roundings, simulated, problem, phase) for phase in QUANTISER_PHASES]
+        shifts = [(inverse @ problem.products(lead, error[:, None]))[:, :, 0] for error in errors]
+        effects = [np.sum(lin.by_states * shift[problem.owner], axis=1) for shift in shifts]
+        carried += np.mean(np.square(effects), axis=0)
+    # a state that has no effect in its lead-in (a ball that rests there) would have an infinite error
     carried = np.minimum(carried, 100.0)
     changes = responses_to_input_noise(problem, point)
     if changes.size:
-        shifts = inverse @ problem.products(lead, changes)
-        remaining = without_states(changes, lin.by_states, shifts, problem.edges)
+        input_shifts = inverse @ problem.products(lead, changes)
+        remaining = without_states(changes, lin.by_states, input_shifts, problem.edges)
         carried += np.mean(remaining**2, axis=1)
     return np.asarray(carried.reshape(-1, c)[windows.scored])

@@ -1,8 +1,8 @@
-"""Slopes of the residuals over steps as long as the data leave the parameters uncertain.
+"""Sensitivities of the residuals, by finite differences over steps of the size of the standard errors.
 
-Differences over tiny steps see what statistics must not: the rounding of an integrator that adapts its
-steps, a kink where a body stops. A direction of which the data know nothing then looks known by accident.
-So each singular direction of the first slopes is stepped again, by a share of its own standard error.
+Differences over tiny steps pick up the rounding of an adaptive integrator, or a kink where a body stops, so
+that a direction which the data do not determine may look determined. Each singular direction of the first
+slopes is therefore stepped again, by a share of its own standard error.
 """
 
 from __future__ import annotations
@@ -12,36 +12,48 @@ import numpy as np
 from labhil.identify.problem import Point, Problem
 from labhil.signals import FloatArray
 
-SHARE = 0.3
-"""Of a direction's standard error that is stepped."""
-
-PASSES = 2
-"""The first separates the directions of which the data know little, the second measures them."""
-
-SHORTEST, LONGEST = 1e-4, 0.1
-"""Relative steps."""
-
-BY_FACTORS = 0.1
-"""Share of its scale from which a parameter is stepped by factors: products of powers stay what they are."""
+MIN_SIZE_FOR_FACTORS = 0.1
+"""Size, in scales, from which a parameter is stepped by a factor: products of powers stay constant."""
 
 
-def sensitivities(problem: Problem, point: Point, residuals: FloatArray, noise: float) -> FloatArray:
-    """Projected slopes (N·c, P) of the residuals by the scaled free parameters, at ``point``.
+def sensitivities(
+    problem: Problem,
+    point: Point,
+    residuals: FloatArray,
+    noise: float,
+    *,
+    step_in_errors: float = 0.3,
+    min_step: float = 1e-4,
+    max_step: float = 0.1,
+    passes: int = 2,
+) -> FloatArray:
+    """Take slopes of the residuals by the scaled free parameters, states projected out.
 
-    ``noise`` is the standard deviation of the ``residuals`` (N·c,).
+    Args:
+        problem: What is estimated.
+        point: Where.
+        residuals: (N·c,) those at ``point``.
+        noise: Their standard deviation.
+        step_in_errors: Step along a singular direction, in its standard errors.
+        min_step: Relative step below which the slope of tiny differences is kept.
+        max_step: Largest relative step.
+        passes: Of stepping; the first separates poorly determined directions, the second measures them.
+
+    Returns:
+        (N·c, P).
     """
     lin = problem.linearise(point, residuals, central=True)
     slopes = problem.project(lin, lin.by_parameters)
     if not slopes.shape[1]:
         return slopes
     size = np.maximum(np.abs(point.z), 1.0)
-    for _ in range(PASSES):
+    for _ in range(passes):
         left, singular, directions = np.linalg.svd(slopes * size, full_matrices=False)
         columns = left * singular
         for k, s in enumerate(singular):
-            length = min(SHARE * noise / max(float(s), 1e-300), LONGEST)
+            length = min(step_in_errors * noise / max(float(s), 1e-300), max_step)
             slope = (
-                _step_slope(problem, point, residuals, directions[k], length) if length > SHORTEST else None
+                _step_slope(problem, point, residuals, directions[k], length) if length > min_step else None
             )
             if slope is not None:
                 columns[:, k] = problem.project(lin, slope[:, None])[:, 0]
@@ -52,7 +64,7 @@ def sensitivities(problem: Problem, point: Point, residuals: FloatArray, noise: 
 def _step_slope(
     problem: Problem, point: Point, residuals: FloatArray, direction: FloatArray, length: float
 ) -> FloatArray | None:
-    """Slope (N·c,) along a relative ``direction`` (P,), from both sides where bounds let it."""
+    """Slope (N·c,) along a relative ``direction`` (P,), from both sides where the bounds leave room."""
     points = [_step_relative(problem, point.z, side * length * direction) for side in (1.0, -1.0)]
     above, below = (None if z is None else problem.residuals(Point(z, point.states)) for z in points)
     if above is not None and below is not None:
@@ -63,10 +75,10 @@ def _step_slope(
 
 
 def _step_relative(problem: Problem, z: FloatArray, step: FloatArray) -> FloatArray | None:
-    """``z`` after a relative step; None where it leaves the bounds."""
+    """``z`` (P,) after a relative step; None where it leaves the bounds."""
     size = np.maximum(np.abs(z), 1.0)
-    far = np.abs(z) > BY_FACTORS
-    moved = np.where(far, z * np.exp(step * size / np.where(far, z, 1.0)), z + step * size)
+    by_factor = np.abs(z) > MIN_SIZE_FOR_FACTORS
+    moved = np.where(by_factor, z * np.exp(step * size / np.where(by_factor, z, 1.0)), z + step * size)
     if np.any(moved < problem.lower) or np.any(moved > problem.upper):
         return None
     return np.asarray(moved)

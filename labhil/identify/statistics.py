@@ -1,4 +1,4 @@
-"""Statistics of estimates: standard errors, tests, intervals, and what the data cannot know.
+"""Statistics of estimates: robust covariance, standard errors, Wald tests, and tests of the residuals.
 
 The covariance does not assume white residuals. With the projected Jacobian J (states of the windows
 taken out) and residuals r, both in units of noise,
@@ -8,7 +8,8 @@ taken out) and residuals r, both in units of noise,
 with Bartlett's weights (Newey and West 1987) and Andrews' (1991) bandwidth, which lets the spread of the
 residuals change with the regime but is biased low on short records; and, where it is larger, the same with
 the autocovariance of an autoregressive model of each channel in the place of r_t r_{t−l}. Negative
-correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹.
+correlation is not allowed to shrink a variance below the classical σ̂²(JᵀJ)⁻¹. Profiles and bootstraps are in
+``intervals``, undetermined directions in ``identifiability``.
 """
 
 from __future__ import annotations
@@ -25,24 +26,31 @@ from labhil.physics.terms import Parameter, keyed
 from labhil.signals import FloatArray
 
 ALPHA = 0.01
-REACH = float(stats.norm.ppf(1.0 - 0.5 * ALPHA))
-"""Standard errors on both sides of a value that an interval at that level has."""
+"""Significance level of tests and intervals of estimates: the 1 % that every result states."""
 
-FAINTEST = 1e-9
+ALPHA_QUANTILE = float(stats.norm.ppf(1.0 - 0.5 * ALPHA))
+"""Two-sided normal quantile at that level: half the width of an interval in standard errors."""
 
-MOST_ORDERS = 10
-FADED = 0.01
-"""Share of the variance below which an autocovariance is left out."""
+MIN_RELATIVE_SINGULAR = 1e-9
+"""Singular values below this share of the largest count as that much: slopes are known to about 1e-7."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One parameter with what is known of it; ``ci99`` is the interval at 99 %, cut at the bounds.
+    """One estimated parameter with its error, interval and test.
 
-    A value that was held, not estimated, has no error: ``std_error``, ``ci99``, ``z`` and ``p_value`` are
-    NaN.
-    ``std_error_reference`` is the reference text's own formula, √C_ii/√n of the classical covariance,
-    kept for comparison with its tables only: its intervals are far too narrow.
+    Of a value that was held, not estimated, ``std_error``, ``ci99``, ``z`` and ``p_value`` are NaN.
+
+    Attributes:
+        name: ``term.parameter``, or the name of a constant of the rig (whose ``term`` is None).
+        joint: The joint of an arm that it belongs to; None for others.
+        value: In ``unit``, as ``std_error`` and ``ci99`` (the interval at 99 %, cut at the bounds) are.
+        std_error_reference: The reference text's formula, √C_ii/√n of the classical covariance, kept for
+            comparison with its tables only: its intervals are far too narrow.
+        p_value: Of the two-sided test that the value is zero.
+        significant: The test rejects zero at 1 %, and the value is identifiable and not at a bound.
+        identifiable: The data determine the value to better than its own size or scale.
+        recording: Number of the recording, where each recording has a value of its own.
     """
 
     name: str
@@ -66,8 +74,8 @@ class Estimate:
         return keyed(self.name, self.joint, self.recording)
 
 
-def runs(begins: Sequence[int], n: int) -> list[slice]:
-    """Rows of each recording among ``n`` samples, the recordings beginning at the rows ``begins``."""
+def recording_slices(begins: Sequence[int], n: int) -> list[slice]:
+    """Rows of each recording among ``n`` samples, where recordings begin at the rows ``begins``."""
     edges = [*begins, n]
     return [slice(a, b) for a, b in pairwise(edges)]
 
@@ -79,25 +87,33 @@ def robust_covariance(
     channels: int = 1,
     begins: Sequence[int] = (0,),
 ) -> FloatArray:
-    """Covariance (P, P) of least-squares estimates whose residuals (N,) may be correlated in time.
+    """Estimate the covariance of least-squares estimates whose residuals may be correlated in time.
 
-    ``jacobian`` (N, P) is the projected one; ``dof`` the residual degrees of freedom. Rows are those of the
-    ``channels`` of one sample after the other; recordings begin at the samples ``begins``, and nothing in
-    one is correlated with anything in another.
+    The method is at the top of this file. Different recordings count as independent.
+
+    Args:
+        jacobian: (N, P) with the states projected out; the channels of one sample after the other.
+        residuals: (N,) in the same units.
+        dof: Degrees of freedom of the residuals.
+        channels: Number of output channels.
+        begins: Samples at which recordings begin.
+
+    Returns:
+        (P, P) in units of the Jacobian's parameters.
     """
     n = len(residuals)
     inverse = inverse_information(jacobian)
     classical = inverse * float(residuals @ residuals) / dof
-    # what counts in time are samples: their channels are added up
+    # correlation in time is between samples: the channels of each are added up
     scores = (jacobian * residuals[:, None]).reshape(n // channels, channels, -1).sum(axis=1)
     robust = inverse @ long_run_variance(scores, begins) @ inverse * (n / dof)
-    modelled = inverse @ modelled_variance(jacobian, residuals, channels, begins) @ inverse * (n / dof)
+    modelled = inverse @ autoregressive_variance(jacobian, residuals, channels, begins) @ inverse * (n / dof)
     robust = _at_least(modelled, robust)
     floor, variances = np.diag(classical), np.diag(robust)
-    lost = ~(variances > 1e-12 * floor)
-    # rounding may leave nothing, or less, of a direction that the data do not know
-    robust[lost, :] = robust[:, lost] = 0.0
-    robust[lost, lost] = floor[lost]
+    undetermined = ~(variances > 1e-12 * floor)
+    # along a direction that the data do not determine, rounding may make a variance zero or negative
+    robust[undetermined, :] = robust[:, undetermined] = 0.0
+    robust[undetermined, undetermined] = floor[undetermined]
     return _at_least(robust, classical)
 
 
@@ -105,62 +121,75 @@ def _at_least(covariance: FloatArray, floor: FloatArray) -> FloatArray:
     """A covariance (P, P) whose variances are raised, correlations kept, to those of ``floor`` (P, P)."""
     wanted = np.diag(floor)
     variances = np.maximum(np.diag(covariance), 1e-24 * wanted + 1e-300)
-    shortfall = np.sqrt(np.maximum(1.0, wanted / variances))
-    return np.asarray(covariance * np.outer(shortfall, shortfall))
+    factors = np.sqrt(np.maximum(1.0, wanted / variances))
+    return np.asarray(covariance * np.outer(factors, factors))
 
 
 def inverse_information(jacobian: FloatArray) -> FloatArray:
-    """(JᵀJ)⁻¹ of a Jacobian (N, P) whose columns have about unit length.
+    """Invert the information matrix JᵀJ of a Jacobian (N, P) whose columns have about unit length.
 
-    A direction that changes nothing gets a huge variance instead of none: slopes from differences are
-    known to about 1e-7, so a singular value under 1e-9 of the largest one counts as that much.
+    A direction that changes nothing gets a huge variance: singular values are raised to 1e-9 of the largest.
+
+    Returns:
+        (JᵀJ)⁻¹, (P, P).
     """
     _, singular, rows = np.linalg.svd(jacobian, full_matrices=False)
-    singular = np.maximum(singular, FAINTEST * max(float(singular.max(initial=0.0)), 1e-130))
+    singular = np.maximum(singular, MIN_RELATIVE_SINGULAR * max(float(singular.max(initial=0.0)), 1e-130))
     return np.asarray((rows.T / singular**2) @ rows)
 
 
-def nonzero(values: FloatArray, covariance: FloatArray, looks: int = 1) -> bool:
-    """Whether values (k,), all together, differ from zero: Wald's test at 1 %.
+def differ_from_zero(
+    values: FloatArray, covariance: FloatArray, n_candidates: int = 1, *, alpha: float = ALPHA
+) -> bool:
+    """Test whether values jointly differ from zero (Wald).
 
-    They are the best of so many ``looks``. Values with an infinite variance in ``covariance`` (k, k) do not
-    count.
+    Args:
+        values: (k,) estimates.
+        covariance: (k, k) of them; values with an infinite variance do not count.
+        n_candidates: Number of sets of values of which these are the best (Bonferroni).
+        alpha: Level of the test.
     """
     known = np.flatnonzero(np.isfinite(np.diag(covariance)))
     if not len(known):
         return False
     inverse = np.linalg.pinv(covariance[np.ix_(known, known)], hermitian=True)
-    return bool(values[known] @ inverse @ values[known] > stats.chi2.isf(ALPHA / looks, len(known)))
+    return bool(values[known] @ inverse @ values[known] > stats.chi2.isf(alpha / n_candidates, len(known)))
 
 
 def lagged_product(rows: FloatArray, lag: int, begins: Sequence[int] = (0,)) -> FloatArray:
-    """Σ_t row_t·row_{t−lag}ᵀ of rows (n, P), both from the same recording, (P, P)."""
-    parts = [rows[run] for run in runs(begins, len(rows))]
+    """Σ_t row_t·row_{t−lag}ᵀ of rows (n, P) within each recording, (P, P)."""
+    parts = [rows[recording] for recording in recording_slices(begins, len(rows))]
     return np.asarray(sum(part[lag:].T @ part[: len(part) - lag] for part in parts if len(part) > lag))
 
 
-def neighbours(rows: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
-    """Each of some rows (n, …) times the one before it in the same recording, (n − recordings, …)."""
-    return np.concatenate([rows[run][1:] * rows[run][:-1] for run in runs(begins, len(rows))])
+def lag_one_products(rows: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
+    """Each row (n, …) times the row before it in the same recording, (n − recordings, …)."""
+    slices = recording_slices(begins, len(rows))
+    return np.concatenate([rows[recording][1:] * rows[recording][:-1] for recording in slices])
 
 
 def long_run_variance(scores: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
-    """n times the long-run covariance of the mean of rows (n, P), Bartlett kernel."""
+    """Covariance (P, P) of the sum of rows (n, P) that are correlated in time, by a Bartlett kernel.
+
+    Its bandwidth is that of :func:`bandwidth`; recordings, which begin at the rows ``begins``, are
+    independent.
+    """
     total = scores.T @ scores
-    reach = bandwidth(scores, begins)
-    for lag in range(1, reach + 1):
-        weight = 1.0 - lag / (reach + 1)
+    lags = bandwidth(scores, begins)
+    for lag in range(1, lags + 1):
+        weight = 1.0 - lag / (lags + 1)
         cross = lagged_product(scores, lag, begins)
         total = total + weight * (cross + cross.T)
     return np.asarray(total)
 
 
-def modelled_variance(
+def autoregressive_variance(
     jacobian: FloatArray, residuals: FloatArray, channels: int, begins: Sequence[int] = (0,)
 ) -> FloatArray:
-    """Covariance (P, P) of JᵀR where each channel's residuals are an autoregression of themselves.
+    """Covariance (P, P) of Jᵀr with an autoregressive model of each channel's residuals.
 
-    Its order, up to 10, is that of the least AIC; channels are taken as independent.
+    Rows of ``jacobian`` (N, P) and ``residuals`` (N,) are the channels of one sample after the other.
+    Channels are independent, and so are recordings, which begin at the samples ``begins``.
     """
     total = np.zeros((jacobian.shape[1], jacobian.shape[1]))
     for channel in range(channels):
@@ -173,41 +202,58 @@ def modelled_variance(
     return total
 
 
-def autocovariance(residuals: FloatArray, begins: Sequence[int] = (0,)) -> FloatArray:
-    """Autocovariances (lags + 1,) of an autoregression fitted to residuals (n,), as far as they matter."""
+def autocovariance(
+    residuals: FloatArray,
+    begins: Sequence[int] = (0,),
+    *,
+    max_order: int = 10,
+    min_relative_covariance: float = 0.01,
+) -> FloatArray:
+    """Estimate autocovariances by an autoregression (Yule and Walker) whose order has the least AIC.
+
+    Args:
+        residuals: (n,) of one channel.
+        begins: Rows at which recordings begin.
+        max_order: Largest order that is tried.
+        min_relative_covariance: Share of the variance below which covariances at further lags are left out.
+
+    Returns:
+        (lags + 1,) from lag 0.
+    """
     n = len(residuals)
-    orders = min(MOST_ORDERS, n // 10)
+    orders = min(max_order, n // 10)
     power = float(residuals @ residuals) / n
     if power <= 0.0 or orders < 1:
         return np.array([power])
     measured = np.array([float(lagged_product(residuals, lag, begins)) for lag in range(orders + 1)]) / n
     best, weights, score = 0, np.empty(0), n * np.log(power)
     for order in range(1, orders + 1):
-        weights_tried = solve_toeplitz(measured[:order], measured[1 : order + 1])
-        innovation = measured[0] - float(weights_tried @ measured[1 : order + 1])
+        candidate = solve_toeplitz(measured[:order], measured[1 : order + 1])
+        innovation = measured[0] - float(candidate @ measured[1 : order + 1])
         if innovation > 0.0 and n * np.log(innovation) + 2.0 * order < score:
-            best, weights, score = order, weights_tried, n * np.log(innovation) + 2.0 * order
+            best, weights, score = order, candidate, n * np.log(innovation) + 2.0 * order
     covariances = list(measured[: best + 1])
-    while best and len(covariances) < n // 4 and max(abs(x) for x in covariances[-best:]) > FADED * power:
+    smallest = min_relative_covariance * power
+    while best and len(covariances) < n // 4 and max(abs(x) for x in covariances[-best:]) > smallest:
         covariances.append(float(weights @ covariances[: -best - 1 : -1]))
     return np.array(covariances)
 
 
 def bandwidth(scores: FloatArray, begins: Sequence[int] = (0,)) -> int:
-    """Andrews' automatic bandwidth for Bartlett's kernel, from an AR(1) of each column."""
+    """Andrews' (1991) bandwidth in lags for Bartlett's kernel, from an AR(1) of each column (n, P)."""
     n = len(scores)
     if n < 8:
         return 0
     scores = scores[:, np.any(scores, axis=0)]
     power = np.mean(scores**2, axis=0)
-    rho = np.mean(neighbours(scores, begins), axis=0) / np.maximum(power, 1e-300)
+    rho = np.mean(lag_one_products(scores, begins), axis=0) / np.maximum(power, 1e-300)
     rho = np.clip(rho, -0.97, 0.97)
     # columns are weighted to have the same power, so only their correlations count
-    share = (1.0 - rho**2) ** 2
-    top = float(np.sum(4.0 * rho**2 * share / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2)))
-    bottom = float(np.sum(share / (1.0 - rho) ** 4))
-    reach = 1.1447 * (top / max(bottom, 1e-300) * n) ** (1.0 / 3.0)
-    return int(min(np.ceil(reach), n // 4))
+    innovation = (1.0 - rho**2) ** 2
+    numerator = float(np.sum(4.0 * rho**2 * innovation / ((1.0 - rho) ** 6 * (1.0 + rho) ** 2)))
+    denominator = float(np.sum(innovation / (1.0 - rho) ** 4))
+    lags = 1.1447 * (numerator / max(denominator, 1e-300) * n) ** (1.0 / 3.0)
+    return int(min(np.ceil(lags), n // 4))
 
 
 def estimates(
@@ -219,10 +265,19 @@ def estimates(
     unknown: np.ndarray,
     intervals: Sequence[tuple[float, float]],
 ) -> list[Estimate]:
-    """Put values, robust ``covariance`` and ``classical`` covariance (P, P) into a row per parameter.
+    """Put values, errors and intervals into a row per parameter, with a Wald test of each.
 
-    ``unknown`` (P,) marks parameters that take part in a direction which the data do not know;
-    ``intervals`` (P,) are cut at the bounds here. A variance of zero marks a value that was held.
+    Args:
+        parameters: P of them.
+        values: (P,) SI units.
+        covariance: (P, P) robust covariance; a variance of zero marks a value that was held.
+        classical: (P, P) covariance for white residuals.
+        n: Number of residuals.
+        unknown: (P,) of bool, parameters of a direction that the data do not determine.
+        intervals: Lower and upper ends for each parameter; they are cut at its bounds here.
+
+    Returns:
+        The rows in the same order.
     """
     rows = []
     for i, parameter in enumerate(parameters):
@@ -233,7 +288,7 @@ def estimates(
         identifiable = bool(error < max(parameter.scale, abs(value)) and not unknown[i])
         low, high = max(intervals[i][0], parameter.lower), min(intervals[i][1], parameter.upper)
         if np.isnan(error) or not (identifiable or low < high):
-            low = high = np.nan  # nothing is known of it: an interval without width would claim certainty
+            low = high = np.nan  # an interval without width would claim certainty
         rows.append(
             Estimate(
                 name=parameter.name,
@@ -255,30 +310,32 @@ def estimates(
     return rows
 
 
-def stated_estimates(parameters: list[Parameter], values: FloatArray, errors: FloatArray) -> list[Estimate]:
-    """Rows of values (P,) that are taken from elsewhere, with their standard errors (P,)."""
-    spread = np.diag(np.asarray(errors, dtype=np.float64) ** 2)
-    ends = [(float(v - REACH * e), float(v + REACH * e)) for v, e in zip(values, errors, strict=True)]
-    return estimates(parameters, values, spread, spread, 1, np.zeros(len(values), dtype=bool), ends)
+def estimates_from_errors(
+    parameters: list[Parameter], values: FloatArray, errors: FloatArray
+) -> list[Estimate]:
+    """Make rows of values (P,) that are taken from elsewhere, with their standard errors (P,)."""
+    covariance, reach = np.diag(np.asarray(errors, dtype=np.float64) ** 2), ALPHA_QUANTILE
+    ends = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
+    return estimates(parameters, values, covariance, covariance, 1, np.zeros(len(values), dtype=bool), ends)
 
 
-def with_error(row: Estimate, error: float) -> Estimate:
-    """The row with a standard error of at least this."""
+def with_min_error(row: Estimate, error: float) -> Estimate:
+    """The row with a standard error of at least ``error``; interval and test follow from it."""
     if not error > (0.0 if np.isnan(row.std_error) else row.std_error):
         return row
     z = row.value / error
     p_value = float(2.0 * stats.norm.sf(abs(z)))
-    ends = row.value - REACH * error, row.value + REACH * error
-    sure = row.significant and p_value < ALPHA
-    return replace(row, std_error=error, ci99=ends, z=z, p_value=p_value, significant=sure)
+    ends = row.value - ALPHA_QUANTILE * error, row.value + ALPHA_QUANTILE * error
+    significant = row.significant and p_value < ALPHA
+    return replace(row, std_error=error, ci99=ends, z=z, p_value=p_value, significant=significant)
 
 
 def with_wider_error(row: Estimate, error: float, bounds: tuple[float, float]) -> Estimate:
-    """The row with a larger standard error; its interval becomes the hull with what that error gives.
+    """The row with a standard error of at least ``error``, and the hull of its interval and that error's.
 
-    ``bounds`` cut the interval.
+    ``bounds``, a lower and an upper one, cut the interval.
     """
-    wider = with_error(row, error)
+    wider = with_min_error(row, error)
     if wider is row:
         return row
     low = max(min(row.ci99[0], wider.ci99[0]), bounds[0])
@@ -286,14 +343,18 @@ def with_wider_error(row: Estimate, error: float, bounds: tuple[float, float]) -
     return replace(wider, ci99=(low, high))
 
 
-def of_channels(
+def smallest_p_value(
     test: Callable[[FloatArray, slice], float], residuals: FloatArray, begins: Sequence[int] = (0,)
 ) -> float:
-    """p value of a test of each channel of residuals (n, channels) in each recording: the least times all.
+    """Test each channel in each recording, and combine the p values by Bonferroni's correction.
 
-    The test is given a channel's residuals in one recording, and which rows these are.
+    Args:
+        test: Gets a channel's residuals in one recording and the rows of that recording, returns a p value.
+        residuals: (n, channels).
+        begins: Rows at which recordings begin.
     """
-    p_values = [test(column[run], run) for column in residuals.T for run in runs(begins, len(residuals))]
+    slices = recording_slices(begins, len(residuals))
+    p_values = [test(column[rows], rows) for column in residuals.T for rows in slices]
     return min(1.0, len(p_values) * min(p_values))
 
 
@@ -312,7 +373,7 @@ def whiteness(residuals: FloatArray, lags: int = 20) -> float:
 
 
 def autocorrelation(values: FloatArray, lags: int) -> FloatArray:
-    """Sample autocorrelation (lags + 1,) of values (n,) about their mean, from lag 0; all sums over n."""
+    """Sample autocorrelation (lags + 1,) of values (n,) about their mean, from lag 0, with divisor n."""
     centred = values - np.mean(values)
     sums = [float(centred[: len(centred) - k] @ centred[k:]) for k in range(lags + 1)]
     return np.asarray(sums) / max(sums[0], 1e-300)
@@ -321,7 +382,7 @@ def autocorrelation(values: FloatArray, lags: int) -> FloatArray:
 def input_crosscorrelation(residuals: FloatArray, inputs: FloatArray, lags: int = 20) -> float:
     """p value of the test that residuals (n,) are uncorrelated with the input (n,) up to ``lags`` samples.
 
-    Both are filtered with the residuals' own AR(1) first, so that correlated noise is no alarm; then
+    Both are filtered with an AR(1) of the residuals first, so that correlated noise raises no alarm. Then
     n·R² of a regression on the lagged inputs is χ² with as many degrees of freedom as they have rank.
     """
     n = len(residuals) - lags

@@ -1,4 +1,7 @@
-"""The table of a fit: a row per parameter, with error, interval and test."""
+"""The table of a fit: a row per parameter, with standard error, confidence interval and test.
+
+``statistics`` has the covariance behind it, ``intervals`` the ways to make intervals.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import numpy as np
 
 from labhil.identify import statistics
 from labhil.identify.fitted import Fitted, covariances
-from labhil.identify.identifiability import lost_directions, weak_parameters
+from labhil.identify.identifiability import undetermined_directions, weak_parameters
 from labhil.identify.intervals import (
     Intervals,
     bootstrap_intervals,
@@ -25,25 +28,37 @@ from labhil.signals import FloatArray
 
 Interval = tuple[float, float]
 
-ORDERS = 100.0
-"""A size of the rig whose interval reaches this many times as far up as down is not determined."""
 
-FLAT = 10.0
-"""Nor is a value whose profile is this many times as wide as curvature says: it is flat.
+@dataclass(frozen=True, slots=True)
+class UndeterminedOptions:
+    """When an interval is so wide that its parameter counts as not determined (chosen values).
 
-Practical non-identifiability: Raue and others, Bioinformatics 25, 2009.
-"""
+    Practical non-identifiability is a flat profile (Raue and others, Bioinformatics 25, 2009).
 
-NARROW = 0.7
-"""A profile less than this times as wide as its curvature says ends at the edge of a rough valley."""
+    Attributes:
+        max_end_ratio: Upper over lower end of the interval of a positive constant of the rig.
+        max_width_ratio: Width of the interval over that of Wald's.
+        max_correlation: Correlation with the estimate of such a parameter, beyond which another one counts
+            as not determined either.
+    """
 
-TIED = 0.99
-"""Nor is one whose error goes with that of such a value, by this correlation."""
+    max_end_ratio: float = 100.0
+    max_width_ratio: float = 10.0
+    max_correlation: float = 0.99
+
+
+DEFAULT_UNDETERMINED = UndeterminedOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterTable:
-    """Rows with the robust ``covariance`` (P, P, SI) and the projected ``jacobian`` (N, P) behind them."""
+    """Rows of a table with the matrices behind them.
+
+    Attributes:
+        rows: One for each free parameter.
+        covariance: (P, P) robust, SI units.
+        jacobian: (N, P) of the residuals, in units of noise per SI unit, states projected out.
+    """
 
     rows: list[statistics.Estimate]
     covariance: FloatArray
@@ -53,7 +68,13 @@ class ParameterTable:
 def table_of(
     fitted: Fitted, method: Intervals = Intervals.WALD, simultaneous: bool = False
 ) -> ParameterTable:
-    """The table of a fitted model; ``simultaneous`` intervals hold for all parameters together."""
+    """Make the table of a fitted model.
+
+    Args:
+        fitted: The fit.
+        method: How intervals are made.
+        simultaneous: Intervals hold for all parameters together with 99 %, not for each.
+    """
     robust, classical, jacobian = covariances(fitted)
     chosen = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
@@ -72,18 +93,23 @@ def widen(
     parameters: Sequence[Parameter],
     values: Sequence[Mapping[str, float]],
     errors: Sequence[Mapping[str, float]],
-    moved: FloatArray,
+    shifts: FloatArray,
 ) -> ParameterTable:
-    """The table of a model that does not explain its data, with how far its estimates move in the errors.
+    """Widen the errors of a model that does not explain its data by the bias that the data show.
 
-    ``values`` and ``errors`` are those of fits on windows of other lengths, ``moved`` (P,) what the input
-    between samples may do. A complete model gives the same
-    values on all of them, up to its errors; the variance beyond these is the part of the bias that the data
-    show, and is added. What all lengths have in common stays unseen.
+    A complete model gives the same estimates on windows of any length, up to their errors. The variance
+    beyond these errors is added. A bias that all lengths have in common remains unseen.
+
+    Args:
+        table: Of the fit.
+        parameters: P of them, in the order of the rows.
+        values: Estimates by key of fits on windows of other lengths, SI units.
+        errors: Their standard errors.
+        shifts: (P,) changes of the estimates by the unknown course of the input between samples.
     """
     spread = np.array([_spread(row, values, errors) for row in table.rows])
     old = np.array([row.std_error for row in table.rows])
-    new = np.sqrt(old**2 + spread**2 + moved**2)
+    new = np.sqrt(old**2 + spread**2 + shifts**2)
     known = np.isfinite(new) & (old > 0.0)
     factor = np.where(known, new, 1.0) / np.where(known, old, 1.0)
     rows = [
@@ -97,7 +123,7 @@ def widen(
 def _spread(
     row: statistics.Estimate, values: Sequence[Mapping[str, float]], errors: Sequence[Mapping[str, float]]
 ) -> float:
-    """RMS distance of other estimates of a parameter, less what their own errors explain."""
+    """RMS distance of other estimates of a parameter, less the part that their own errors explain."""
     excess = [
         max((value[row.key] - row.value) ** 2 - error[row.key] ** 2, 0.0)
         for value, error in zip(values, errors, strict=True)
@@ -107,28 +133,38 @@ def _spread(
 
 
 def _mark_undetermined(
-    rows: list[statistics.Estimate], parameters: list[Parameter], covariance: FloatArray, reach: float
+    rows: list[statistics.Estimate],
+    parameters: list[Parameter],
+    covariance: FloatArray,
+    reach: float,
+    options: UndeterminedOptions = DEFAULT_UNDETERMINED,
 ) -> list[statistics.Estimate]:
-    """The rows, not identifiable where an interval is open, nor where an error is tied to such a value's."""
-    open_ended = np.array([_is_open(row, p, reach) for row, p in zip(rows, parameters, strict=True)])
+    """Mark rows as not identifiable whose interval is too wide, and those that are correlated with such."""
+    too_wide = np.array(
+        [_is_too_wide(row, p, reach, options) for row, p in zip(rows, parameters, strict=True)]
+    )
     errors = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    seen = np.isfinite(errors)
-    tied = np.zeros((len(rows), len(rows)), dtype=bool)
-    both = np.ix_(seen, seen)
-    tied[both] = np.abs(covariance[both] / np.outer(errors[seen], errors[seen])) > TIED
-    lost = open_ended | (tied & open_ended).any(axis=1)
+    finite = np.isfinite(errors)
+    correlated = np.zeros((len(rows), len(rows)), dtype=bool)
+    block = np.ix_(finite, finite)
+    correlation = np.abs(covariance[block] / np.outer(errors[finite], errors[finite]))
+    correlated[block] = correlation > options.max_correlation
+    undetermined = too_wide | (correlated & too_wide).any(axis=1)
     return [
-        replace(row, identifiable=False, significant=False) if gone else row
-        for row, gone in zip(rows, lost, strict=True)
+        replace(row, identifiable=False, significant=False) if marked else row
+        for row, marked in zip(rows, undetermined, strict=True)
     ]
 
 
-def _is_open(row: statistics.Estimate, parameter: Parameter, reach: float) -> bool:
-    """Whether the interval spans orders of magnitude, or far more than curvature says."""
+def _is_too_wide(
+    row: statistics.Estimate, parameter: Parameter, reach: float, options: UndeterminedOptions
+) -> bool:
+    """Whether the interval spans orders of magnitude, or far more than Wald's."""
     low, high = row.ci99
-    size = parameter.term is None and parameter.lower > 0.0
-    flat = not parameter.in_steps and high - low > FLAT * 2.0 * reach * row.std_error
-    return (size and high > ORDERS * low) or flat
+    is_positive = parameter.term is None and parameter.lower > 0.0
+    wald_width = 2.0 * reach * row.std_error
+    is_flat = not parameter.in_steps and high - low > options.max_width_ratio * wald_width
+    return (is_positive and high > options.max_end_ratio * low) or is_flat
 
 
 def _intervals(
@@ -139,44 +175,45 @@ def _intervals(
     jacobian: FloatArray,
     reach: float,
 ) -> list[Interval]:
-    """Intervals of all parameters (SI), ``reach`` normal standard errors wide, rivals included."""
+    """Intervals of all parameters (SI), ``reach`` normal standard errors to either side, rivals included."""
     problem, solution = fitted.problem, fitted.solution
     values, errors = fitted.theta[problem.free], np.sqrt(np.maximum(np.diag(robust), 0.0))
-    seen = np.isfinite(np.diag(robust))
+    finite = np.isfinite(np.diag(robust))
     inflation = np.ones(len(values))
-    inflation[seen] = np.diag(robust)[seen] / np.maximum(np.diag(classical)[seen], 1e-300)
+    inflation[finite] = np.diag(robust)[finite] / np.maximum(np.diag(classical)[finite], 1e-300)
     ends = [(float(v - reach * e), float(v + reach * e)) for v, e in zip(values, errors, strict=True)]
     if method is Intervals.BOOTSTRAP:
         begins = [row * len(problem.sigma) for row in problem.begins]
         ends = bootstrap_intervals(
             jacobian, solution.residuals, values, fitted.dof, reach, begins=tuple(begins)
         )
-    followed = np.isfinite(errors) & _needs_profile(fitted, errors, method)
-    if np.any(followed):
-        profiles = _profiles(fitted, followed, jacobian, inflation, reach)
+    profiled = np.isfinite(errors) & _needs_profile(fitted, errors, method)
+    if np.any(profiled):
+        profiles = _profiles(fitted, profiled, jacobian, inflation, reach)
         parameters = [problem.model.parameters[i] for i in problem.free]
         ends = [
-            wald if profile is None else _wide_enough(profile, wald, parameter)
+            wald if profile is None else _with_min_width(profile, wald, parameter)
             for profile, wald, parameter in zip(profiles, ends, parameters, strict=True)
         ]
     for rival in fitted.rivals:
-        ends = [_hull(*both) for both in zip(ends, _of_rival(rival, fitted, inflation, reach), strict=True)]
+        further = _intervals_of_rival(rival, fitted, inflation, reach)
+        ends = [_hull(*pair) for pair in zip(ends, further, strict=True)]
     return ends
 
 
 def _profiles(
-    fitted: Fitted, followed: np.ndarray, jacobian: FloatArray, inflation: FloatArray, reach: float
+    fitted: Fitted, profiled: np.ndarray, jacobian: FloatArray, inflation: FloatArray, reach: float
 ) -> list[Interval | None]:
-    """Profile intervals of the parameters ``followed`` (P,), None for others.
+    """Profile intervals of the parameters ``profiled`` (P,) of bool, None for others.
 
-    Where the data know nothing of a direction, one parameter of it is held and none of it followed: that
-    changes no profile of the others, and the refits along them need not wander.
+    Of each direction that the data do not determine, one parameter is held and none is profiled. This changes
+    no profile of the others, and keeps their refits from drifting along it.
     """
     full_problem, theta, free = fitted.problem, fitted.theta, fitted.problem.free
     parameters = [full_problem.model.parameters[i] for i in free]
-    lost, involved = lost_directions(parameters, theta[free], jacobian, fitted.noise)
-    kept = np.delete(np.arange(len(free)), lost)
-    problem = full_problem.pin(lost, theta)
+    held, involved = undetermined_directions(parameters, theta[free], jacobian, fitted.noise)
+    kept = np.delete(np.arange(len(free)), held)
+    problem = full_problem.pin(held, theta)
     point = Point(fitted.solution.point.z[kept], fitted.solution.point.states)
     solution = replace(fitted.solution, point=point)
     scaled = jacobian[:, kept] * problem.scale
@@ -184,22 +221,29 @@ def _profiles(
     covariance = inverse_information(scaled / unit) / np.outer(unit, unit) * fitted.noise**2
     ends: list[Interval | None] = [None] * len(free)
     for j, place in enumerate(kept):
-        if followed[place] and not involved[place]:
+        if profiled[place] and not involved[place]:
             ends[place] = profile_interval(problem, solution, j, covariance, float(inflation[place]), reach)
     full_problem.evaluations += problem.evaluations
     return ends
 
 
-def _wide_enough(profile: Interval, wald: Interval, parameter: Parameter) -> Interval:
-    """The profile's interval, or where it is too narrow to be smooth the hull of both, within bounds."""
-    if profile[1] - profile[0] > NARROW * (wald[1] - wald[0]):
+def _with_min_width(
+    profile: Interval, wald: Interval, parameter: Parameter, *, min_width_ratio: float = 0.7
+) -> Interval:
+    """The profile's interval, or where it is much narrower than Wald's the hull of both, within bounds.
+
+    A profile that is so narrow has stopped at the edge of a rough valley of the cost.
+    """
+    if profile[1] - profile[0] > min_width_ratio * (wald[1] - wald[0]):
         return profile
     low, high = _hull(profile, wald)
     return max(low, parameter.lower), min(high, parameter.upper)
 
 
-def _of_rival(rival: Fitted, best: Fitted, inflation: FloatArray, reach: float) -> list[Interval | None]:
-    """What a rival adds to every interval: as far as the likelihood that its higher cost leaves it."""
+def _intervals_of_rival(
+    rival: Fitted, best: Fitted, inflation: FloatArray, reach: float
+) -> list[Interval | None]:
+    """Intervals around a rival minimum, narrower as its cost is higher; None where it is out of reach."""
     _, classical, _ = covariances(rival)
     values, errors = rival.theta[rival.problem.free], np.sqrt(np.maximum(np.diag(classical), 0.0))
     excess = max(rival.solution.cost - best.solution.cost, 0.0) / best.noise**2
@@ -208,13 +252,14 @@ def _of_rival(rival: Fitted, best: Fitted, inflation: FloatArray, reach: float) 
 
 
 def _hull(one: Interval, other: Interval | None) -> Interval:
+    """The smallest interval that contains both."""
     return one if other is None else (min(one[0], other[0]), max(one[1], other[1]))
 
 
 def _needs_profile(fitted: Fitted, errors: FloatArray, method: Intervals) -> np.ndarray:
-    """Which free parameters get a profile, (P,) of bool: by their ``errors`` (P,), SI, by the method, or all.
+    """Mark the free parameters whose interval is a profile, (P,) of bool; ``errors`` (P,) are in SI units.
 
-    Where a simulation goes in steps no slope gives an interval, whatever the method.
+    A parameter by which the simulation changes in steps always gets one, since slopes do not give its error.
     """
     parameters = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     in_steps = np.array([p.in_steps for p in parameters], dtype=bool)
@@ -224,12 +269,12 @@ def _needs_profile(fitted: Fitted, errors: FloatArray, method: Intervals) -> np.
 
 
 def _is_curved(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) -> np.ndarray:
-    """Which free parameters have a cost that is no parabola, (P,) of bool.
+    """Mark the free parameters whose cost is no parabola, (P,) of bool.
 
-    Those of a term with a shape, and sizes that cannot be zero and are poorly known (``errors``, SI).
+    These are parameters of a term with a shape, and poorly known positive constants (``errors``, SI units).
     """
     model, free = fitted.problem.model, fitted.problem.free
     shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
-    of_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
-    is_size = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)
-    return of_shape | (is_size & (errors > POORLY_KNOWN * np.abs(fitted.theta[free])))
+    has_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
+    is_positive = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)
+    return has_shape | (is_positive & (errors > POORLY_KNOWN * np.abs(fitted.theta[free])))

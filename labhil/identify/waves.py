@@ -14,7 +14,7 @@ import numpy as np
 
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Point, Problem
-from labhil.identify.projection import Unexplained
+from labhil.identify.projection import ProjectedResiduals
 from labhil.identify.quantiser import converter_step
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
@@ -89,7 +89,7 @@ def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
         fitted.theta, problem.record, problem.windows, fitted.solution.point.states
     )
     waves = [p for p in term.parameters if p is not order]
-    scan = Scan(Unexplained.of(fitted), order, waves, along[order.waves_over])
+    scan = Scan(ProjectedResiduals.of(fitted), order, waves, along[order.waves_over])
     keys = [p.key for p in waves]
     return [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
 
@@ -98,7 +98,7 @@ def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
 class Scan:
     """What waves of any order would explain of what a fit leaves; ``way`` (N,) is the coordinate along it."""
 
-    unexplained: Unexplained
+    unexplained: ProjectedResiduals
     order: Parameter
     waves: list[Parameter]
     way: FloatArray
@@ -164,10 +164,10 @@ class Scan:
             columns.append(unexplained.residual_change(theta))
         both = np.column_stack(columns)
         if one_phase:
-            both = unexplained.beside(both)
+            both = unexplained.project_out_all(both)
             gram, pull = (both.T @ both)[None], (both.T @ unexplained.target)[None]
         else:
-            both = unexplained.beside_states(both)
+            both = unexplained.project_out_states(both)
             gram = problem.products(both, both)
             pull = problem.products(both, unexplained.target[:, None])[:, :, 0]
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300

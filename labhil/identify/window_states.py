@@ -120,7 +120,7 @@ def grow_states(problem: Problem, z: FloatArray, shortest: float) -> FloatArray:
     while length < rows.max():
         ends = np.minimum(windows.first + length, windows.last)
         spans = list(zip(windows.first.tolist(), ends.tolist(), strict=True))
-        begins = problem.on_windows(Windows.of(spans))
+        begins = problem.with_windows(Windows.of(spans))
         states = fit_states(begins, z, states)
         length *= 4
     return fit_states(problem, z, states)
@@ -149,7 +149,7 @@ def _from_other_velocities(problem: Problem, z: FloatArray, estimate: States, wh
     moving = _velocities(problem)
     if not len(which) or not moving.any():
         return estimate
-    part = problem.of_windows(which)
+    part = problem.select_windows(which)
     best = _of_windows(problem, estimate, which)
     for offset in OTHER_VELOCITIES:
         begin = part.guess + offset * problem.model.state_scale * moving
@@ -233,7 +233,7 @@ def _search_noisy(problem: Problem, z: FloatArray, estimate: States) -> States:
     bad = _noisy_windows(problem, estimate)
     if not len(bad):
         return estimate
-    part = problem.of_windows(bad)
+    part = problem.select_windows(bad)
     states = search_states(part, z, estimate.states[bad], np.random.default_rng(0))
     return _with_windows(problem, estimate, bad, evaluate(part, z, states))
 
@@ -242,7 +242,7 @@ def _grow_windows(problem: Problem, z: FloatArray, estimate: States, which: IntA
     """The better, in some windows, of the estimate and one on more and more of each window."""
     if not len(which):
         return estimate
-    part = problem.of_windows(which)
+    part = problem.select_windows(which)
     grown = evaluate(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
     best = _of_windows(problem, estimate, which).or_better(part, grown)
     return _with_windows(problem, estimate, which, best)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.estimators.search import Box, Budget, Ledger
-from labhil.identify.estimators.swarm import PER_DIMENSION, text_swarm
+from labhil.identify.estimators.search import Box, Budget, CostEvaluator
+from labhil.identify.estimators.swarm import PARTICLES_PER_DIMENSION, reference_swarm
 from labhil.signals import FloatArray
 
 Function = Callable[[FloatArray], FloatArray]
@@ -23,14 +23,14 @@ class Flight:
     value: float
 
 
-class _Batches(Ledger):
-    """A ledger whose populations are evaluated in one call."""
+class _Batches(CostEvaluator):
+    """An evaluator whose populations are evaluated in one call."""
 
     def __init__(self, costs: Function, box: Box, budget: Budget) -> None:
         super().__init__(lambda z: float(costs(z[None, :])[0]), box, budget)
         self._costs = costs
 
-    def many(self, points: FloatArray) -> FloatArray:
+    def evaluate_all(self, points: FloatArray) -> FloatArray:
         """Costs (n,) of points (n, k)."""
         inside = self.box.clip(points)
         return np.array([self._note(z, float(c)) for z, c in zip(inside, self._costs(inside), strict=True)])
@@ -41,7 +41,7 @@ def maximise(function: Function, lower: FloatArray, upper: FloatArray, seed: int
 
     The swarm is that of equations 3.1 to 3.3, with ten particles per dimension and walls at the bounds.
     """
-    budget = Budget(PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
-    ledger = _Batches(lambda X: -function(X), Box(lower, upper), budget)
-    result = text_swarm(ledger, seed, iterations=iterations)
+    budget = Budget(PARTICLES_PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
+    evaluator = _Batches(lambda X: -function(X), Box(lower, upper), budget)
+    result = reference_swarm(evaluator, seed, iterations=iterations)
     return Flight(result.z, -result.cost)

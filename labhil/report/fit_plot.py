@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore
-from labhil.identify.statistics import autocorrelation, runs
+from labhil.identify.statistics import autocorrelation, recording_slices
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
@@ -84,7 +84,7 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
 
 def draw_autocorrelation(axes: Axes, fit: Fit, j: int) -> None:
     """Autocorrelation of the fitted residuals of output ``j``, the mean over the recordings."""
-    slices = runs(fit.fitted.problem.begins, len(fit.residuals))
+    slices = recording_slices(fit.fitted.problem.begins, len(fit.residuals))
     residuals = [fit.residuals[run, j] for run in slices]
     lengths = [len(series) for series in residuals]
     lags = min(LAGS, max(1, min(lengths) // 3))

@@ -18,7 +18,7 @@ from labhil.analysis.schema import (
     Score,
     Source,
 )
-from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
+from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.diagnose.fault import Kind
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import group_undecided, joints_table, limits_by_joint
@@ -261,7 +261,7 @@ def next_steps_lines(steps: Sequence[str]) -> Iterator[RenderableType]:
 def _findings(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
     """Faults, place, missing terms with their rivals, changed values."""
     terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
-    suffices = f"p {p_text(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
+    suffices = f"p {p_text(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
     yield Text(f"Baseline: {terms}; {suffices}.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")

@@ -19,7 +19,7 @@ from labhil.analysis.schema import (
     Rival,
     Score,
 )
-from labhil.analysis.verdicts import FIT_VERDICTS, NOT_ASKED, VERDICTS, disagreement
+from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import group_undecided, joints_table, limits_by_joint
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
@@ -215,7 +215,7 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
     head = Text()
     head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(diagnosis.baseline.terms))}; ", style=colours["muted"])
-    suffices = f"p {p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_ASKED
+    suffices = f"p {p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
     head.append(f"{suffices}\n", style=colours["muted"])
     if not diagnosis.complete:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])

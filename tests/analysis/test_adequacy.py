@@ -18,7 +18,7 @@ from labhil.analysis.results import fit_json
 from labhil.analysis.schema import FitPart, validate
 from labhil.analysis.verdicts import fit_verdict
 from labhil.diagnose.intake import Kind, assess_usability, faults_of
-from labhil.identify.adequacy import EXPLAINED_TO, FitVerdict, adequacy_of
+from labhil.identify.adequacy import MAX_EXPLAINED_RATIO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
 from labhil.report.text import show_fit
 
@@ -49,7 +49,7 @@ def test_a_complete_model_explains_and_its_parameters_are_starred(motor):
     found = fit(motor.model, motor.record, TERMS, options=FAST)
     assert found.adequacy.verdict is FitVerdict.EXPLAINED
     assert set(found.adequacy.residual_over_noise) == {"speed", "current"}
-    assert all(ratio < EXPLAINED_TO for ratio in found.adequacy.residual_over_noise.values())
+    assert all(ratio < MAX_EXPLAINED_RATIO for ratio in found.adequacy.residual_over_noise.values())
     text = shown(found)
     assert text.startswith("Explained to the noise: residual of ")
     assert " * " in text

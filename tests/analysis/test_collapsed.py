@@ -19,7 +19,7 @@ from labhil.diagnose.begin import data_of
 from labhil.diagnose.collapsed import NEAR, bound_near_nominal, find_collapsed
 from labhil.diagnose.diagnosis import _changes, diagnose
 from labhil.identify.fitted import fit_terms
-from labhil.identify.statistics import stated_estimates
+from labhil.identify.statistics import estimates_from_errors
 from labhil.identify.windows import split
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.dc_motor import DcMotorModel
@@ -126,13 +126,13 @@ def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nomina
 
 
 def test_a_value_that_was_held_has_no_interval():
-    (row,) = stated_estimates([SIZE], np.array([2.0]), np.array([0.0]))
+    (row,) = estimates_from_errors([SIZE], np.array([2.0]), np.array([0.0]))
     assert not row.identifiable and not row.significant
     assert finite(row.ci99) == [None, None] and finite(row.std_error) is None
 
 
 def test_a_change_has_to_beat_the_errors_of_both_values():
-    (row,) = stated_estimates([SIZE], np.array([-10.5]), np.array([0.3]))
+    (row,) = estimates_from_errors([SIZE], np.array([-10.5]), np.array([0.3]))
     row = replace(row, identifiable=True)
 
     def accepted(error: float) -> Accepted:

@@ -7,7 +7,7 @@ import pytest
 
 from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.evidence import Evidence, independent_samples
-from labhil.identify.table import _wide_enough
+from labhil.identify.table import _with_min_width
 from labhil.physics.terms import Parameter
 
 
@@ -28,9 +28,9 @@ def test_what_is_left_and_what_stands_beside_it_make_a_claim_doubtful():
 
 def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():
     free = Parameter("mass", "kg", 1.0, 0.2, 9.0)
-    assert _wide_enough((0.9, 1.1), (0.85, 1.15), free) == (0.85, 1.15)
-    assert _wide_enough((0.7, 1.6), (0.8, 1.2), free) == (0.7, 1.6)
-    assert _wide_enough((0.9, 1.1), (-1.0, 3.0), free) == (0.2, 3.0)
+    assert _with_min_width((0.9, 1.1), (0.85, 1.15), free) == (0.85, 1.15)
+    assert _with_min_width((0.7, 1.6), (0.8, 1.2), free) == (0.7, 1.6)
+    assert _with_min_width((0.9, 1.1), (-1.0, 3.0), free) == (0.2, 3.0)
 
 
 def test_data_are_worth_as_many_samples_as_their_residuals_are_independent():

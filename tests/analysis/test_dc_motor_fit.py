@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labhil.identify.fit import fit
-from labhil.identify.further_channels import with_help
+from labhil.identify.further_channels import suggest_measurements
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.dc_motor import DcMotorPlant
@@ -47,7 +47,7 @@ def test_from_speed_alone_a_scale_is_unknown_and_the_current_would_tell():
     record = record_of("speed")
     rig = default_rig("dc_motor")
     found = fit(model_for(rig, record), record, TERMS)
-    judged = with_help(found.identifiability, rig, found.fitted)
+    judged = suggest_measurements(found.identifiability, rig, found.fitted)
     rows = {row.name: row for row in found.estimates}
     assert judged.rank < judged.of
     assert "current" in judged.would_help

@@ -7,7 +7,7 @@ import pytest
 
 from labhil.diagnose.discrepancy import absent_effects, discrepancy_shifts
 from labhil.identify.fitted import fit_terms
-from labhil.identify.statistics import REACH
+from labhil.identify.statistics import ALPHA_QUANTILE
 from labhil.identify.table import table_of
 from labhil.identify.windows import noise_of
 
@@ -40,8 +40,8 @@ def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, flo
 def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, missing: str) -> None:
     for seed in SEEDS:
         value, error, moved = estimate(model, acquire, missing, seed)
-        assert abs(value - TRUE) > REACH * error  # the fit alone is sure of what is wrong
-        assert abs(value - TRUE) < REACH * np.hypot(error, moved)
+        assert abs(value - TRUE) > ALPHA_QUANTILE * error  # the fit alone is sure of what is wrong
+        assert abs(value - TRUE) < ALPHA_QUANTILE * np.hypot(error, moved)
         assert moved < 0.5 * TRUE
 
 

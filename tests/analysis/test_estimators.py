@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from labhil.errors import MissingExtraError, UnknownNameError
-from labhil.identify.estimators import ESTIMATORS, METHODS, Budget, Ledger, estimator_named, search
+from labhil.identify.estimators import ESTIMATORS, METHODS, Budget, CostEvaluator, check_estimator, search
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.estimators.search import Box
-from labhil.identify.estimators.swarm import text_swarm
+from labhil.identify.estimators.swarm import reference_swarm
 from labhil.identify.problem import Problem
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
@@ -104,8 +104,8 @@ def test_no_point_outside_the_box_is_ever_tried(name, middle, width, seed, given
         # downhill through a corner, and no number in a part of the box
         return float(np.nan if z[0] > middle[0] + 0.8 * width else np.sum(z))
 
-    ledger = Ledger(cost, limits, Budget(150))
-    found = METHODS[name](ledger, seed, limits.upper + 1.0 if given_start else None)
+    evaluator = CostEvaluator(cost, limits, Budget(150))
+    found = METHODS[name](evaluator, seed, limits.upper + 1.0 if given_start else None)
     points = np.array(tried)
     assert np.all((points >= limits.lower) & (points <= limits.upper))
     assert found.evaluations == len(tried)
@@ -123,7 +123,7 @@ def test_a_seed_repeats_every_point_bit_for_bit_and_leaves_others_draws_alone(na
             tried.append(z.copy())
             return rosenbrock(z)
 
-        METHODS[name](Ledger(cost, box(2), Budget(300)), seed)
+        METHODS[name](CostEvaluator(cost, box(2), Budget(300)), seed)
         return np.array(tried)
 
     np.random.seed(5)
@@ -136,7 +136,7 @@ def test_a_seed_repeats_every_point_bit_for_bit_and_leaves_others_draws_alone(na
 
 @pytest.mark.parametrize("name", ["pso", "pso_adaptive", "pso_de"])
 def test_threads_change_nothing(name):
-    one, four = (METHODS[name](Ledger(rosenbrock, box(2), Budget(600), threads=n), 3) for n in (1, 4))
+    one, four = (METHODS[name](CostEvaluator(rosenbrock, box(2), Budget(600), threads=n), 3) for n in (1, 4))
     assert np.array_equal(one.z, four.z)
     assert one.history == four.history
 
@@ -149,7 +149,9 @@ ROUNDS = {"pso": 100, "pso_adaptive": 100}
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("size", [1, 3])
 def test_every_method_finds_the_minimum_of_a_quadratic(name, size):
-    found = METHODS[name](Ledger(quadratic, box(size), Budget(4000)), 1, iterations=ROUNDS.get(name, 1000))
+    found = METHODS[name](
+        CostEvaluator(quadratic, box(size), Budget(4000)), 1, iterations=ROUNDS.get(name, 1000)
+    )
     np.testing.assert_allclose(found.z, SHIFT[:size], atol=LOOSE.get(name, 0.02))
     assert found.cost == quadratic(found.z)
     assert found.evaluations <= 4000 + 2 * 10 * size
@@ -157,7 +159,9 @@ def test_every_method_finds_the_minimum_of_a_quadratic(name, size):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_finds_the_end_of_rosenbrocks_valley(name):
-    found = METHODS[name](Ledger(rosenbrock, box(2), Budget(6000)), 2, iterations=ROUNDS.get(name, 1000) * 3)
+    found = METHODS[name](
+        CostEvaluator(rosenbrock, box(2), Budget(6000)), 2, iterations=ROUNDS.get(name, 1000) * 3
+    )
     np.testing.assert_allclose(found.z, [1.0, 1.0], atol=2.0 * LOOSE.get(name, 0.02))
 
 
@@ -169,7 +173,7 @@ def test_the_texts_swarm_moves_by_equations_3_1_to_3_3():
         tried.append(z.copy())
         return rosenbrock(z)
 
-    text_swarm(Ledger(cost, box(size), Budget(61)), seed, iterations=rounds)
+    reference_swarm(CostEvaluator(cost, box(size), Budget(61)), seed, iterations=rounds)
     random, count = np.random.default_rng(seed), 20
     places = random.uniform(-2.0, 2.0, (count, size))
     speeds = np.zeros((count, size))
@@ -192,25 +196,25 @@ def test_the_texts_swarm_moves_by_equations_3_1_to_3_3():
 @pytest.mark.parametrize("name", [name for name in METHODS if name != "mcmc"])
 def test_a_search_ends_for_the_reason_that_it_names(name):
     method = METHODS[name]
-    near = method(Ledger(quadratic, box(2), Budget(100_000, threshold=0.1)), 1)
+    near = method(CostEvaluator(quadratic, box(2), Budget(100_000, threshold=0.1)), 1)
     assert near.stopped_because == "below the threshold"
     assert near.cost <= 0.1
-    short = method(Ledger(quadratic, box(2), Budget(100)), 1)
+    short = method(CostEvaluator(quadratic, box(2), Budget(100)), 1)
     assert short.stopped_because == "evaluations are used up"
     assert 100 <= short.evaluations < 160
     if name != "simulated_annealing":
-        flat = method(Ledger(lambda z: 1.0 + 0.0 * z[0], box(2), Budget(100_000, patience=3)), 1)
+        flat = method(CostEvaluator(lambda z: 1.0 + 0.0 * z[0], box(2), Budget(100_000, patience=3)), 1)
         assert flat.stopped_because in ("no gain in 3 rounds", "finished")
         assert flat.evaluations < 500
         sinking = Budget(100_000, threshold=-np.inf, patience=3)
-        below_zero = method(Ledger(lambda z: -1.0 + 0.0 * z[0], box(2), sinking), 1)
+        below_zero = method(CostEvaluator(lambda z: -1.0 + 0.0 * z[0], box(2), sinking), 1)
         assert below_zero.evaluations == flat.evaluations
 
 
 def test_the_history_is_the_best_cost_after_each_round_and_is_told():
     told: list[str] = []
-    ledger = Ledger(rosenbrock, box(2), Budget(500), told.append)
-    found = METHODS["pso_de"](ledger, 1)
+    evaluator = CostEvaluator(rosenbrock, box(2), Budget(500), told.append)
+    found = METHODS["pso_de"](evaluator, 1)
     assert list(found.history) == sorted(found.history, reverse=True)
     assert found.history[-1] == found.cost
     assert len(told) == len(found.history)
@@ -308,16 +312,16 @@ def test_a_missing_package_is_named_with_its_extra(name, package, monkeypatch):
 
 
 def test_names_are_checked():
-    assert estimator_named("hybrid") == "hybrid"
+    assert check_estimator("hybrid") == "hybrid"
     with pytest.raises(UnknownNameError, match="did you mean 'pso_de'"):
-        estimator_named("pso_dee")
+        check_estimator("pso_dee")
 
 
 def test_draws_of_a_gaussian_have_its_mean_and_covariance():
     covariance = np.array([[0.04, 0.03], [0.03, 0.09]])
     precision = np.linalg.inv(covariance)
-    ledger = Ledger(lambda z: float(z @ precision @ z), box(2, 5.0), Budget(40_000))
-    found = METHODS["mcmc"](ledger, 6, np.zeros(2), iterations=2000)
+    evaluator = CostEvaluator(lambda z: float(z @ precision @ z), box(2, 5.0), Budget(40_000))
+    found = METHODS["mcmc"](evaluator, 6, np.zeros(2), iterations=2000)
     assert found.draws is not None
     # 2000 steps of 8 walkers, halved, some 30 steps of autocorrelation: about 250 draws of their own
     assert np.all(np.abs(found.draws.mean(axis=0)) < 4.0 * np.sqrt(np.diag(covariance) / 250))

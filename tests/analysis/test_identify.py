@@ -131,7 +131,7 @@ def test_variance_of_a_mean_is_that_of_an_autoregression():
     random = np.random.default_rng(2)
     noise = lfilter([1.0], [1.0, -0.7], random.standard_normal((200, 600)))[:, 100:]
     ones = np.ones((500, 1))
-    found = [statistics.modelled_variance(ones, r - r.mean(), 1)[0, 0] / 500**2 for r in noise]
+    found = [statistics.autoregressive_variance(ones, r - r.mean(), 1)[0, 0] / 500**2 for r in noise]
     assert np.mean(found) == pytest.approx(1.0 / 0.3**2 / 500, rel=0.06)
 
 

@@ -8,7 +8,12 @@ from scipy import stats
 
 from labhil.diagnose.statements import sum_or_difference
 from labhil.errors import UnknownNameError
-from labhil.identify.identifiability import Identifiability, identifiability, weak_parameters, what_would_help
+from labhil.identify.identifiability import (
+    Identifiability,
+    identifiability,
+    weak_parameters,
+    with_helpful_options,
+)
 from labhil.identify.intervals import (
     Intervals,
     bootstrap_intervals,
@@ -16,7 +21,7 @@ from labhil.identify.intervals import (
     quantile,
     simultaneous_quantile,
 )
-from labhil.identify.statistics import nonzero
+from labhil.identify.statistics import differ_from_zero
 from labhil.physics.terms import Parameter
 
 N, P = 300, 3
@@ -100,17 +105,17 @@ def test_what_the_noise_drowns_is_weak_and_what_it_does_not_is_known():
 def test_channels_that_free_a_direction_are_named():
     lacking = Identifiability(2, 3, ("a·b",), ())
     options = {"current": lambda: Identifiability(3, 3, (), ()), "angle": lambda: lacking}
-    assert what_would_help(lacking, options).would_help == ("current",)
+    assert with_helpful_options(lacking, options).would_help == ("current",)
     whole = Identifiability(3, 3, (), ())
-    assert what_would_help(whole, options) is whole
+    assert with_helpful_options(whole, options) is whole
 
 
 def test_two_sizes_are_told_from_zero_together_where_only_their_sum_is_known():
     """A dead zone's width, where its middle is tied to a constant force."""
     tied = np.array([[22.0, -21.9], [-21.9, 22.0]])
-    assert nonzero(np.array([6.0, 5.9]), tied)
-    assert not any(nonzero(np.array([size]), np.array([[22.0]])) for size in (6.0, 5.9))
-    assert not nonzero(np.array([6.0, -5.9]), tied)
+    assert differ_from_zero(np.array([6.0, 5.9]), tied)
+    assert not any(differ_from_zero(np.array([size]), np.array([[22.0]])) for size in (6.0, 5.9))
+    assert not differ_from_zero(np.array([6.0, -5.9]), tied)
 
 
 def test_of_two_sizes_that_are_tied_what_is_known_better_is_said():
@@ -126,13 +131,13 @@ def test_of_two_sizes_that_are_tied_what_is_known_better_is_said():
 
 def test_the_best_of_many_looks_must_stand_out_further():
     values, covariance = np.array([3.0, 1.0]), np.eye(2)
-    assert nonzero(values, covariance)
-    assert not nonzero(values, covariance, looks=150)
+    assert differ_from_zero(values, covariance)
+    assert not differ_from_zero(values, covariance, n_candidates=150)
 
 
 def test_what_nothing_is_known_of_says_nothing():
-    assert not nonzero(np.array([6.0]), np.array([[np.inf]]))
-    assert nonzero(np.array([6.0, 6.0]), np.diag([np.inf, 1.0]))
+    assert not differ_from_zero(np.array([6.0]), np.array([[np.inf]]))
+    assert differ_from_zero(np.array([6.0, 6.0]), np.diag([np.inf, 1.0]))
 
 
 @pytest.mark.extended
@@ -140,5 +145,5 @@ def test_as_often_as_promised_nothing_is_told_from_zero():
     random = np.random.default_rng(3)
     covariance = np.array([[2.0, -1.0], [-1.0, 1.0]])
     draws = random.multivariate_normal(np.zeros(2), covariance, 4000)
-    alarms = sum(nonzero(each, covariance) for each in draws)
+    alarms = sum(differ_from_zero(each, covariance) for each in draws)
     assert stats.binomtest(alarms, len(draws), 0.01).pvalue > 1e-3

@@ -24,9 +24,9 @@ from labhil.identify.linear import (
     study_text,
 )
 from labhil.identify.linear.baselines import dead_time
-from labhil.identify.linear.filters import stabilise, stable, unbounded
+from labhil.identify.linear.filters import stabilise, stable_polynomial, unconstrained_parameters
 from labhil.identify.linear.polynomial import PolynomialModel, fit_box_jenkins
-from labhil.identify.linear.study import evenly
+from labhil.identify.linear.study import resample_evenly
 from labhil.identify.linear.transfer_function import TransferFunctionModel
 from labhil.physics.model import Record
 from labhil.signals import FloatArray, Hold
@@ -214,10 +214,10 @@ def test_a_run_without_bounds_has_no_finite_error() -> None:
 @settings(max_examples=60, deadline=None)
 def test_denominators_are_stable_whatever_is_tried(theta: list[float]) -> None:
     # roots that fall together are known to the sixth root of a rounding error only
-    f = stable(np.array(theta))
+    f = stable_polynomial(np.array(theta))
     assert np.abs(np.roots(f)).max() < 1 + 5e-3
-    mild = stable(np.clip(theta, -2, 2))
-    np.testing.assert_allclose(stable(unbounded(mild)), mild, atol=1e-6)
+    mild = stable_polynomial(np.clip(theta, -2, 2))
+    np.testing.assert_allclose(stable_polynomial(unconstrained_parameters(mild)), mild, atol=1e-6)
     mirrored = stabilise(np.append(1.0, np.array(theta)))
     assert np.abs(np.roots(mirrored)).max(initial=0.0) < 1 + 5e-3
 
@@ -282,7 +282,7 @@ def test_an_uneven_record_is_put_onto_a_grid() -> None:
     t = np.sort(np.random.default_rng(1).uniform(0, 10, 4000))
     t = np.append(t[np.append(True, np.diff(t) > 1e-4)], 10.0)
     u = np.where(np.sin(t) > 0, 1.0, -1.0)
-    data = evenly(record_of(u, np.sin(3 * t), t), 0, PERIOD)
+    data = resample_evenly(record_of(u, np.sin(3 * t), t), 0, PERIOD)
     grid = t[0] + PERIOD * np.arange(len(data))
     assert grid[-1] == pytest.approx(10.0, abs=PERIOD)
     np.testing.assert_allclose(data.y, np.sin(3 * grid), atol=1e-3)

@@ -29,7 +29,7 @@ def test_the_error_of_a_rounded_reading_is_that_of_many(deviation):
     many = rounded(np.tile(values, (20_000, 1)), deviation, random)
     # within a place of a jump the table is between both sides
     near = np.abs(np.mod(values / STEP, 1.0) - 0.5) < 0.005
-    off = np.abs(found.lasting(values, 0.0) - (many.mean(axis=0) - values))
+    off = np.abs(found.mean_error(values, 0.0) - (many.mean(axis=0) - values))
     assert np.max(off[~near]) < 0.012 * STEP
 
 
@@ -46,7 +46,7 @@ def test_a_phase_moves_the_steps():
     found = Rounding.of(STEP * np.arange(9.0), STEP / np.sqrt(12.0))
     assert found is not None
     values = STEP * np.array([0.1, 0.3])
-    assert found.lasting(values, 0.5) == pytest.approx(found.lasting(values + 0.5 * STEP, 0.0))
+    assert found.mean_error(values, 0.5) == pytest.approx(found.mean_error(values + 0.5 * STEP, 0.0))
 
 
 def test_a_reading_that_repeats_itself_tells_nothing_new():

@@ -148,8 +148,10 @@ def test_neighbours_are_of_the_same_recording():
         [level + 0.1 * random.standard_normal(50) for level in 100.0 * random.standard_normal(9)]
     )
     begins = tuple(range(0, 450, 50))
-    alone = [statistics.whiteness(walk[run] - walk[run].mean()) for run in statistics.runs(begins, 450)]
-    together = statistics.of_channels(
+    alone = [
+        statistics.whiteness(walk[run] - walk[run].mean()) for run in statistics.recording_slices(begins, 450)
+    ]
+    together = statistics.smallest_p_value(
         lambda r, rows: statistics.whiteness(r - r.mean()), walk[:, None], begins
     )
     assert together == pytest.approx(min(1.0, 9 * min(alone)))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.analysis.agreement import Agreement, leaves
+from labhil.analysis.agreement import Agreement, find_exit
 from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.shadow import Shadow, Stretch, validated_bands
 from labhil.plants.ball_beam import BallBeamPlant
@@ -177,8 +177,8 @@ def test_a_run_beyond_the_band_on_one_side_leaves_it_and_single_peaks_do_not():
     sides = np.where(np.arange(100) % 2, 9.0, -9.0)
     late = quiet.copy()
     late[40:] = 5.0
-    assert [leaves(each, 4.0) for each in (quiet, peaks, sides, late, -late)] == [None, None, None, 40, 40]
-    assert leaves(np.full(100, np.nan), 4.0) == 0
+    assert [find_exit(each, 4.0) for each in (quiet, peaks, sides, late, -late)] == [None, None, None, 40, 40]
+    assert find_exit(np.full(100, np.nan), 4.0) == 0
     t = 12.0 + 0.01 * np.arange(100)
     state = Agreement(4.0).after(t, late, 2.0)
     assert (state.left_at, state.beyond, state.times_left) == (pytest.approx(12.4), 1.0, 1)

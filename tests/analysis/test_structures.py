@@ -128,6 +128,6 @@ def test_the_terms_of_a_shipped_recording_are_found() -> None:
     material = load_dataset(
         ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"
     )
-    data = data_of(material.model, material.learn, material.judge)
+    data = data_of(material.model, material.train, material.test)
     found = search_structures(data, fit_baseline(data, ["viscous_friction"]), lambda text: None)
     assert {step.terms[0] for step in found.missing} == {"coulomb_friction", "stribeck_friction", "dead_zone"}

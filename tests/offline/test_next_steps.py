@@ -11,7 +11,7 @@ import pytest
 import labhil as lh
 from labhil.analysis.diagnosis_words import UNNAMED
 from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, Verdict
-from labhil.identify.extended import NAME
+from labhil.identify.extended import UNMODELLED_FORCE
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "diagnosis.json"
 
@@ -56,7 +56,7 @@ def test_rivals_come_first_and_a_curve_has_no_law(example):
     assert first.startswith("To tell backlash from dead_zone, excite with small reversals, record that")
     assert UNNAMED not in second
     assert "add-a-law" in third
-    assert UNNAMED == NAME
+    assert UNNAMED == UNMODELLED_FORCE
 
 
 def test_a_search_that_was_ended_early_is_to_be_finished_first(example):

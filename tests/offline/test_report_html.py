@@ -23,7 +23,7 @@ from labhil.analysis.results import _rows, finite
 from labhil.analysis.schema import DiagnosisPart, FitPart, validate
 from labhil.analysis.verdicts import VERDICTS
 from labhil.diagnose.collapsed import Collapsed
-from labhil.identify.statistics import stated_estimates
+from labhil.identify.statistics import estimates_from_errors
 from labhil.physics.terms import Parameter
 from labhil.recording.writer import RecordingWriter
 from labhil.report.html.diagnosis import diagnosis_page
@@ -250,7 +250,7 @@ def test_what_is_not_there_of_an_arm_stands_by_joint(page, diagnosis):
 def test_page_screen_and_report_say_which_sizes_gave_way_and_which_were_held(page, diagnosis):
     size = Collapsed("acceleration_per_radian", 0.019, 7.007, "m/s²")
     diagnosis["collapsed"] = [{**asdict(size), "statement": size.statement}]
-    held = stated_estimates([Parameter("inertia", "kg·m²", 1.0)], np.array([0.02]), np.array([0.0]))
+    held = estimates_from_errors([Parameter("inertia", "kg·m²", 1.0)], np.array([0.02]), np.array([0.0]))
     diagnosis["final"]["parameters"] += finite(_rows(held))
     written = [" ".join(write(diagnosis).split()) for write in (on_screen, in_the_report)]
     for text in (*written, page(diagnosis).text):

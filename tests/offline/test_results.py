@@ -106,7 +106,7 @@ def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
 
     material = load_dataset(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
     score = fit_study(material, terms=("viscous_friction",), options=Options(window=1.0)).fit.test
-    measured = material.judge.outputs[score.rows, 0]
+    measured = material.test.outputs[score.rows, 0]
     left = np.sum(score.errors[:, 0] ** 2) / np.sum((measured - measured.mean()) ** 2)
     assert score.r2 == pytest.approx(1.0 - left)
     assert score.mse == pytest.approx(np.mean(score.errors[:, 0] ** 2))

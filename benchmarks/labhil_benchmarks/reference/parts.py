@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from labhil.identify.estimators import Budget, Ledger
+from labhil.identify.estimators import Budget, CostEvaluator
 from labhil.identify.estimators.search import Box
-from labhil.identify.estimators.swarm import text_swarm
+from labhil.identify.estimators.swarm import reference_swarm
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.fitted import covariances
 from labhil.identify.identifiability import weak_parameters
@@ -83,8 +83,8 @@ def swarm(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Estima
         problem = bench.whole_run(bench.record, boxed=True, joint=joint)
         rows = slice(None) if joint is None else slice(joint, None, len(bench.sigma))
         box = Box(problem.lower, problem.upper)
-        ledger = Ledger(_mean_square(problem, rows), box, Budget(10**9), _reporter(progress, joint))
-        best = text_swarm(ledger, seed, None, effort.iterations(study))
+        evaluator = CostEvaluator(_mean_square(problem, rows), box, Budget(10**9), _reporter(progress, joint))
+        best = reference_swarm(evaluator, seed, None, effort.iterations(study))
         keys = [problem.model.parameters[i].key for i in problem.free]
         ours |= dict(zip(keys, (best.z * problem.scale).tolist(), strict=True))
         evaluations += best.evaluations
@@ -190,8 +190,8 @@ def linear(bench: Bench, seed: int, effort: Effort, progress: Progress) -> Linea
 def bounds_of(study: Study, problem: Problem, truth: Point) -> tuple[Bounds, Bounds]:
     """Cramér-Rao bounds of the rows and of the study's combinations of them; None where there is none.
 
-    As ``identify.intervals.cramer_rao``, for sums of parameters. Where the data leave a scale open one row
-    is held: what does not depend on that scale is then known as well as with it free.
+    As ``identify.intervals.cramer_rao_bounds``, for sums of parameters. Where the data leave a scale open one
+    row is held: what does not depend on that scale is then known as well as with it free.
     """
     keys = [problem.model.parameters[i].key for i in problem.free]
     slopes = sensitivities(problem, truth, problem.residuals(truth), 1.0) / problem.scale

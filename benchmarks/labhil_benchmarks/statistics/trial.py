@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.fitted import free_of, start_theta
-from labhil.identify.intervals import cramer_rao
+from labhil.identify.intervals import cramer_rao_bounds
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import score
 from labhil.identify.window_states import fit_states
@@ -115,7 +115,7 @@ def _bounds(
     states = problem.guess
     if states.shape[1]:
         states = fit_states(problem, z, states)
-    bounds = cramer_rao(problem, Point(z, states))
+    bounds = cramer_rao_bounds(problem, Point(z, states))
     keys = [model.parameters[i].key for i in problem.free]
     return dict(zip(keys, bounds.tolist(), strict=True))
 

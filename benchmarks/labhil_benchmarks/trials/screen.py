@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
-from labhil.identify.projection import Unexplained, orthonormal
+from labhil.identify.projection import ProjectedResiduals, orthonormal
 from labhil.identify.waves import starts_beside
 from labhil.physics.model import index_of, terms_named
 from labhil.signals import FloatArray
@@ -27,19 +27,19 @@ class Screen:
     """
 
     data: Data
-    unexplained: Unexplained
+    unexplained: ProjectedResiduals
 
     @classmethod
     def of(cls, data: Data, current: Fitted) -> Screen:
         """Prepare the projection that all candidates share."""
-        return cls(data, Unexplained.of(current))
+        return cls(data, ProjectedResiduals.of(current))
 
     def columns_of(self, group: Sequence[str]) -> FloatArray:
         """The group's projected columns (N, k), at those of its starts that explain most."""
         target = self.unexplained.target
         best, most = np.empty((len(target), 0)), -1.0
         for columns in _columns(self.data, self.unexplained, group):
-            new = orthonormal(self.unexplained.beside(columns))
+            new = orthonormal(self.unexplained.project_out_all(columns))
             explained = float(np.sum((new.T @ target) ** 2))
             if explained > most:
                 best, most = new, explained
@@ -54,7 +54,7 @@ class Screen:
         return share - COST * sum(len(self.data.model.terms[name].parameters) for name in group)
 
 
-def _columns(data: Data, unexplained: Unexplained, group: Sequence[str]) -> list[FloatArray]:
+def _columns(data: Data, unexplained: ProjectedResiduals, group: Sequence[str]) -> list[FloatArray]:
     """For each set of starts, what each parameter of the group changes in the residuals, (N, k)."""
     model, current = data.model, unexplained.fitted
     terms = terms_named(model, group)

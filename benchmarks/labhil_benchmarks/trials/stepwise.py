@@ -41,7 +41,7 @@ def stepwise_study(material: Dataset) -> dict[str, Any]:
     """The method's answer to a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
     model = material.model
-    data = data_of(model, material.learn, material.judge)
+    data = data_of(model, material.train, material.test)
     baseline = fit_baseline(data, rig_model(model.kind).baseline)
     final = select(data, baseline)
     added = [key for key in final.terms if key not in baseline.terms]

@@ -28,7 +28,7 @@ MOST_DOTS = 2_000
 def curves_of_fit(result: FitResult) -> dict[str, Any]:
     """The curves of a fit, on the data that it is judged on."""
     score = result.fit.test or result.fit.train
-    record = result.material.judge if result.fit.test is not None else result.material.learn
+    record = result.material.test if result.fit.test is not None else result.material.train
     return _channels(record, {"after": score})
 
 
@@ -37,7 +37,7 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
     from labhil.diagnose import locate
 
     diagnosis = result.diagnosis
-    curves = _channels(result.material.judge, {"before": diagnosis.before, "after": diagnosis.after})
+    curves = _channels(result.material.test, {"before": diagnosis.before, "after": diagnosis.after})
     for key in diagnosis.named:
         share = locate.contribution(diagnosis.final_fit, key)
         over = share.abscissa(share.regimes())

@@ -195,7 +195,7 @@ class Oracle:
         true = self.model.prepare(silent).outputs
         noise = ((self.test.outputs[rows] - true[rows]) / self.residual_noise.sigma).ravel()
         slopes = problem.state_slopes(point, problem.residuals(point))
-        return -0.5 * float(np.sum(problem.beside(whiten(slopes), whiten(noise[:, None])) ** 2))
+        return -0.5 * float(np.sum(problem.project_out_states(whiten(slopes), whiten(noise[:, None])) ** 2))
 
     def _test_problem(self, theta: FloatArray) -> tuple[Problem, Whiten]:
         windows = fit_windows(self.test, JUDGED * self.horizon) if self._states else all_of(self.test).whole

@@ -134,4 +134,4 @@ class Bystander:
         """An oracle of the trial's recordings with the true noise and values."""
         search, test = (recording(self.folder, self.answer.trial, role) for role in ("search", "test"))
         material = load_dataset(search, test_path=test)
-        return Oracle.of(material.model, material.learn, material.judge, self.answer.noise, self.answer.truth)
+        return Oracle.of(material.model, material.train, material.test, self.answer.noise, self.answer.truth)

@@ -18,7 +18,7 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
 from labhil.diagnose.structures.responses import CurveColumns, responses
-from labhil.identify.extended import NAME, Coordinate
+from labhil.identify.extended import UNMODELLED_FORCE, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 from labhil.signals import FloatArray
@@ -147,12 +147,12 @@ class CurveSearch:
         named_fit = self._without(fitted, choice.beside)
         problem, states = named_fit.problem, named_fit.solution.point.states
         along = problem.model.coordinates(named_fit.theta, problem.record, problem.windows, states)
-        first = glance(named_fit, choice.coordinate, choice.coordinate.of(along))
+        first = glance(named_fit, choice.coordinate, choice.coordinate.values(along))
         curved = refine(restart(first), self.options.iterations)
         coordinates = len(problem.model.coordinate_units)
         view = self._view(curved.fitted, (), coordinates)
         names = tuple(view.responses.variants[t][0] for t in self._named_terms(named_fit, view))
-        key = curved.model.coefficients[0].term or NAME
+        key = curved.model.coefficients[0].term or UNMODELLED_FORCE
         ways = view.evaluate([(*names, way) for way in view.responses.variants[key]])
         likeliest = max(ways, key=lambda prediction: prediction.log_evidence)
         odds = likeliest.log_evidence - log_named if self._matters(view, likeliest.choice) else -np.inf
@@ -189,7 +189,7 @@ def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Co
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
     columns = []
     for coordinate in coordinates:
-        values = coordinate.of(along)
+        values = coordinate.values(along)
         if np.ptp(values) > 0.0:
             extended, spline_problem, point = with_spline(fitted, coordinate, values)
             lin = spline_problem.linearise(point, fitted.solution.residuals)

@@ -19,7 +19,7 @@ from labhil.diagnose.structures.enumerate import candidates
 from labhil.diagnose.structures.search import OUTWEIGHED, Options, Progress, StructureSearch
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
-from labhil.identify.noise import MOST
+from labhil.identify.noise import MAX_NOISE_RATIO
 from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import AcceptsExtraForce
 from labhil.physics.model import Metric
@@ -78,7 +78,7 @@ def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
         return data, np.zeros(len(data.sigma))
     noise = noise_beside(fitted.problem, fitted.solution.residuals)
     least = noise_of(data.search)
-    return replace(data, sigma=np.clip(noise.sigma, least, MOST * least)), noise.correlation
+    return replace(data, sigma=np.clip(noise.sigma, least, MAX_NOISE_RATIO * least)), noise.correlation
 
 
 def _with_curve(

@@ -1,8 +1,8 @@
-"""Estimators by name: where a fit begins before least squares take it to the minimum.
+"""Estimators by name: global searches for the point at which nonlinear least squares start.
 
-``nlse`` begins at the model's own starts; the others search a box around them globally and hand their best
-point on, so that every fit ends with least squares, errors and tests of the same kind. ``hybrid``, the
-default, does both and keeps the better.
+``nlse`` starts at the model's start values; the others search a box around them globally and pass on their
+best point, so that every fit ends with least squares and has errors and tests of the same kind. ``hybrid``,
+the default, does both and keeps the better fit.
 """
 
 from __future__ import annotations
@@ -15,15 +15,20 @@ from labhil.errors import UnknownNameError
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.estimators.library import cma_es, differential_evolution, simulated_annealing
 from labhil.identify.estimators.sampling import mcmc
-from labhil.identify.estimators.search import Budget, Ledger, Progress, SearchResult
-from labhil.identify.estimators.swarm import adaptive_swarm, affordable, swarm_with_evolution, text_swarm
+from labhil.identify.estimators.search import Budget, CostEvaluator, Progress, SearchResult
+from labhil.identify.estimators.swarm import (
+    adaptive_swarm,
+    affordable_iterations,
+    reference_swarm,
+    swarm_with_evolution,
+)
 from labhil.identify.problem import Problem
 from labhil.signals import FloatArray
 
 Method = Callable[..., SearchResult]
 
 METHODS: Mapping[str, Method] = {
-    "pso": text_swarm,
+    "pso": reference_swarm,
     "pso_adaptive": adaptive_swarm,
     "pso_de": swarm_with_evolution,
     "differential_evolution": differential_evolution,
@@ -35,25 +40,28 @@ METHODS: Mapping[str, Method] = {
 DEFAULT = "hybrid"
 ESTIMATORS = ("nlse", DEFAULT, *METHODS)
 HYBRID_METHOD = "pso_de"
-
-EVALUATIONS = 400
-"""Evaluations per searched parameter that a global search may take."""
-
-HYBRID_EVALUATIONS = 60
-PATIENCE = 40
 INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True, slots=True)
-class Begin:
-    """Where least squares should begin: the model's vector that a global search ended at, with its result."""
+class StartingPoint:
+    """Where least squares should start.
+
+    Attributes:
+        theta: The model's parameter vector that a global search ended at.
+        search: Result of the search.
+    """
 
     theta: FloatArray
     search: SearchResult
 
 
-def estimator_named(name: str) -> str:
-    """The name itself; UnknownNameError lists those that exist."""
+def check_estimator(name: str) -> str:
+    """Return the name of an estimator unchanged.
+
+    Raises:
+        UnknownNameError: There is no such estimator; the message lists those that exist.
+    """
     if name not in ESTIMATORS:
         raise UnknownNameError("estimator", name, ESTIMATORS)
     return name
@@ -66,50 +74,81 @@ def search(
     seed: int = 0,
     budget: Budget | None = None,
     progress: Progress = lambda text: None,
-) -> Begin:
-    """Search a box around the problem's start with one of METHODS (or ``hybrid``: briefly).
+) -> StartingPoint:
+    """Search a box around the problem's start values globally.
 
-    What the initial states of windows explain is projected out around the measured guess. Interrupting
-    (Ctrl+C) ends the search with the best so far.
+    The initial states of windows are projected out around their measured guess. Interrupting (Ctrl+C) ends
+    the search with the best point so far.
+
+    Args:
+        problem: What is estimated.
+        name: One of METHODS, or ``hybrid`` for a short search.
+        seed: Of the random draws.
+        budget: When to stop; by default :func:`default_budget`.
+        progress: Called with a line of text after each round.
     """
     try:
         return _search_box(problem, name, seed, budget, progress)
     except (KeyboardInterrupt, EndedEarly):
         z = problem.start().z
-        return Begin(problem.theta(z), SearchResult(z, float("inf"), 0, (), INTERRUPTED))
+        return StartingPoint(problem.theta(z), SearchResult(z, float("inf"), 0, (), INTERRUPTED))
 
 
-def _search_box(problem: Problem, name: str, seed: int, budget: Budget | None, progress: Progress) -> Begin:
+def default_budget(
+    name: str,
+    n_parameters: int,
+    *,
+    evaluations_per_parameter: int = 400,
+    hybrid_evaluations_per_parameter: int = 60,
+    patience: int = 40,
+) -> Budget:
+    """The budget of a global search unless another one is given.
+
+    Args:
+        name: Of the estimator.
+        n_parameters: Number of parameters that are searched.
+        evaluations_per_parameter: Cost evaluations per parameter.
+        hybrid_evaluations_per_parameter: The same of ``hybrid``.
+        patience: Rounds without a gain after which the search stops.
+    """
+    per_parameter = hybrid_evaluations_per_parameter if name == DEFAULT else evaluations_per_parameter
+    return Budget(per_parameter * max(n_parameters, 1), patience=patience)
+
+
+def _search_box(
+    problem: Problem, name: str, seed: int, budget: Budget | None, progress: Progress
+) -> StartingPoint:
+    """Search the box; an interruption before the first evaluation is raised."""
     coordinates = Coordinates.of(problem)
-    share = HYBRID_EVALUATIONS if name == DEFAULT else EVALUATIONS
-    limit = budget or Budget(share * max(len(coordinates.box), 1), patience=PATIENCE)
-    ledger = Ledger(coordinates.cost, coordinates.box, limit, progress)
+    limit = budget or default_budget(name, len(coordinates.box))
+    evaluator = CostEvaluator(coordinates.cost, coordinates.box, limit, progress)
     method = METHODS[HYBRID_METHOD if name == DEFAULT else name]
     if not len(coordinates.box):
         z = coordinates.z(coordinates.start)
         result = SearchResult(
             coordinates.start, coordinates.cost(coordinates.start), 1, (), "nothing to search"
         )
-        return Begin(problem.theta(z), result)
+        return StartingPoint(problem.theta(z), result)
     try:
-        rounds = {"iterations": affordable(ledger)} if method is text_swarm else {}
-        result = method(ledger, seed, coordinates.start, **rounds)
+        rounds = {"iterations": affordable_iterations(evaluator)} if method is reference_swarm else {}
+        result = method(evaluator, seed, coordinates.start, **rounds)
     except (KeyboardInterrupt, EndedEarly):
-        if not ledger.evaluations:
+        if not evaluator.evaluations:
             raise
-        ledger.stopped_because = INTERRUPTED
-        result = ledger.result()
-    return Begin(problem.theta(coordinates.z(result.z)), result)
+        evaluator.stopped_because = INTERRUPTED
+        result = evaluator.result()
+    return StartingPoint(problem.theta(coordinates.z(result.z)), result)
 
 
 __all__ = [
     "DEFAULT",
     "ESTIMATORS",
     "METHODS",
-    "Begin",
     "Budget",
-    "Ledger",
+    "CostEvaluator",
     "SearchResult",
-    "estimator_named",
+    "StartingPoint",
+    "check_estimator",
+    "default_budget",
     "search",
 ]

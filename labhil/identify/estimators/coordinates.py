@@ -1,7 +1,7 @@
-"""From a problem to what a global search sees: a finite box, and a cost of one vector.
+"""Coordinates of a global search: a finite box, and a cost that is a function of one vector.
 
-Sizes that cannot be zero (an inertia, a resistance) are searched by their logarithm. Parameters in which
-the outputs are linear are projected out, so the search is as small as what is really nonlinear.
+Positive constants (an inertia, a resistance) are searched by their logarithm. Parameters in which the outputs
+are linear are projected out, so that only the nonlinear ones are searched (``projection``).
 """
 
 from __future__ import annotations
@@ -10,57 +10,69 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.identify.estimators.projection import Reduced
+from labhil.identify.estimators.projection import ReducedProblem
 from labhil.identify.estimators.search import Box
 from labhil.identify.problem import Point, Problem
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
-DECADES = 1.5
-"""How far beyond scale and start a size reaches that has no telling bounds, both ways."""
 
-TELLING = 1e5
-"""Bounds of a size that are further apart only keep the model computable; they say nothing of where it is."""
+def search_box(
+    problem: Problem,
+    start: FloatArray | None = None,
+    *,
+    scales: float = 5.0,
+    decades: float = 1.5,
+    max_bound_ratio: float = 1e5,
+) -> Box:
+    """Choose a finite box for all free parameters; it is always inside their bounds.
 
-SCALES = 5.0
-"""Reach of a parameter without a finite bound, both ways from zero: in scales, and in starts beyond one."""
+    A finite bound of a parameter is also the box's.
 
+    Args:
+        problem: What is estimated.
+        start: (P,) start values in units of the parameters' scales; by default the problem's own.
+        scales: Distance of the box's end from zero where a bound is infinite, in scales (or in start values
+            where these are larger than a scale).
+        decades: How far the box of a positive constant with wide bounds reaches beyond both its scale and its
+            start value.
+        max_bound_ratio: Upper over lower bound, beyond which bounds count as wide: they only keep the model
+            computable.
 
-def box(problem: Problem, start: FloatArray | None = None) -> Box:
-    """The finite box of all free parameters, in units of their scale, always inside the bounds.
-
-    A finite bound is the box's. Where a bound is infinite the box ends five scales from zero, or five
-    times the start where that is more than a scale. A size that cannot be zero and whose bounds are more than
-    five decades apart reaches 1.5 decades beyond both its scale and its ``start`` (P,).
+    Returns:
+        In units of the parameters' scales.
     """
     z = problem.start().z if start is None else start
     parameters = [problem.model.parameters[i] for i in problem.free]
-    reach = SCALES * np.maximum(1.0, np.abs(z))
+    reach = scales * np.maximum(1.0, np.abs(z))
     low = np.where(np.isfinite(problem.lower), problem.lower, -reach)
     high = np.where(np.isfinite(problem.upper), problem.upper, reach)
-    vague = np.array([_is_size(p) for p in parameters], dtype=bool)
-    vague &= (problem.lower > 0.0) & (problem.upper > TELLING * problem.lower)
+    has_wide_bounds = np.array([_is_size(p) for p in parameters], dtype=bool)
+    has_wide_bounds &= (problem.lower > 0.0) & (problem.upper > max_bound_ratio * problem.lower)
     size = np.maximum(np.abs(z), 1e-12)
-    low = np.where(vague, np.minimum(size, 1.0) / 10**DECADES, low)
-    high = np.where(vague, np.maximum(size, 1.0) * 10**DECADES, high)
+    low = np.where(has_wide_bounds, np.minimum(size, 1.0) / 10**decades, low)
+    high = np.where(has_wide_bounds, np.maximum(size, 1.0) * 10**decades, high)
     low, high = np.maximum(low, problem.lower), np.minimum(high, problem.upper)
     return Box(low, np.maximum(low, high))
 
 
 def _is_size(parameter: Parameter) -> bool:
-    """Whether it is a rig's own parameter or a width: then it is searched by its logarithm, if positive."""
+    """Whether it is a constant of the rig or a width, which is searched by its logarithm if positive."""
     return parameter.term is None or parameter.shape
 
 
 @dataclass(frozen=True)
 class Coordinates:
-    """How a search's vector stands for the free parameters of a problem.
+    """Transformation between a search's vector (S,) and the free parameters of a problem.
 
-    ``logarithmic`` (S,) marks which of the searched ones, those that ``reduced`` keeps, are searched by
-    their logarithm; ``box`` and ``start`` (S,) are in these coordinates.
+    Attributes:
+        reduced: The problem without its linear parameters.
+        logarithmic: (S,) of bool, parameters that are searched by their logarithm.
+        box: The searched box in these coordinates.
+        start: (S,) start values in these coordinates.
     """
 
-    reduced: Reduced
+    reduced: ReducedProblem
     logarithmic: np.ndarray
     box: Box
     start: FloatArray
@@ -73,13 +85,16 @@ class Coordinates:
         *,
         project: bool = True,
     ) -> Coordinates:
-        """Coordinates around ``start`` (by default the problem's own).
+        """Make the coordinates of a problem.
 
-        Without ``project`` the linear parameters are searched too.
+        Args:
+            problem: What is estimated.
+            start: Centre of the search; by default the problem's start.
+            project: Solve for linear parameters; otherwise they are searched, too.
         """
         begin = problem.start() if start is None else start
-        reduced = Reduced.of(problem, begin, project=project)
-        full_box = box(problem, begin.z)
+        reduced = ReducedProblem.of(problem, begin, project=project)
+        full_box = search_box(problem, begin.z)
         low, high = full_box.lower[reduced.kept], full_box.upper[reduced.kept]
         sizes = [_is_size(problem.model.parameters[i]) for i in problem.free[reduced.kept]]
         chosen = np.array(sizes, dtype=bool) & (low > 0.0)
@@ -88,12 +103,12 @@ class Coordinates:
         return cls(reduced, chosen, Box(transformed[0], transformed[1]), transformed[2])
 
     def z(self, vector: FloatArray) -> FloatArray:
-        """All free parameters, scaled; the linear ones solved for within their bounds."""
+        """Scaled free parameters (P,) for a search's vector; linear ones are solved for within bounds."""
         kept = self._searched_parameters(vector)
         return self.reduced.solve(kept)[0] if len(self.reduced.linear) else kept
 
     def cost(self, vector: FloatArray) -> float:
-        """Sum of squared residuals in units of noise, but for what initial states explain."""
+        """Sum of squared residuals in units of noise, initial states projected out."""
         return self.reduced.cost(self._searched_parameters(vector))
 
     def _searched_parameters(self, vector: FloatArray) -> FloatArray:

@@ -1,9 +1,9 @@
-"""Variable projection: a problem with fewer parameters, the linear ones solved for at every point.
+"""Variable projection (Golub and Pereyra 1973): a problem without its linear parameters.
 
-Golub and Pereyra 1973: where the outputs are affine in some of the parameters, their best values for given
-values of the others are a linear least-squares problem, so a search need not know of them. What the windows'
-own initial states could explain is taken out too, by their slopes at the start: a measured velocity is too
-rough to be held.
+Where the outputs are affine in some of the parameters, the best values of these for given values of the
+others solve a linear least-squares problem, so that a search does not include them. The windows' initial
+states are projected out by their slopes at the start, since measured velocities are too noisy to hold them
+at.
 """
 
 from __future__ import annotations
@@ -18,11 +18,15 @@ from labhil.signals import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
-class Reduced:
+class ReducedProblem:
     """A problem over the free parameters that are not linear, initial states projected out to first order.
 
-    ``kept`` (K,) are the places among the free parameters of those that stay, ``linear`` (L,) of those
-    that are solved for within their bounds; ``slopes`` are those by the initial states, at ``states`` (W, S).
+    Attributes:
+        problem: The whole problem.
+        states: (W, S) initial states at which it is linearised.
+        slopes: Those of the residuals by the initial states.
+        kept: (K,) indices of the nonlinear parameters among the free ones.
+        linear: (L,) indices of the linear ones, which are solved for within their bounds.
     """
 
     problem: Problem
@@ -32,17 +36,24 @@ class Reduced:
     linear: IntArray
 
     @classmethod
-    def of(cls, problem: Problem, start: Point, *, project: bool = True) -> Reduced:
-        """Reduce by every parameter that its model calls linear; without ``project`` all are kept."""
-        marked = [project and problem.model.parameters[i].linear for i in problem.free]
-        is_linear = np.array(marked, dtype=bool)
+    def of(cls, problem: Problem, start: Point, *, project: bool = True) -> ReducedProblem:
+        """Reduce a problem by the parameters that its model declares linear; by none without ``project``."""
+        declared = [project and problem.model.parameters[i].linear for i in problem.free]
+        is_linear = np.array(declared, dtype=bool)
         residuals = problem.residuals(start)
         by_states = problem.state_slopes(start, residuals)
         slopes = Linearised(residuals, np.empty((len(residuals), 0)), by_states)
         return cls(problem, start.states, slopes, np.flatnonzero(~is_linear), np.flatnonzero(is_linear))
 
     def solve(self, kept: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """All free parameters (P,), scaled, for the ``kept`` ones (K,), and the residuals (N·c,) there."""
+        """Solve for the linear parameters.
+
+        Args:
+            kept: (K,) scaled nonlinear parameters.
+
+        Returns:
+            All scaled free parameters (P,), and the residuals there (N·c,), in units of noise.
+        """
         z = np.clip(np.zeros(len(self.problem.free)), self.problem.lower, self.problem.upper)
         z[self.kept] = kept
         residuals = self._residuals(z)
@@ -54,12 +65,12 @@ class Reduced:
         return z, residuals + columns @ change
 
     def cost(self, kept: FloatArray) -> float:
-        """Sum of squares (units of noise) for the ``kept`` parameters, the others at their best."""
+        """Sum of squared residuals for nonlinear parameters ``kept`` (K,), with the best linear ones."""
         _, residuals = self.solve(kept)
         return float(residuals @ residuals)
 
     def _residuals(self, z: FloatArray) -> FloatArray:
-        """Residuals (N·c,) but for what the states explain."""
+        """Residuals (N·c,) with the initial states projected out."""
         residuals = self.problem.residuals(Point(z, self.states))
         return self.problem.project(self.slopes, residuals[:, None])[:, 0]
 
@@ -72,12 +83,12 @@ class Reduced:
             shifted[j] += min(1.0, above) if above >= min(1.0, below) else -min(1.0, below)
             step = shifted[j] - z[j]
             slope = (self._residuals(shifted) - residuals) / (step or 1.0)
-            # a parameter that cannot move, or whose simulation runs away, stays where it is
+            # a parameter that its bounds hold, or whose simulation diverges, stays where it is
             columns[:, k] = slope if np.all(np.isfinite(slope)) else 0.0
         return columns
 
     def _best_change(self, z: FloatArray, columns: FloatArray, residuals: FloatArray) -> FloatArray:
-        """What to add to the linear parameters (L,): least squares, the bounded ones where a bound is hit."""
+        """Least-squares change (L,) of the linear parameters, by bounded least squares at a bound."""
         room = (
             self.problem.lower[self.linear] - z[self.linear],
             self.problem.upper[self.linear] - z[self.linear],

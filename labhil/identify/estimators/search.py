@@ -1,4 +1,8 @@
-"""What a global search gets and gives, whichever the method."""
+"""Interface of the global searches: box, budget, cost evaluations and result.
+
+Each method takes a ``CostEvaluator``, a seed, a start and a number of iterations, and returns a
+``SearchResult``.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +16,13 @@ from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
 
-WORST = 1e100
-"""What a cost that is no finite number counts as; the squares that libraries form of it stay finite."""
+MAX_COST = 1e100
+"""Cost in place of one that is not finite: its square, which some libraries form, is still finite."""
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Bounds (P,) of what is searched; they hold for every point that is ever tried."""
+    """Bounds (P,) of the searched parameters; they hold for every point that is evaluated."""
 
     lower: FloatArray
     upper: FloatArray
@@ -27,19 +31,23 @@ class Box:
         return len(self.lower)
 
     def clip(self, z: FloatArray) -> FloatArray:
-        """The nearest point inside."""
+        """The nearest point inside the box."""
         return np.clip(z, self.lower, self.upper)
 
     def draw(self, random: np.random.Generator, count: int) -> FloatArray:
-        """Points (count, P), uniform."""
+        """Draw points (count, P) uniformly."""
         return np.asarray(random.uniform(self.lower, self.upper, (count, len(self))))
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """When to stop: after ``evaluations``, below ``threshold``, or after ``patience`` rounds of no gain.
+    """When a search stops.
 
-    A gain is a fall of the best cost by more than ``gain`` of it.
+    Attributes:
+        evaluations: Number of cost evaluations.
+        threshold: Cost at or below which it stops.
+        patience: Number of rounds without a gain.
+        gain: Relative decrease of the best cost that counts as a gain.
     """
 
     evaluations: int
@@ -50,7 +58,16 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """The best point (P,) with its cost; ``history`` is the best cost after each round."""
+    """Where a search ended.
+
+    Attributes:
+        z: (P,) the best point.
+        cost: Its cost.
+        evaluations: Number of cost evaluations.
+        history: Best cost after each round.
+        stopped_because: The reason, as text.
+        draws: (n, P) of the posterior, by ``mcmc`` only.
+    """
 
     z: FloatArray
     cost: float
@@ -61,11 +78,15 @@ class SearchResult:
 
 
 @dataclass
-class Ledger:
-    """Evaluates a cost, remembers the best, counts, and says when it is enough.
+class CostEvaluator:
+    """Evaluates a cost, keeps the best point, counts evaluations, and stops a search at its budget.
 
-    ``cost`` takes one point (P,) and gives a number; populations are evaluated on ``threads``, which
-    kernels allow since they release the interpreter; the order of results does not depend on that.
+    Args:
+        cost: Function of one point (P,).
+        box: Bounds of all points.
+        budget: When to stop.
+        progress: Called with a line of text after each round.
+        threads: On which the points of a population are evaluated; the result does not depend on it.
     """
 
     cost: Callable[[FloatArray], float]
@@ -83,30 +104,31 @@ class Ledger:
     def __post_init__(self) -> None:
         self.z = 0.5 * (self.box.lower + self.box.upper)
 
-    def one(self, z: FloatArray) -> float:
-        """Cost of a point, clipped into the box; a number that is not finite counts as very large."""
+    def evaluate(self, z: FloatArray) -> float:
+        """Evaluate the cost of a point (P,), clipped to the box; a cost that is not finite is very large."""
         inside = self.box.clip(np.asarray(z, dtype=np.float64))
         return self._note(inside, self.cost(inside))
 
-    def many(self, points: FloatArray) -> FloatArray:
-        """Costs (n,) of points (n, P)."""
+    def evaluate_all(self, points: FloatArray) -> FloatArray:
+        """Evaluate the costs (n,) of points (n, P)."""
         inside = self.box.clip(points)
         if self.threads == 1:
-            # one by one, so that an interruption leaves what is known by then
+            # one by one, so that an interruption keeps the best point until then
             return np.array([self._note(z, self.cost(z)) for z in inside])
         with ThreadPoolExecutor(self.threads) as executor:
             costs = executor.map(self.cost, inside)
             return np.array([self._note(z, c) for z, c in zip(inside, costs, strict=True)])
 
     def _note(self, z: FloatArray, cost: float) -> float:
+        """Count an evaluation and keep the point if it is the best; the cost, made finite."""
         self.evaluations += 1
-        cost = min(cost, WORST) if np.isfinite(cost) else WORST
+        cost = min(cost, MAX_COST) if np.isfinite(cost) else MAX_COST
         if cost < self.best:
             self.best, self.z = cost, z.copy()
         return cost
 
-    def enough(self) -> bool:
-        """Close a round; True when the search should stop, with the reason noted."""
+    def end_round(self) -> bool:
+        """Close a round; True when the search should stop, with the reason in ``stopped_because``."""
         before = self.history[-1] if self.history else float("inf")
         self.history.append(self.best)
         least = 0.0 if np.isinf(before) else self.budget.gain * abs(before)
@@ -121,7 +143,7 @@ class Ledger:
         return bool(self.stopped_because)
 
     def result(self, draws: FloatArray | None = None) -> SearchResult:
-        """The best point so far with its cost."""
+        """The result so far."""
         return SearchResult(
             self.z,
             self.best,

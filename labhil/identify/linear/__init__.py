@@ -1,7 +1,7 @@
-"""Black-box baselines to hold a white-box model against: what a linear model makes of the same data.
+"""Black-box baselines with which a white-box model is compared, from ARX to polynomial NARX.
 
-Each is fitted to one input and one output, sampled evenly, and is judged by its free run. ``fit_linear``
-fits one, ``linear_study`` all of them on a recording.
+Each is fitted to one input and one output, sampled evenly, and is scored by its free-run simulation.
+``fit_linear`` fits one, ``linear_study`` all of them on a recording.
 """
 
 from __future__ import annotations

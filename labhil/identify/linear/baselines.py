@@ -1,4 +1,7 @@
-"""The baselines by name, and the orders that are tried by default."""
+"""The baselines by name, and the choice of their orders on held-out data.
+
+Theory of the models: Ljung, System Identification, 1999.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +27,19 @@ from labhil.identify.linear.state_space import fit_state_space
 from labhil.identify.linear.transfer_function import fit_transfer_function
 from labhil.signals import FloatArray, Hold
 
-FEWEST_SAMPLES = 60
-HELD_OUT = 0.3
-MOST_TO_CHOOSE = 10_000
-"""Samples; of longer data a stretch around the held-out part's begin serves to choose orders."""
-SHORTLIST = 3
-BETTER = 0.99
-"""A larger model is taken when its error on the held-out part is below that share of a smaller one's."""
-DELAYS = (0, 1, 2, 4, 8)
-"""Samples beyond the least that are tried as dead time."""
+MAX_ERROR_RATIO = 0.99
+"""Error of a larger model, or of a longer dead time, over the smaller one's, below which it is taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """One kind of black box: how it is fitted, what it is, and the ``orders`` to choose among."""
+    """One kind of black-box model.
+
+    Attributes:
+        fit: Fits it with given orders.
+        description: What it is, as text.
+        orders: Candidates among which the data decide.
+    """
 
     fit: Callable[[Sampled, Orders], LinearModel]
     description: str
@@ -47,12 +49,14 @@ class Baseline:
 def _orders(
     poles: tuple[int, ...], noise: tuple[int, ...] = (1,), degree: tuple[int, ...] = (2,)
 ) -> tuple[Orders, ...]:
+    """All combinations, each with one coefficient of the input and with as many as poles."""
     return tuple(
         Orders(p, k, m, degree=d) for p, m, d in product(poles, noise, degree) for k in sorted({1, p})
     )
 
 
 def _square(poles: tuple[int, ...]) -> tuple[Orders, ...]:
+    """Orders with as many coefficients of the input as poles."""
     return tuple(Orders(p, p) for p in poles)
 
 
@@ -89,12 +93,21 @@ def fit_linear(
     orders: Orders | None = None,
     hold: Hold = Hold.ZERO,
 ) -> LinearModel:
-    """Fit the baseline ``name`` to an input and an output (n,), sampled every ``period`` s.
+    """Fit a baseline to an input and an output.
 
-    ``hold`` is what the input does between samples. Without ``orders`` they are chosen: each candidate
-    is fitted to the first 70 % (of a stretch, where there are many samples), the three with the lowest
-    Bayesian criterion run freely over the rest, and the smallest of the best is fitted to everything.
-    Raises UnknownNameError, and RecordingError or ValueError for data or orders that cannot be used.
+    Args:
+        name: One of BASELINES.
+        u: (n,) input.
+        y: (n,) output.
+        period: Sampling period, s.
+        orders: How large the model is; by default :func:`choose_orders`.
+        hold: What the input does between samples.
+
+    Raises:
+        UnknownNameError: There is no such baseline.
+        RecordingError: The data cannot be used: too few samples, a constant input, values that are not
+            finite.
+        ValueError: The orders cannot be used with these data.
     """
     if name not in BASELINES:
         raise UnknownNameError("baseline", name, BASELINES)
@@ -103,57 +116,86 @@ def fit_linear(
     return BASELINES[name].fit(data, chosen)
 
 
-def choose_orders(name: str, data: Sampled) -> Orders:
-    """The orders of the baseline ``name`` that the data support."""
-    learn, judge = _split(data)
-    delay = dead_time(learn)
+def choose_orders(
+    name: str,
+    data: Sampled,
+    *,
+    shortlist: int = 3,
+    max_error_ratio: float = MAX_ERROR_RATIO,
+) -> Orders:
+    """Choose the orders of a baseline by the Bayesian information criterion and held-out data.
+
+    Candidates are fitted to the first 70 % of the data. Those with the lowest criterion are simulated freely
+    over the rest, from the smallest to the largest.
+
+    Args:
+        name: Of the baseline.
+        data: Input and output.
+        shortlist: Number of candidates that are simulated over the held-out data.
+        max_error_ratio: RMSE there over that of the best smaller candidate, below which a larger one is
+            taken.
+    """
+    train, test = _split(data)
+    delay = dead_time(train)
     fitted = []
     for candidate in BASELINES[name].orders:
         orders = replace(candidate, delay=delay)
         if data.least_delay == 0 and name not in ("transfer_function", "state_space"):
             # an input that runs straight to the next sample moves the output there at once
             orders = replace(orders, inputs=orders.inputs + 1)
-        model = BASELINES[name].fit(learn, orders)
+        model = BASELINES[name].fit(train, orders)
         count = len(model.parameters)
-        criterion = len(learn) * np.log(max(model.loss, 1e-300)) + count * np.log(len(learn))
+        criterion = len(train) * np.log(max(model.loss, 1e-300)) + count * np.log(len(train))
         fitted.append((criterion, count, model))
-    shortlist = sorted(fitted, key=lambda item: item[0])[:SHORTLIST]
+    finalists = sorted(fitted, key=lambda item: item[0])[:shortlist]
     best: tuple[float, Orders] | None = None
-    for _, _, model in sorted(shortlist, key=lambda item: item[1]):
-        error = figures_of(judge.y, model.simulate(judge.u, judge.y)).rmse
-        if best is None or error < BETTER * best[0]:
+    for _, _, model in sorted(finalists, key=lambda item: item[1]):
+        error = figures_of(test.y, model.simulate(test.u, test.y)).rmse
+        if best is None or error < max_error_ratio * best[0]:
             best = error, model.orders
-    return shortlist[0][2].orders if best is None else best[1]
+    return finalists[0][2].orders if best is None else best[1]
 
 
-def _split(data: Sampled) -> tuple[Sampled, Sampled]:
-    """The part that candidates are fitted to and the part that they are judged on, of long data a stretch."""
-    cut = round(len(data) * (1 - HELD_OUT))
-    learn, judge = data.part(0, cut), data.part(cut, len(data))
-    most = round(MOST_TO_CHOOSE * (1 - HELD_OUT))
-    near = learn.part(max(cut - most, 0), cut), judge.part(0, MOST_TO_CHOOSE - most)
-    return near if all(np.ptp(part.u) > 0 for part in near) else (learn, judge)
+def _split(data: Sampled, *, test_share: float = 0.3, max_samples: int = 10_000) -> tuple[Sampled, Sampled]:
+    """Training and test data; of long data only ``max_samples`` around the cut, where the input changes."""
+    cut = round(len(data) * (1 - test_share))
+    train, test = data.part(0, cut), data.part(cut, len(data))
+    most = round(max_samples * (1 - test_share))
+    near = train.part(max(cut - most, 0), cut), test.part(0, max_samples - most)
+    return near if all(np.ptp(part.u) > 0 for part in near) else (train, test)
 
 
-def dead_time(data: Sampled) -> int:
-    """Samples of dead time beyond the least.
+def dead_time(
+    data: Sampled,
+    *,
+    candidates: tuple[int, ...] = (0, 1, 2, 4, 8),
+    max_error_ratio: float = MAX_ERROR_RATIO,
+) -> int:
+    """Estimate the dead time with output-error models of second order.
 
-    By output-error models of second order; a longer one has to lower the error by a hundredth.
+    Args:
+        data: Input and output.
+        candidates: Dead times in samples, beyond the least one that the hold implies.
+        max_error_ratio: RMSE over that of the best shorter dead time, below which a longer one is taken.
+
+    Returns:
+        Samples beyond the least.
     """
     best = np.inf, 0
-    for delay in DELAYS:
+    for delay in candidates:
         orders = Orders(2, 3 - data.least_delay, delay=delay)
         losses = [simulation_loss(data, orders, f) for f in denominators(data, orders)]
-        if min(losses) < BETTER**2 * best[0]:
+        if min(losses) < max_error_ratio**2 * best[0]:
             best = min(losses), delay
     return best[1]
 
 
-def _check_data(u: FloatArray, y: FloatArray, period: float, hold: Hold) -> Sampled:
+def _check_data(u: FloatArray, y: FloatArray, period: float, hold: Hold, *, min_samples: int = 60) -> Sampled:
+    """The data, or RecordingError where a baseline cannot be fitted to them."""
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    if u.ndim != 1 or u.shape != y.shape or len(u) < FEWEST_SAMPLES:
+    if u.ndim != 1 or u.shape != y.shape or len(u) < min_samples:
         raise RecordingError(
-            f"a baseline needs one input and one output with the same {FEWEST_SAMPLES} samples or more, "
+            f"a baseline needs one input and one output with the same {min_samples} samples or more, "
             f"found {u.shape} and {y.shape}"
         )
     if not (np.isfinite(u).all() and np.isfinite(y).all() and 0 < period < np.inf):

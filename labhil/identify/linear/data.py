@@ -1,4 +1,4 @@
-"""What a baseline is fitted to, what it offers, and how it is judged."""
+"""Data, orders and results of the baselines, and the figures by which they are compared."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """One input ``u`` and one output ``y``, both (n,), every ``period`` s; ``hold`` is the input's."""
+    """An evenly sampled input and output.
+
+    Attributes:
+        u: (n,) input.
+        y: (n,) output.
+        period: Sampling period, s.
+        hold: What the input does between samples.
+    """
 
     u: FloatArray
     y: FloatArray
@@ -38,13 +45,16 @@ class Sampled:
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """How large a baseline is.
+    """Orders of a baseline.
 
-    ``poles`` of the way from input to output (NARX: delayed outputs), ``inputs`` coefficients of its
-    numerator (a transfer function has one zero less; NARX: delayed inputs), ``noise`` coefficients of
-    each polynomial of the noise, ``delay`` samples of dead time beyond the least (an input that is held
-    moves the next output, one that runs straight moves the output at once), ``degree`` of a
-    nonlinearity: the bends of Hammerstein-Wiener's lines, the highest power of NARX.
+    Attributes:
+        poles: From input to output; of NARX the number of delayed outputs.
+        inputs: Coefficients of the numerator (a transfer function has one zero less); of NARX the number of
+            delayed inputs.
+        noise: Coefficients of each polynomial of the noise model.
+        delay: Dead time in samples beyond the least: a held input acts on the next output, one that runs
+            straight from sample to sample acts on the output at once.
+        degree: Of a nonlinearity: number of bends of Hammerstein-Wiener, highest power of NARX.
     """
 
     poles: int = 2
@@ -70,12 +80,12 @@ class LinearModel(Protocol):
 
     @property
     def orders(self) -> Orders:
-        """How large it is."""
+        """Its orders."""
         ...
 
     @property
     def loss(self) -> float:
-        """Mean square of what its fit made small (prediction or simulation error), unit²."""
+        """Mean square of the error that its fit minimises (prediction or simulation error), unit²."""
         ...
 
     @property
@@ -85,27 +95,36 @@ class LinearModel(Protocol):
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles from input to output in continuous time, rad/s; empty where there are none to speak of."""
+        """Poles from input to output in continuous time, rad/s; empty of a nonlinear model without any."""
         ...
 
     def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """Output (n,) of a free run over the input (n,): nothing measured is fed back.
+        """Simulate freely: no measured output is fed back.
 
-        ``start`` are measured outputs, from the first sample on, that the state at the first sample is
-        made to suit by least squares; without them the run begins at rest.
+        Args:
+            u: (n,) input.
+            start: Measured outputs from the first sample on, to which the initial state is fitted by least
+                squares; without them the simulation starts at rest.
+
+        Returns:
+            (n,) output.
         """
         ...
 
     def describe(self) -> str:
-        """The model as an equation, for a person."""
+        """The model as an equation, as text."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Errors of a free run: ``mse`` in unit², ``rmse`` and ``max_abs_error`` in unit, ``r2`` a fraction.
+    """Errors of a free-run simulation; one that diverges has infinite errors and an ``r2`` of −inf.
 
-    A run that leaves all bounds has infinite errors and an ``r2`` of −inf.
+    Attributes:
+        mse: Mean squared error, unit².
+        rmse: Its root, unit.
+        r2: 1 − SSE/SST, a fraction.
+        max_abs_error: Largest absolute error, unit.
     """
 
     mse: float
@@ -115,7 +134,7 @@ class Figures:
 
 
 def figures_of(measured: FloatArray, simulated: FloatArray) -> Figures:
-    """Compare a simulated output (n,) with the measured one; R² = 1 − SSE/SST."""
+    """Compare a simulated output (n,) with the measured one (n,)."""
     if not np.isfinite(simulated).all():
         return Figures(np.inf, np.inf, -np.inf, np.inf)
     error = simulated - measured

@@ -1,9 +1,8 @@
-"""Polynomial NARX: y(t) = Σ cᵢ·(a product of delayed outputs and inputs).
+"""Polynomial NARX models: y(t) = Σ cᵢ·(a product of delayed outputs and inputs).
 
-Terms are chosen one after another by how much more of the output each explains (forward regression with
-orthogonal least squares: Chen, Billings and Luo 1989), as many as the free run supports. Their
-coefficients are then improved on the free run itself, since one-step prediction of a signal that is
-sampled fast forgives almost anything.
+Terms are ranked by forward regression with orthogonal least squares (Chen, Billings and Luo 1989); their
+number has the least Bayesian information criterion of the free-run simulation. The coefficients then minimise
+the error of the free run itself: one-step prediction of a signal that is sampled fast hardly shows errors.
 """
 
 from __future__ import annotations
@@ -17,24 +16,26 @@ from scipy import optimize
 
 from labhil.compiled import compiled
 from labhil.identify.linear.data import ComplexArray, Orders, Sampled
-from labhil.identify.linear.filters import DIFFERENCE, project
+from labhil.identify.linear.filters import DIFFERENCE_STEP, regress
 from labhil.signals import FloatArray, IntArray
 
-MOST_TERMS = 12
-FEW_EVALUATIONS = 6
-MOST_EVALUATIONS = 30
-LARGEST = 1e3
-"""A free run that leaves that many standard deviations of the output has no bounds."""
-WORTH = 1e-9
-"""Share of the output's power that a term must explain to be kept."""
+MAX_OUTPUT = 1e3
+"""Output of a free run, in standard deviations of the measured one, beyond which it has diverged."""
 
 
 @dataclass(frozen=True, slots=True)
 class NarxModel:
-    """``powers`` (terms, lags) of the delayed outputs, then inputs; ``coefficients`` (terms,).
+    """A polynomial of delayed outputs and inputs.
 
-    In units of ``sizes``: outputs less ``middles[0]`` over ``sizes[0]``, inputs likewise with [1].
-    ``delay`` (samples) is that of the latest input.
+    Attributes:
+        orders: Numbers of delayed outputs and inputs, and the highest power.
+        period: Sampling period, s.
+        powers: (terms, lags) of the delayed outputs, then of the delayed inputs.
+        coefficients: (terms,) for scaled signals.
+        middles: Means of output and input, which are subtracted.
+        sizes: Standard deviations of output and input, by which they are divided.
+        loss: Mean squared error of the free run, unit².
+        delay: Of the latest input, samples.
     """
 
     orders: Orders
@@ -57,13 +58,13 @@ class NarxModel:
 
     @property
     def poles(self) -> ComplexArray:
-        """None: its poles are different at every point."""
+        """Empty: the poles of a nonlinear model depend on the operating point."""
         return np.empty(0, dtype=np.complex128)
 
     def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """Free run over the input (n,) after the first measured outputs, or from the mean output.
+        """Simulate freely over the input (n,) after the first measured outputs, or from the mean output.
 
-        Infinite from where the run leaves all bounds.
+        The output is infinite from the sample on at which the simulation diverges.
         """
         scaled = (u - self.middles[1]) / self.sizes[1]
         before = np.zeros(_depth(self.orders, self.delay))
@@ -71,7 +72,7 @@ class NarxModel:
             known = (start[: len(before)] - self.middles[0]) / self.sizes[0]
             before[: len(known)] = known
         y = _free_run(before, scaled, self.powers, self.coefficients, self.orders.poles, self.delay)
-        y[np.abs(y) >= LARGEST] = np.inf
+        y[np.abs(y) >= MAX_OUTPUT] = np.inf
         return y * self.sizes[0] + self.middles[0]
 
     def describe(self) -> str:
@@ -80,8 +81,17 @@ class NarxModel:
         return f"y(t) = {text} (y and u scaled), T = {self.period:g} s"
 
 
-def fit_narx(data: Sampled, orders: Orders) -> NarxModel:
-    """Choose terms up to ``orders.degree`` and fit them; ValueError when there are too few samples."""
+def fit_narx(data: Sampled, orders: Orders, *, max_evaluations: int = 30) -> NarxModel:
+    """Choose terms up to the power ``orders.degree`` and fit their coefficients.
+
+    Args:
+        data: Input and output.
+        orders: Numbers of delayed outputs and inputs, and the highest power.
+        max_evaluations: Steps of the final fit on the free run.
+
+    Raises:
+        ValueError: There are too few samples.
+    """
     delay = data.least_delay + orders.delay
     first = _depth(orders, delay)
     if len(data) < 10 * first:
@@ -91,14 +101,14 @@ def fit_narx(data: Sampled, orders: Orders) -> NarxModel:
     y, u = (data.y - middles[0]) / sizes[0], (data.u - middles[1]) / sizes[1]
     powers = _candidates(orders)
     columns = _columns(y, u, powers, orders, delay)
-    chosen = _forward(columns, y[first:])
+    chosen = _rank_terms(columns, y[first:])
 
     def run(count: int, coefficients: FloatArray) -> FloatArray:
         free = _free_run(y[:first], u, powers[chosen[:count]], coefficients, orders.poles, delay)
         return free[first:] - y[first:]
 
     count, coefficients = _choose_term_count(run, columns[:, chosen], y[first:])
-    coefficients, loss = _polish(run, count, coefficients, MOST_EVALUATIONS)
+    coefficients, loss = _fit_free_run(run, count, coefficients, max_evaluations)
     kept = powers[chosen[:count]]
     return NarxModel(orders, data.period, kept, coefficients, middles, sizes, loss * sizes[0] ** 2, delay)
 
@@ -107,50 +117,60 @@ Run = Callable[[int, FloatArray], FloatArray]
 """From how many terms and their coefficients to the errors of the free run."""
 
 
-def _choose_term_count(run: Run, columns: FloatArray, target: FloatArray) -> tuple[int, FloatArray]:
-    """How many of the columns (n, terms), the best first, lower the free run's criterion (BIC)."""
+def _choose_term_count(
+    run: Run, columns: FloatArray, target: FloatArray, *, max_evaluations: int = 6
+) -> tuple[int, FloatArray]:
+    """Choose the number of columns (n, terms), the best first, with the least BIC of the free run.
+
+    The coefficients come second; ``max_evaluations`` are the steps of the fit for each number.
+    """
     n = len(target)
     best = np.inf, 1, np.zeros(1)
     for count in range(1, columns.shape[1] + 1):
-        start = project(columns[:, :count], target)[0]
-        coefficients, loss = _polish(run, count, start, FEW_EVALUATIONS)
+        start = regress(columns[:, :count], target)[0]
+        coefficients, loss = _fit_free_run(run, count, start, max_evaluations)
         criterion = n * np.log(max(loss, 1e-300)) + count * np.log(n)
         if criterion < best[0]:
             best = criterion, count, coefficients
     return best[1], best[2]
 
 
-def _polish(run: Run, count: int, start: FloatArray, evaluations: int) -> tuple[FloatArray, float]:
-    """Coefficients that make the free run's mean square error small, and that error."""
+def _fit_free_run(run: Run, count: int, start: FloatArray, evaluations: int) -> tuple[FloatArray, float]:
+    """Minimise the mean squared error of the free run; coefficients, and that error."""
     solution = optimize.least_squares(
-        lambda c: run(count, c), start, x_scale="jac", diff_step=DIFFERENCE, max_nfev=evaluations
+        lambda c: run(count, c), start, x_scale="jac", diff_step=DIFFERENCE_STEP, max_nfev=evaluations
     )
     return np.asarray(solution.x), 2 * float(solution.cost) / len(solution.fun)
 
 
-def _forward(columns: FloatArray, target: FloatArray) -> list[int]:
-    """The columns in the order in which they explain most of what the earlier ones left."""
-    rest, residuals = columns.copy(), target.copy()
+def _rank_terms(
+    columns: FloatArray, target: FloatArray, *, max_terms: int = 12, min_explained: float = 1e-9
+) -> list[int]:
+    """Rank columns (n, terms) by forward regression: each explains most of the residuals of earlier ones.
+
+    It ends where the best column explains less than ``min_explained`` of the target's power.
+    """
+    orthogonal, residuals = columns.copy(), target.copy()
     power = float(target @ target)
     weight = np.einsum("nt,nt->t", columns, columns)
     chosen: list[int] = []
-    for _ in range(min(MOST_TERMS, columns.shape[1])):
-        size = np.einsum("nt,nt->t", rest, rest)
+    for _ in range(min(max_terms, columns.shape[1])):
+        size = np.einsum("nt,nt->t", orthogonal, orthogonal)
         size[size < 1e-12 * np.maximum(weight, 1e-300)] = np.inf
-        share = (rest.T @ residuals) ** 2 / size / power
+        share = (orthogonal.T @ residuals) ** 2 / size / power
         share[chosen] = 0.0
         best = int(np.argmax(share))
-        if not share[best] > WORTH:
+        if not share[best] > min_explained:
             break
         chosen.append(best)
-        direction = rest[:, best] / np.sqrt(size[best])
+        direction = orthogonal[:, best] / np.sqrt(size[best])
         residuals -= direction * (direction @ residuals)
-        rest -= np.outer(direction, direction @ rest)
+        orthogonal -= np.outer(direction, direction @ orthogonal)
     return chosen
 
 
 def _candidates(orders: Orders) -> IntArray:
-    """All products of up to ``degree`` lags as rows of powers, the constant first."""
+    """All products of up to ``degree`` delayed signals as rows of powers, the constant first."""
     lags = orders.poles + orders.inputs
     rows = [np.zeros(lags, dtype=np.int64)]
     for degree in range(1, orders.degree + 1):
@@ -162,6 +182,7 @@ def _candidates(orders: Orders) -> IntArray:
 
 
 def _columns(y: FloatArray, u: FloatArray, powers: IntArray, orders: Orders, delay: int) -> FloatArray:
+    """Values (n − first, terms) of the products, from the first sample whose past is known."""
     first, n = _depth(orders, delay), len(y)
     past = [y[first - i : n - i] for i in range(1, orders.poles + 1)]
     past += [u[first - delay - j : n - delay - j] for j in range(orders.inputs)]
@@ -170,6 +191,7 @@ def _columns(y: FloatArray, u: FloatArray, powers: IntArray, orders: Orders, del
 
 
 def _depth(orders: Orders, delay: int) -> int:
+    """Samples of the past that a prediction needs."""
     return max(orders.poles, delay + orders.inputs - 1)
 
 
@@ -177,6 +199,7 @@ def _depth(orders: Orders, delay: int) -> int:
 def _free_run(
     before: FloatArray, u: FloatArray, powers: IntArray, coefficients: FloatArray, outputs: int, delay: int
 ) -> FloatArray:
+    """Simulate after the outputs ``before``, (n,); MAX_OUTPUT from the sample on at which it diverges."""
     n, first = len(u), len(before)
     y = np.empty(n)
     y[: min(first, n)] = before[: min(first, n)]
@@ -189,14 +212,15 @@ def _free_run(
                 for _ in range(powers[i, j]):
                     value *= lag
             total += value
-        if not abs(total) < LARGEST:
-            y[t:] = LARGEST
+        if not abs(total) < MAX_OUTPUT:
+            y[t:] = MAX_OUTPUT
             return y
         y[t] = total
     return y
 
 
 def _term(row: IntArray, orders: Orders, delay: int) -> str:
+    """A product as text."""
     names = [f"y(t−{i})" for i in range(1, orders.poles + 1)]
     names += [f"u(t−{delay + j})" if delay + j else "u(t)" for j in range(orders.inputs)]
     parts = [

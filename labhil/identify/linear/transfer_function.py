@@ -1,8 +1,9 @@
-"""A transfer function in continuous time, by output error: y(s) = N(s)/D(s)·u(s) + offset.
+"""Transfer functions in continuous time, by output error: y(s) = N(s)/D(s)·u(s) + offset.
 
-Between samples the input is held or runs straight, as it really does; the numerator, the offset and the
-state at the first sample are projected out, so that only the denominator's coefficients are searched for,
-as logarithms: a product of s² + a₁s + a₀ and s + a₀ with positive coefficients has no root on the right.
+Between samples the input is held or runs straight, as its hold says. The numerator, the offset and the
+initial state are projected out, so that only coefficients of the denominator are searched. It is a product of
+s² + a₁s + a₀ and s + a₀ with positive coefficients, searched as logarithms, and so has no root in the right
+half-plane.
 """
 
 from __future__ import annotations
@@ -15,14 +16,12 @@ import numpy as np
 from scipy import signal
 
 from labhil.identify.linear.data import ComplexArray, Orders, Sampled
-from labhil.identify.linear.filters import delayed, free_responses, free_run, improve, project
+from labhil.identify.linear.filters import delayed, free_responses, free_run, minimise_from_starts, regress
 from labhil.identify.linear.polynomial import denominators
 from labhil.signals import FloatArray, Hold
 
-FARTHEST = 30.0
-"""Logarithms are searched within ± that much of one over a sampling period."""
-DAMPINGS = (0.3, 1.0, 4.0)
-CORNERS = 5
+MAX_LOG_COEFFICIENT = 30.0
+"""Bound of the logarithms of coefficients in units of the sampling period: keeps exponentials finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +54,23 @@ class TransferFunctionModel:
         return np.asarray(np.sort_complex(np.roots(self.denominator).astype(np.complex128)))
 
     def simulate(self, u: FloatArray, start: FloatArray | None = None) -> FloatArray:
-        """Free run over the input (n,), from rest or the state that suits ``start`` best."""
+        """Simulate over the input (n,), from rest or the state that fits ``start`` best."""
         powers, f = _discretise(self.denominator, len(self.numerator), self.period, self.hold)
         return free_run(self.numerator[::-1] @ powers, f, self.offset, delayed(u, self.orders.delay), start)
 
     def describe(self) -> str:
         """The model as a quotient of polynomials in s."""
-        late = self.orders.delay
-        delay = f"·exp(−{late * self.period:g}·s)" if late else ""
+        samples = self.orders.delay
+        delay = f"·exp(−{samples * self.period:g}·s)" if samples else ""
         quotient = f"({_powers(self.numerator)})/({_powers(self.denominator)})"
         return f"G(s) = {quotient}{delay}, offset {self.offset:.6g}"
 
 
 def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionModel:
-    """Fit ``orders.poles`` poles and ``orders.inputs`` − 1 zeros, fewer than poles.
+    """Fit a transfer function with ``orders.poles`` poles and ``orders.inputs`` − 1 zeros.
 
-    Raises ValueError.
+    Raises:
+        ValueError: There are not fewer zeros than poles.
     """
     if orders.inputs > orders.poles:
         raise ValueError(
@@ -80,7 +80,7 @@ def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionMode
     def residual(theta: FloatArray) -> FloatArray:
         return _fit_numerator(data, orders, _denominator(theta, data.period))[1]
 
-    theta = improve(residual, _starts(data, orders))
+    theta = minimise_from_starts(residual, _starts(data, orders))
     denominator = _denominator(theta, data.period)
     coefficients, residuals = _fit_numerator(data, orders, denominator)
     numerator = coefficients[: orders.inputs][::-1]
@@ -91,24 +91,24 @@ def fit_transfer_function(data: Sampled, orders: Orders) -> TransferFunctionMode
 
 
 def _fit_numerator(data: Sampled, orders: Orders, denominator: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients of s⁰, s¹, … and the offset, and the residuals, for a given denominator."""
+    """Fit the coefficients of s⁰, s¹, … and the offset for a given denominator; residuals come second."""
     n = len(data)
     u = delayed(data.u, orders.delay)
     powers, f = _discretise(denominator, orders.inputs, data.period, data.hold)
     columns = [signal.lfilter(b, f, u) for b in powers]
-    return project(np.column_stack((*columns, np.ones(n), free_responses(f, n))), data.y)
+    return regress(np.column_stack((*columns, np.ones(n), free_responses(f, n))), data.y)
 
 
 def _discretise(
     denominator: FloatArray, count: int, period: float, hold: Hold
 ) -> tuple[FloatArray, FloatArray]:
-    """s⁰/D(s), s¹/D(s), … at the samples: numerators (count, order + 1) and the denominator in q⁻¹.
+    """Discretise s⁰/D(s), s¹/D(s), …: numerators (count, order + 1) and their denominator, in q⁻¹.
 
-    With the states x, x′, x″, … of 1/D(s), whose transition over a period is a matrix exponential; an
-    input that runs straight from u₀ to u₁ adds its ramp to them.
+    The states x, x′, x″, … of 1/D(s) change over a period by a matrix exponential; an input that runs
+    straight from u₀ to u₁ adds a ramp to the held one.
     """
     order = len(denominator) - 1
-    # one unit of time per sample keeps the matrices' elements within reach of each other
+    # one unit of time per sample gives the matrices' elements similar sizes
     den = denominator * period ** np.arange(order + 1)
     block = np.zeros((order + 2, order + 2))
     block[: order - 1, 1:order] = np.eye(order - 1)
@@ -131,7 +131,7 @@ def _discretise(
 
 
 def _exponential(matrix: FloatArray) -> FloatArray:
-    """exp(matrix) by scaling, a series and squaring: so small a matrix costs a library more in calling."""
+    """Matrix exponential by scaling and squaring of a series; for small matrices faster than a library's."""
     squarings = max(0, int(np.ceil(np.log2(max(float(np.abs(matrix).sum(axis=1).max()), 1e-300)))) + 2)
     scaled = matrix / 2.0**squarings
     term = total = np.eye(len(matrix))
@@ -144,23 +144,29 @@ def _exponential(matrix: FloatArray) -> FloatArray:
 
 
 def _denominator(theta: FloatArray, period: float) -> FloatArray:
-    """Polynomial in s of logarithms: pairs (a₁·T, a₀·T²), and one a₀·T for an odd order."""
-    values = np.exp(np.clip(theta, -FARTHEST, FARTHEST / 6))
+    """Polynomial in s from logarithms of pairs (a₁·T, a₀·T²), and of one a₀·T for an odd order."""
+    values = np.exp(np.clip(theta, -MAX_LOG_COEFFICIENT, MAX_LOG_COEFFICIENT / 6))
     den = np.ones(1)
     for i in range(0, len(values) - 1, 2):
         den = np.polymul(den, [1.0, values[i] / period, values[i + 1] / period**2])
     return np.polymul(den, [1.0, values[-1] / period]) if len(values) % 2 else den
 
 
-def _starts(data: Sampled, orders: Orders) -> list[FloatArray]:
-    """Poles of discrete fits, and a grid of corner frequencies and dampings."""
+def _starts(
+    data: Sampled,
+    orders: Orders,
+    *,
+    damping_ratios: tuple[float, ...] = (0.3, 1.0, 4.0),
+    n_corners: int = 5,
+) -> list[FloatArray]:
+    """Start values: poles of discrete fits, and a grid of corner frequencies and damping ratios."""
     starts = [
         start
         for f in denominators(data, Orders(orders.poles, orders.poles, delay=orders.delay))
         if (start := _logarithms(np.roots(f).astype(np.complex128))) is not None
     ]
-    corners = np.geomspace(4.0 / len(data), 0.5, CORNERS)
-    for corner, damping in product(corners, DAMPINGS):
+    corners = np.geomspace(4.0 / len(data), 0.5, n_corners)
+    for corner, damping in product(corners, damping_ratios):
         pair = [np.log(2 * damping * corner), 2 * np.log(corner)]
         pairs = [
             value + shift
@@ -172,7 +178,7 @@ def _starts(data: Sampled, orders: Orders) -> list[FloatArray]:
 
 
 def _logarithms(poles: ComplexArray) -> FloatArray | None:
-    """The ``theta`` of poles in the z plane; None where they have no like in continuous time."""
+    """The ``theta`` of poles in the z plane; None where they have no equivalent in continuous time."""
     if np.any(np.abs(poles) < 1e-12) or np.any((poles.imag == 0) & (poles.real <= 0)):
         return None
     s = np.log(poles)
@@ -186,6 +192,7 @@ def _logarithms(poles: ComplexArray) -> FloatArray | None:
 
 
 def _powers(coefficients: FloatArray) -> str:
+    """A polynomial in s as text."""
     top = len(coefficients) - 1
     parts = []
     for i, value in enumerate(coefficients.tolist()):

@@ -13,7 +13,7 @@ from labhil.analysis.schema import (
     MissingEffect,
     Rival,
 )
-from labhil.analysis.verdicts import NOT_ASKED, VERDICTS, disagreement
+from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed
 from labhil.report.absent import JointLimits, group_undecided, joints_in, limits_by_joint
 from labhil.report.html.curve import curve_picture
@@ -92,7 +92,7 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
     entries: list[tuple[str, Content, Content]] = [
         ("p that the baseline suffices", p_value(diagnosis.p_value), join(_p_value_method(diagnosis)))
         if diagnosis.asks_baseline
-        else ("The baseline", NOTHING, NOT_ASKED)
+        else ("The baseline", NOTHING, NOT_TESTED)
     ]
     if improvement is not None:
         unit = improvement.unit
