@@ -91,7 +91,7 @@ def _filtered_noise(model: Model, theta: FloatArray, record: Record) -> FloatArr
         theta, record, recordings, model.initial_states(record, recordings)
     )
     # of white noise 20; a filter takes away most where differences are the largest
-    attenuation = np.sqrt(THIRD[0] / np.dot(THIRD, record.alike))
+    attenuation = np.sqrt(THIRD[0] / np.dot(THIRD, record.autocorrelation))
     return np.asarray(noise_of(replace(record, outputs=residuals)) * attenuation)
 
 

@@ -88,11 +88,11 @@ class ModelUnderCurves:
         """Coordinates along the simulation under the forces, each (N,)."""
         return self._under(record).coordinates(theta, record, windows, states)
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """The inner model's."""
-        return self.inner.driven(theta, record, windows, along)
+        return self.inner.drive_coordinates(theta, record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's force and the curves', (N,) or (N, joints)."""

@@ -134,7 +134,7 @@ def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
     A vector with hardly any damping has so long a horizon.
     """
     wanted = model.horizon_at(theta)
-    return wanted if wanted <= min(record.durations) else record.countable
+    return wanted if wanted <= min(record.durations) else record.max_horizon
 
 
 def score(

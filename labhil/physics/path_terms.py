@@ -1,4 +1,8 @@
-"""Terms on the way in (command to mechanism) and on the way out (mechanism to sample), for every rig."""
+"""Terms of the input path (command to mechanism) and of sensors (mechanism to sample), for every rig.
+
+u is the command, u_eff what acts on the mechanism, x the true output and y its reading. The functions that
+simulate them are in ``physics.input_path``.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,14 @@ from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 
 
 def input_terms(unit: str) -> tuple[Term, ...]:
-    """Terms between a command in ``unit`` and what it moves; starts are fractions of the input."""
+    """Make the terms of the input path: delay, dead zone, backlash, limits and lag.
+
+    Args:
+        unit: Unit of the command.
+
+    Returns:
+        The terms; their starts are fractions of the largest input.
+    """
     return (
         Term(
             "time_delay",
@@ -32,7 +43,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
 
 
 def _play_terms(unit: str) -> tuple[Term, ...]:
-    """Commands that have no effect: around zero, or after a reversal."""
+    """Dead zone and backlash: commands without effect around zero, or after a reversal."""
     return (
         Term(
             "dead_zone",
@@ -59,7 +70,7 @@ def _play_terms(unit: str) -> tuple[Term, ...]:
 
 
 def _limit_terms(unit: str) -> tuple[Term, ...]:
-    """Commands that are larger or faster than the actuator allows."""
+    """Saturation and rate limit: commands larger or faster than the actuator allows."""
     return (
         Term(
             "saturation",
@@ -105,7 +116,17 @@ def _limit_terms(unit: str) -> tuple[Term, ...]:
 def offset_term(
     channel: str, unit: str, size: float, revealed_by: str = "rest at a known place, or motion both ways"
 ) -> Term:
-    """An offset of the sensor of ``channel``, for channels whose zero means something."""
+    """Make the offset of the sensor of ``channel``, for a channel with a defined zero.
+
+    Args:
+        channel: The output.
+        unit: Its unit.
+        size: Typical offset in that unit.
+        revealed_by: The excitation that shows it.
+
+    Returns:
+        The term.
+    """
     return Term(
         "sensor_offset",
         Enters.OUTPUT,
@@ -118,7 +139,16 @@ def offset_term(
 
 
 def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
-    """Terms between the plant and the samples of ``channel``, whose values span about ``span``."""
+    """Make the terms of a sensor: nonlinearity, gain error and lag.
+
+    Args:
+        channel: The output.
+        unit: Its unit.
+        span: Typical range of its values in that unit.
+
+    Returns:
+        The terms.
+    """
     return (
         Term(
             "sensor_nonlinearity",
