@@ -35,5 +35,9 @@ def facts(record: Record, known: Mapping[str, float], *, mass_factor: float = 4.
         figures.append(Fact(what, ratio, "", 1.0 / mass_factor, mass_factor, powers, why, 1.0, dynamic=True))
     else:
         what = f"the acceleration per unit of {drive}"
-        figures.append(Fact(what, gain, "", 0.0, inf, powers, "it goes where it is pushed", dynamic=True))
+        figures.append(
+            Fact(
+                what, gain, "", 0.0, inf, powers, "it accelerates in the direction of the drive", dynamic=True
+            )
+        )
     return figures

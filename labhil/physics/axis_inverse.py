@@ -21,7 +21,7 @@ from labhil.physics.terms import CharacteristicScale, Enters, Term
 from labhil.signals import FloatArray, Hold
 
 TERMS_AT_REST = ("static_friction",)
-NOT_IN_INVERSE_DYNAMICS = "inverse dynamics sees forces on what moves; fit by simulation"
+NOT_IN_INVERSE_DYNAMICS = "inverse dynamics shows only forces on the moving part; fit by simulation"
 
 
 @dataclass(frozen=True, slots=True)

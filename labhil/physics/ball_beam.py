@@ -111,7 +111,10 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
     )
     terms = friction_terms(force, "m", level, TYPICAL_SPEED) + loads + input_terms("rad")
     offset = offset_term(
-        "ball_position", "m", 1e-3, "a beam that turns fast: what pulls outwards knows its pivot"
+        "ball_position",
+        "m",
+        1e-3,
+        "fast rotation of the beam: the centrifugal force depends on the distance from the pivot",
     )
     terms += (*output_terms("ball_position", "m", TYPICAL_SPAN), offset) + (
         () if per_unit_mass else (inertia,)

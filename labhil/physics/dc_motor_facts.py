@@ -87,7 +87,18 @@ def _positive(what: str, value: float, certainty: float, powers: Mapping[str, in
     """The fact that a slope with a sufficient t ratio is positive."""
     if abs(certainty) <= MIN_T_RATIO:
         return []
-    return [Fact(what, float(value), "", 0.0, inf, powers, "a motor runs the way it is driven", dynamic=True)]
+    return [
+        Fact(
+            what,
+            float(value),
+            "",
+            0.0,
+            inf,
+            powers,
+            "a motor turns in the direction in which it is driven",
+            dynamic=True,
+        )
+    ]
 
 
 def _ratio(what: str, value: float, powers: Mapping[str, int]) -> Fact:

@@ -265,7 +265,7 @@ def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
             "a voltage that the brushes take, whatever the current",
             "U_b = V_b·sgn i",
             "standard",
-            "small currents both ways; needs the current to be told from dry friction",
+            "small currents both ways; a recorded current, to distinguish it from dry friction",
             (Parameter("brush_drop.voltage", "V", 0.1 * s.voltage, 0.0, starts=(0.05 * s.voltage,)),),
         ),
         Term(

@@ -25,7 +25,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "a delay: the command acts later than it is recorded",
             "u_eff(t) = u(t − T_d)",
             "reference text, section 4.3",
-            "any input that changes; several frequencies tell it from a lag",
+            "any input that changes; several frequencies, to distinguish it from a lag",
             (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,), step=0.04),),
         ),
         *_play_terms(unit),
@@ -36,7 +36,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "an actuator that follows as a first-order lag",
             "T·u̇_eff + u_eff = u",
             "standard",
-            "several frequencies; tells itself from a delay by the fall in gain",
+            "several frequencies: its gain falls with frequency, that of a delay does not",
             (Parameter("actuator_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
         ),
     )
@@ -153,7 +153,7 @@ def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
         Term(
             "sensor_nonlinearity",
             Enters.OUTPUT,
-            f"a sensor of {channel} that is not straight",
+            f"a nonlinear sensor of {channel}",
             "y = x + c·x³",
             "odd static curve, first term",
             "motion over the whole range",
