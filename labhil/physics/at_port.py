@@ -87,7 +87,7 @@ def _compile_max_step(
 
     @specialised
     def max_step(
-        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, part: Any
+        s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float, part: Any
     ) -> float:
         if side == 0.0:
             return np.inf
@@ -113,7 +113,7 @@ def _no_value(s: Motion, u: float, part: Any) -> float:
 
 
 @specialised
-def _no_target(s: Motion, u: float, how: Follows, part: Any) -> float:
+def _no_target(s: Motion, u: float, lag: Follows, part: Any) -> float:
     return 0.0
 
 

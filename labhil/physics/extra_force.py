@@ -306,10 +306,10 @@ def _compile_max_step(
 
     @specialised
     def extra_max_step(
-        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float,
+        s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float,
         p: Pushed[Part],
     ) -> float:  # fmt: skip
-        size = max_step(s, side, u, rise, since, how, finest, p.part)
+        size = max_step(s, side, u, rise, since, lag, finest, p.part)
         b = p.force
         if side == 0.0 or (b.over == 0 and not b.friction.size):
             return size
@@ -340,8 +340,8 @@ def with_extra_force(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCours
         return acceleration(s, side, u, p.part) + push(s, p.force) - side * drag(s, p.force)
 
     @specialised
-    def extra_target(s: Motion, u: float, how: Follows, p: Pushed[Part]) -> float:
-        return target(s, u, how, p.part)
+    def extra_target(s: Motion, u: float, lag: Follows, p: Pushed[Part]) -> float:
+        return target(s, u, lag, p.part)
 
     @specialised
     def extra_follow(s: Motion, p: Pushed[Part]) -> Follows:

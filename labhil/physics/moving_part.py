@@ -138,45 +138,45 @@ def compile_step(laws: Laws[Part, Course]) -> Step[Part]:
     acceleration, target = laws.acceleration, laws.target
 
     @specialised
-    def creep(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
-        end, goal, start = u + h * rise, target(s, u, how, part), acceleration(s, side, u, part)
-        _, _, long, long_ramp, bend = step_responses(h * how.rate)
-        _, _, whole, ramp, _ = step_responses(h * how.creep)
+    def creep(s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, part: Part) -> Motion:
+        end, goal, start = u + h * rise, target(s, u, lag, part), acceleration(s, side, u, part)
+        _, _, long, long_ramp, bend = step_responses(h * lag.rate)
+        _, _, whole, ramp, _ = step_responses(h * lag.creep)
         x, v, a = s.x + h * s.v, s.v, s.a
         for _ in range(2):  # the second pass knows the drive at the end of the step
-            last = target(Motion(x, v, s.a), end, how, part)
+            last = target(Motion(x, v, s.a), end, lag, part)
             a = follow_parabola(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, bend)
             drift = acceleration(Motion(x, s.v, a), side, end, part) - start
-            v = s.v + (whole * start + ramp * drift) / how.creep
-            way = ramp * start + (0.5 - ramp / (h * how.creep)) * drift
-            x = s.x + h * (s.v + way / how.creep)
+            v = s.v + (whole * start + ramp * drift) / lag.creep
+            way = ramp * start + (0.5 - ramp / (h * lag.creep)) * drift
+            x = s.x + h * (s.v + way / lag.creep)
         return Motion(x, v, a)
 
     @specialised
-    def step(s: Motion, side: float, u: float, rise: float, h: float, how: Follows, part: Part) -> Motion:
-        if how.creep > 0.0 and side != 0.0 and h > 0.0:
-            return creep(s, side, u, rise, h, how, part)
+    def step(s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, part: Part) -> Motion:
+        if lag.creep > 0.0 and side != 0.0 and h > 0.0:
+            return creep(s, side, u, rise, h, lag, part)
         moves = 0.0 if side == 0.0 else 1.0
         half = 0.5 * h
         middle, end = u + half * rise, u + h * rise
-        short, ramp, whole, long_ramp, bend = step_responses(h * how.rate)
-        goal1 = target(s, u, how, part)
+        short, ramp, whole, long_ramp, bend = step_responses(h * lag.rate)
+        goal1 = target(s, u, lag, part)
         acceleration1 = moves * acceleration(s, side, u, part)
         v2 = s.v + half * acceleration1
-        goal2 = target(Motion(s.x + half * s.v, v2, s.a), middle, how, part)
+        goal2 = target(Motion(s.x + half * s.v, v2, s.a), middle, lag, part)
         s2 = Motion(s.x + half * s.v, v2, s.a + short * (goal1 - s.a) + ramp * (goal2 - goal1))
         acceleration2 = moves * acceleration(s2, side, middle, part)
         v3 = s.v + half * acceleration2
-        goal3 = target(Motion(s.x + half * v2, v3, s.a), middle, how, part)
+        goal3 = target(Motion(s.x + half * v2, v3, s.a), middle, lag, part)
         s3 = Motion(s.x + half * v2, v3, s.a + short * (goal1 - s.a) + ramp * (goal3 - goal1))
         acceleration3 = moves * acceleration(s3, side, middle, part)
         v4 = s.v + h * acceleration3
-        goal4 = target(Motion(s.x + h * v3, v4, s.a), end, how, part)
+        goal4 = target(Motion(s.x + h * v3, v4, s.a), end, lag, part)
         a4 = follow_parabola(s.a, goal1, goal3, goal4, whole, long_ramp, bend)
         acceleration4 = moves * acceleration(Motion(s.x + h * v3, v4, a4), side, end, part)
         x = s.x + h * (s.v + 2.0 * (v2 + v3) + v4) / 6.0
         v = s.v + h * (acceleration1 + 2.0 * (acceleration2 + acceleration3) + acceleration4) / 6.0
-        goal = target(Motion(x, v, s.a), end, how, part)
+        goal = target(Motion(x, v, s.a), end, lag, part)
         return Motion(x, v, follow_parabola(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, bend))
 
     return step

@@ -160,7 +160,7 @@ def pull_and_hold(s: Motion, u: float, p: Slider) -> tuple[float, float]:
 
 
 @inlined
-def target(s: Motion, u: float, how: Follows, p: Slider) -> float:
+def target(s: Motion, u: float, lag: Follows, p: Slider) -> float:
     """Zero: a sliding part has no lagging quantity."""
     return 0.0
 
@@ -179,14 +179,14 @@ def follow(s: Motion, p: Slider) -> Follows:
 
 @inlined
 def max_step(
-    s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, p: Slider
+    s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float, p: Slider
 ) -> float:
     """Longest step, s: short against the oscillation on the spring, the Stribeck peak and the cogging."""
     if side == 0.0:
         return np.inf
     stiff = stiffness(u, s.x, p) + TINY
-    if how.creep > 0.0:
-        size = MAX_STEP_SHARE * how.creep / stiff
+    if lag.creep > 0.0:
+        size = MAX_STEP_SHARE * lag.creep / stiff
     else:
         size = min(
             MAX_STEP_OF_OSCILLATION / np.sqrt(stiff),

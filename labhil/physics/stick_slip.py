@@ -61,19 +61,19 @@ def compile_break_away_time(laws: Laws[Part, Course], step: Step[Part]) -> Event
 
     @specialised
     def time_to_break_away(
-        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+        s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, stop: float, part: Part
     ) -> float:
         f_low = excess(s, u, side, part)
         if f_low >= 0.0:
             return 0.0
-        f_high = excess(step(s, 0.0, u, rise, h, how, part), u + h * rise, side, part)
+        f_high = excess(step(s, 0.0, u, rise, h, lag, part), u + h * rise, side, part)
         between = Bracket(0.0, f_low, h, f_high, 0.0)
         close = 1e-14 * (abs(f_low) + abs(f_high))
         for _ in range(MAX_ROOT_STEPS):
             if between.high - between.low < TIME_TOLERANCE:
                 break
             middle = false_position(between)
-            f = excess(step(s, 0.0, u, rise, middle, how, part), u + middle * rise, side, part)
+            f = excess(step(s, 0.0, u, rise, middle, lag, part), u + middle * rise, side, part)
             if abs(f) <= close:
                 return min(middle + TIME_TOLERANCE, h)
             between = narrow(between, middle, f)
@@ -87,10 +87,10 @@ def compile_event_time(step: Step[Part]) -> Event[Part]:
 
     @specialised
     def time_to_event(
-        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+        s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, stop: float, part: Part
     ) -> float:
         meets = np.isfinite(stop)
-        later = step(s, side, u, rise, h, how, part)
+        later = step(s, side, u, rise, h, lag, part)
         f_low = (stop - s.x) * side if meets else s.v * side
         f_high = (stop - later.x) * side if meets else later.v * side
         between = Bracket(0.0, f_low, h, f_high, 0.0)
@@ -99,7 +99,7 @@ def compile_event_time(step: Step[Part]) -> Event[Part]:
             if between.high - between.low < TIME_TOLERANCE or f_high == f_low:
                 break
             middle = false_position(between)
-            reached = step(s, side, u, rise, middle, how, part)
+            reached = step(s, side, u, rise, middle, lag, part)
             f = (stop - reached.x) * side if meets else reached.v * side
             if abs(f) <= close:
                 return middle
@@ -116,15 +116,15 @@ def compile_rest(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
     @merged
     def rest(
-        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, lag: Follows, stops: Stops,
         part: Part,
     ) -> tuple[Motion, float, float]:  # fmt: skip
-        later = step(s, 0.0, u, rise, h, how, part)
+        later = step(s, 0.0, u, rise, h, lag, part)
         towards = break_away_side(later.x, pull_and_hold(later, u + h * rise, part), stops)
         if towards == 0.0:
             return later, 0.0, h
-        taken = time_to_break_away(s, towards, u, rise, h, how, np.inf, part)
-        return step(s, 0.0, u, rise, taken, how, part), towards, taken
+        taken = time_to_break_away(s, towards, u, rise, h, lag, np.inf, part)
+        return step(s, 0.0, u, rise, taken, lag, part), towards, taken
 
     return rest
 
@@ -136,26 +136,26 @@ def compile_move(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
     @merged
     def move(
-        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, lag: Follows, stops: Stops,
         part: Part,
     ) -> tuple[Motion, float, float]:  # fmt: skip
-        later = step(s, side, u, rise, h, how, part)
+        later = step(s, side, u, rise, h, lag, part)
         while s.v == 0.0 and later.v * side <= 0.0:
             # the drive recedes within this step: shorten it, and rest if the part does not move then either
             if h <= finest:
-                return step(s, 0.0, u, rise, h, how, part), 0.0, h
+                return step(s, 0.0, u, rise, h, lag, part), 0.0, h
             h *= 0.25
-            later = step(s, side, u, rise, h, how, part)
+            later = step(s, side, u, rise, h, lag, part)
         edge = stops.high if side > 0.0 else stops.low
         if later.v * side <= 0.0:
-            h = time_to_event(s, side, u, rise, h, how, np.inf, part)
-            later = step(s, side, u, rise, h, how, part)
+            h = time_to_event(s, side, u, rise, h, lag, np.inf, part)
+            later = step(s, side, u, rise, h, lag, part)
             if (edge - later.x) * side >= 0.0:
                 return Motion(later.x, 0.0, later.a), 0.0, h
         if (edge - later.x) * side >= 0.0:
             return later, side, h
-        h = time_to_event(s, side, u, rise, h, how, edge, part)
-        later = step(s, side, u, rise, h, how, part)
+        h = time_to_event(s, side, u, rise, h, lag, edge, part)
+        later = step(s, side, u, rise, h, lag, part)
         back = -stops.restitution * later.v
         pull, _ = pull_and_hold(Motion(edge, 0.0, later.a), u + h * rise, part)
         if back == 0.0 or 2.0 * abs(back) <= finest * pull * side:
@@ -212,19 +212,19 @@ def compile_advance(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, flo
             if steps > MAX_STEPS:
                 return Motion(np.nan, np.nan, np.nan), side
             now = u + t * rise
-            how = follow(s, part)
-            if how.rate * h > INSTANT_RATE:
-                how = Follows(np.inf, how.gauge, how.bias, 0.0)
+            lag = follow(s, part)
+            if lag.rate * h > INSTANT_RATE:
+                lag = Follows(np.inf, lag.gauge, lag.bias, 0.0)
                 s = Motion(s.x, s.v, steady_value(s, now, part))
             if side == 0.0:
                 side = break_away_side(s.x, pull_and_hold(s, now, part), stops)
             if side != 0.0:
-                how = Follows(how.rate, how.gauge, how.bias, creep(s, side, now, h - t, part))
-            size = min(h - t, max_step(s, side, now, rise, t, how, finest, part))
+                lag = Follows(lag.rate, lag.gauge, lag.bias, creep(s, side, now, h - t, part))
+            size = min(h - t, max_step(s, side, now, rise, t, lag, finest, part))
             if side == 0.0:
-                s, side, taken = rest(s, side, now, rise, size, finest, how, stops, part)
+                s, side, taken = rest(s, side, now, rise, size, finest, lag, stops, part)
             else:
-                s, side, taken = move(s, side, now, rise, size, finest, how, stops, part)
+                s, side, taken = move(s, side, now, rise, size, finest, lag, stops, part)
             t += taken
         return s, side
 

@@ -105,11 +105,11 @@ def steady_value(s: Motion, u: float, r: Rotor) -> float:
 
 
 @inlined
-def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
+def target(s: Motion, u: float, lag: Follows, r: Rotor) -> float:
     """The current towards which the present one moves, A."""
-    if how.rate == np.inf:
+    if lag.rate == np.inf:
         return steady_value(s, u, r)
-    return (u - r.motor.constant * s.v - how.bias) / how.gauge
+    return (u - r.motor.constant * s.v - lag.bias) / lag.gauge
 
 
 @inlined
@@ -146,7 +146,7 @@ def pull_and_hold(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
 
 @inlined
 def max_step(
-    s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, r: Rotor
+    s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float, r: Rotor
 ) -> float:
     """Longest step, s.
 
@@ -154,27 +154,27 @@ def max_step(
     the longer ago the jump was.
     """
     m = r.motor
-    goal = target(s, u, how, r)
+    goal = target(s, u, lag, r)
     size = np.inf
-    if m.brush_drop != 0.0 and how.rate < np.inf:
+    if m.brush_drop != 0.0 and lag.rate < np.inf:
         width = m.brush_width + 0.3 * max(abs(s.a) - m.brush_width, 0.0)
-        size = max(MAX_STEP_SHARE * width / (abs(how.rate * (goal - s.a)) + TINY), finest)
+        size = max(MAX_STEP_SHARE * width / (abs(lag.rate * (goal - s.a)) + TINY), finest)
     if side == 0.0:
         return size
     turning = acceleration(s, side, u, r)
     coupling = m.constant * m.constant / m.inertia
-    swift = min(coupling / how.gauge, np.sqrt(coupling / (m.inductance + TINY)))
-    steady = np.inf if how.creep > 0.0 else max_friction_step(s.v, turning, r.law)
+    swift = min(coupling / lag.gauge, np.sqrt(coupling / (m.inductance + TINY)))
+    steady = np.inf if lag.creep > 0.0 else max_friction_step(s.v, turning, r.law)
     size = min(size, max(min(steady, MAX_STEP_SHARE / (swift + TINY)), finest))
-    if how.rate * min(size, finest / MIN_STEP_IN_PERIODS) <= MAX_FIRST_STEP_SHARE or how.rate == np.inf:
+    if lag.rate * min(size, finest / MIN_STEP_IN_PERIODS) <= MAX_FIRST_STEP_SHARE or lag.rate == np.inf:
         return size
-    course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
+    course = goal - (rise - m.constant * turning) / (lag.gauge * lag.rate)
     deviation = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
     return min(
         size,
         MAX_FIRST_STEP_SHARE
-        / how.rate
-        * np.exp(min(since * how.rate / STEP_GROWTH_TIME, 50.0))
+        / lag.rate
+        * np.exp(min(since * lag.rate / STEP_GROWTH_TIME, 50.0))
         * deviation**-0.2,
     )
 
