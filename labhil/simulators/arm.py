@@ -196,7 +196,7 @@ class ArmFileModel(ArmModel):
         if self.first is None:
             return {}
         names = (keyed(name, link) for name, _, link in self.first.grouped.names())
-        return dict(zip(names, self.first.begun.tolist(), strict=True))
+        return dict(zip(names, self.first.prior_values.tolist(), strict=True))
 
     def constants_at(self, theta: FloatArray) -> list[float]:
         """Torque constants (n,), N·m/A, without their estimated errors."""
