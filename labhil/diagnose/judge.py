@@ -58,7 +58,7 @@ class Data:
             durations = self.test.durations
             countable = min(sum(durations) / JUDGED_WINDOWS, MOST_OF_A_RECORDING * min(durations))
             length = min(JUDGED_LENGTH * self.window, countable)
-            longest = min(self.model.horizon, self.test.countable)
+            longest = min(self.model.horizon, self.test.max_horizon)
             lengths = (*(share * length for share in JUDGED_SHARES), longest)
         return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
 

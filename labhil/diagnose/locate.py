@@ -206,7 +206,7 @@ def contribution(
     record, windows, states, counted = motion
     less = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
-    driven = model.driven(less, record, windows, along)
+    driven = model.drive_coordinates(less, record, windows, along)
     values = model.generalised_force(final.theta, along) - model.generalised_force(less, {**along, **driven})
     unit = model.force_unit if isinstance(model, AcceptsExtraForce) and np.any(values) else ""
     if not np.any(values) and driven:

@@ -181,11 +181,11 @@ class ExtendedModel:
         inner_theta, coefficients = self.split(theta)
         return self._with_force(coefficients, record).coordinates(inner_theta, record, windows, states)
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """The inner model's driven coordinates."""
-        return self.inner.driven(self.split(theta)[0], record, windows, along)
+        return self.inner.drive_coordinates(self.split(theta)[0], record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's generalised force plus the curve's, (N,) or (N, joints)."""

@@ -103,7 +103,7 @@ def _filtered_noise(model: Model, theta: FloatArray, record: Record) -> FloatArr
         theta, record, recordings, model.initial_states(record, recordings)
     )
     # third differences of white noise have 20 times its variance; the filter attenuates them more than it
-    attenuation = np.sqrt(THIRD_DIFFERENCE[0] / np.dot(THIRD_DIFFERENCE, record.alike))
+    attenuation = np.sqrt(THIRD_DIFFERENCE[0] / np.dot(THIRD_DIFFERENCE, record.autocorrelation))
     return np.asarray(noise_of(replace(record, outputs=residuals)) * attenuation)
 
 

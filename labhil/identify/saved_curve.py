@@ -101,11 +101,11 @@ class ModelUnderCurves:
         """Coordinates along the simulation with the forces applied, each (N,)."""
         return apply_curves(self.inner, self.curves, record).coordinates(theta, record, windows, states)
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """The inner model's driven coordinates."""
-        return self.inner.driven(theta, record, windows, along)
+        return self.inner.drive_coordinates(theta, record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """The inner model's generalised force plus the curves', (N,) or (N, joints)."""

@@ -165,7 +165,7 @@ def scored_horizon(model: Model, theta: FloatArray, record: Record) -> float:
     into it twice.
     """
     wanted = model.horizon_at(theta)
-    return wanted if wanted <= min(record.durations) else record.countable
+    return wanted if wanted <= min(record.durations) else record.max_horizon
 
 
 def score(

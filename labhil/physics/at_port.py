@@ -1,7 +1,8 @@
-"""A simulator's own acceleration together with the catalogue's forces, at the port of its coordinate.
+"""The acceleration of a user's simulator together with the forces of the catalogue at its coordinate.
 
-v̇ = share·f(x, v, u) + (F₀ − k·x − k₃·x³ − cogging − friction)/M: rest is an event (``physics.stick_slip``),
-so dry friction at the coordinate is solved and not smoothed.
+v̇ = share·f(x, v, u) + (F₀ − k·x − k₃·x³ − cogging − friction)/M, with the simulator's acceleration f (m/s² or
+rad/s²), the share of its inertia in the total inertia M, and the forces of ``physics.sliding``. Rest is an
+event (``physics.stick_slip``): dry friction at the coordinate is exact and not smoothed.
 """
 
 from __future__ import annotations
@@ -17,14 +18,19 @@ from labhil.physics.friction import Law
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion
 
 Acceleration = Callable[[float, float, float, Any], float]
-"""(x, v, u, p) to the acceleration of the coordinate."""
+"""Maps (x, v, u, p) to the acceleration of the coordinate."""
 
 
 class Pushes(NamedTuple):
-    """Everything over the inertia M: added forces, friction, and the share that f keeps of its own.
+    """Forces at the port, all over the total inertia M.
 
-    ``load`` turns the size of the input into the load on what rubs. ``stiff`` and ``quick`` are bounds of
-    what f changes with position (1/s²) and velocity (1/s).
+    Attributes:
+        extra: Forces of the catalogue but friction.
+        law: Friction.
+        share: Inertia of the simulator over the total inertia.
+        load: Load on the friction contact per unit of the input's absolute value.
+        stiff: Bound of |∂f/∂x|, 1/s².
+        quick: Bound of |∂f/∂v|, 1/s.
     """
 
     extra: sliding.Part
@@ -36,53 +42,52 @@ class Pushes(NamedTuple):
 
 
 class Course(NamedTuple):
-    """Nothing changes along a recording."""
+    """No parameter changes along a recording."""
 
     nothing: float
 
 
-def laws_of(acceleration: Acceleration) -> Laws[Any, Any]:
-    """Make the physics of the coordinate; a part is (what ``acceleration`` takes for p, pushes).
+def compile_laws_at_port(acceleration: Acceleration) -> Laws[Any, Any]:
+    """Compile the laws of the coordinate for :func:`physics.stick_slip.compile_integrator`.
+
+    A part is the pair (p of ``acceleration``, :class:`Pushes`).
 
     Args:
-        acceleration: Compiled ``(x, v, u, p)`` to the simulator's own acceleration.
+        acceleration: Compiled function of (x, v, u, p) that gives the simulator's own acceleration.
 
     Returns:
-        The laws, as :func:`physics.stick_slip.integrator` takes them.
+        The laws.
     """
 
     @specialised
-    def free(s: Motion, u: float, part: Any) -> float:
+    def frictionless(s: Motion, u: float, part: Any) -> float:
         p, pushes = part
-        return pushes.share * acceleration(s.x, s.v, u, p) + sliding.drive_acceleration(
+        return pushes.share * acceleration(s.x, s.v, u, p) + sliding.frictionless_acceleration(
             0.0, s.x, pushes.extra
         )
 
     @specialised
-    def pull(s: Motion, side: float, u: float, part: Any) -> float:
+    def total(s: Motion, side: float, u: float, part: Any) -> float:
         pushes = part[1]
-        return free(s, u, part) - friction.friction(s.x, s.v, side, pushes.load * abs(u), pushes.law)
+        return frictionless(s, u, part) - friction.friction(s.x, s.v, side, pushes.load * abs(u), pushes.law)
 
     @specialised
-    def grip(s: Motion, u: float, part: Any) -> tuple[float, float]:
+    def pull_and_hold(s: Motion, u: float, part: Any) -> tuple[float, float]:
         pushes = part[1]
-        return free(s, u, part), friction.hold(s.x, pushes.load * abs(u), pushes.law)
+        return frictionless(s, u, part), friction.break_away_force(s.x, pushes.load * abs(u), pushes.law)
+
+    max_step = _compile_max_step(total)
+    return Laws(total, _no_target, _no_follower, _no_value, pull_and_hold, max_step, _no_damping, _same_part)
+
+
+def _compile_max_step(
+    total: Callable[[Motion, float, float, Any], float],
+) -> Callable[[Motion, float, float, float, float, Follows, float, Any], float]:
+    """Compile the longest step, s, of a part whose acceleration is ``total``."""
 
     @specialised
-    def none(s: Motion, u: float, part: Any) -> float:
-        return 0.0
-
-    @specialised
-    def target(s: Motion, u: float, how: Follows, part: Any) -> float:
-        return 0.0
-
-    @specialised
-    def follow(s: Motion, part: Any) -> Follows:
-        return Follows(0.0, 0.0, 0.0, 0.0)
-
-    @specialised
-    def longest(
-        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, part: Any
+    def max_step(
+        s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float, part: Any
     ) -> float:
         if side == 0.0:
             return np.inf
@@ -90,19 +95,39 @@ def laws_of(acceleration: Acceleration) -> Laws[Any, Any]:
         extra = pushes.extra
         bend = extra.cogging_order * (abs(extra.cogging_sine) + abs(extra.cogging_cosine))
         stiff = pushes.stiff + abs(extra.spring + 3.0 * extra.hardening * s.x * s.x) + abs(bend)
-        size = min(sliding.SHARE_OF_SWING / np.sqrt(stiff + TINY), friction.RESOLVED / (pushes.quick + TINY))
-        size = min(size, friction.pace(s.v, pull(s, side, u, part), pushes.law))
+        size = min(
+            sliding.MAX_STEP_OF_OSCILLATION / np.sqrt(stiff + TINY),
+            friction.MAX_STEP_SHARE / (pushes.quick + TINY),
+        )
+        size = min(size, friction.max_friction_step(s.v, total(s, side, u, part), pushes.law))
         if bend != 0.0:
-            size = min(size, friction.RESOLVED / (abs(extra.cogging_order * s.v) + TINY))
+            size = min(size, friction.MAX_STEP_SHARE / (abs(extra.cogging_order * s.v) + TINY))
         return max(size, finest)
 
-    @specialised
-    def no_damping(s: Motion, side: float, part: Any) -> tuple[float, float]:
-        # f's own damping is not known: it is followed by small steps and never counts as creeping
-        return 0.0, 0.0
+    return max_step
 
-    @specialised
-    def at(part: Any, course: Any, k: int) -> Any:
-        return part
 
-    return Laws(pull, target, follow, none, grip, longest, no_damping, at)
+@specialised
+def _no_value(s: Motion, u: float, part: Any) -> float:
+    return 0.0
+
+
+@specialised
+def _no_target(s: Motion, u: float, lag: Follows, part: Any) -> float:
+    return 0.0
+
+
+@specialised
+def _no_follower(s: Motion, part: Any) -> Follows:
+    return Follows(0.0, 0.0, 0.0, 0.0)
+
+
+@specialised
+def _no_damping(s: Motion, side: float, part: Any) -> tuple[float, float]:
+    # the damping of f is not known: it is resolved by small steps and never counts as creeping
+    return 0.0, 0.0
+
+
+@specialised
+def _same_part(part: Any, course: Any, k: int) -> Any:
+    return part

@@ -1,7 +1,10 @@
-"""A driven axis as it is fitted: M·ẍ = F − friction + F₀ − spring, F given or drive_gain·voltage.
+"""White-box model of a driven linear axis: force or voltage in, position out.
 
-The benchmark EMPS (Janot, Gautier, Brunot 2019) is one. Without [known] moving_mass the mass is estimated;
-with a voltage and without [known] drive_gain the mass must be known, or only ratios are.
+M·ẍ = F − friction + F₀ − k·x − k₃·x³ − cogging, with mass M (kg), position x (m), drive force F (N; the
+input, or drive_gain (N/V) times the input voltage) and the forces of ``physics.sliding``, its kernel. The
+benchmark EMPS (Janot, Gautier, Brunot 2019) is such an axis. Without [known] moving_mass the mass is
+estimated; with a voltage and without [known] drive_gain, only the ratios of forces to mass and gain are
+identifiable.
 """
 
 from __future__ import annotations
@@ -13,38 +16,40 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.physics import sliding
-from labhil.physics.drive_balance import CUT_OFF, Balance, DriveMotion
-from labhil.physics.driven import DrivenPath
+from labhil.physics.drive_balance import DEFAULT_CUT_OFF, Balance, DriveMotion
+from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
-from labhil.physics.guesses import straight_starts, yardsticks_of
+from labhil.physics.guesses import characteristic_scales_of, states_from_line_fit
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
-from labhil.physics.values import Values, horizon_of, known_numbers, near
+from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
-TIME_CONSTANTS = 3.0
-REFERENCE = 20.0
+HORIZON_TIME_CONSTANTS = 3.0
+"""Scored horizon in time constants of mass and viscous friction."""
+
+REFERENCE_TEMPERATURE = 20.0
 """Temperature (°C) at which viscous friction has its stated value."""
 
-STATE_SPAN = 0.05
-"""Seconds over which the first position and velocity of a window are guessed."""
-
-
-WIDTH = 0.4
-"""Of the test functions under which forces are balanced for a first estimate of the mass, s."""
+INITIAL_STATE_SPAN = 0.05
+"""Span of the line fit that gives the initial state of a window, s."""
 
 
 class Sizes:
-    """What a recording says of the axis before anything is fitted (SI).
+    """First estimates of the axis' parameters before a fit (SI), for starts and scales.
 
-    The balance of forces is regressed in its weak form (Shinbrot 1957): no derivative of a noisy signal is
-    needed.
+    The balance of forces is regressed in its weak form (Shinbrot 1957), so no noisy signal is differentiated.
+
+    Args:
+        record: The recording; None for default sizes.
+        gain: Force per unit of the input.
+        test_width: Width of the test functions, s.
     """
 
-    def __init__(self, record: Record | None, gain: float) -> None:
+    def __init__(self, record: Record | None, gain: float, *, test_width: float = 0.4) -> None:
         self.force, self.speed, self.span, self.mass, self.time_constant = 100.0, 0.1, 0.2, 100.0, 0.5
         if record is None:
             return
@@ -53,37 +58,38 @@ class Sizes:
         self.span = max(float(np.ptp(recording.outputs[:, 0])) for recording in recordings) or 1.0
         speeds = np.concatenate([_speeds(recording) for recording in recordings])
         self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        weak = np.vstack([_weak_form(recording, gain) for recording in recordings])
+        weak = np.vstack([_weak_form(recording, gain, test_width) for recording in recordings])
         norms = np.maximum(np.linalg.norm(weak, axis=0), 1e-300)
         balance = np.linalg.lstsq(weak[:, 1:] / norms[1:], weak[:, 0], rcond=None)[0] / norms[1:]
         mass, drag = balance[:2]
-        self.mass = float(mass) if mass > 0.0 else self.force / (self.speed / WIDTH)
+        self.mass = float(mass) if mass > 0.0 else self.force / (self.speed / test_width)
         self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 and drag > 0.0 else 0.5
 
     @property
     def drag(self) -> float:
-        """Viscous friction that has the time constant, N·s/m."""
+        """Viscous friction that gives the time constant, N·s/m."""
         return self.mass / self.time_constant
 
 
 def _stride(record: Record) -> int:
+    """Samples in 0.05 s."""
     return max(1, int(0.05 / record.period))
 
 
 def _speeds(record: Record) -> FloatArray:
-    """Velocities (m,) over stretches long enough for noise not to matter."""
+    """Velocities (m,) by differences over 0.05 s, long enough to average noise."""
     stride = _stride(record)
     return np.asarray(np.diff(record.outputs[::stride, 0]) / np.diff(record.t[::stride]))
 
 
-def _weak_form(record: Record, gain: float) -> FloatArray:
-    """The balance of forces under test functions φ, (m, 6): of drive, mass, drag, dry friction, spring, bias.
+def _weak_form(record: Record, gain: float, test_width: float) -> FloatArray:
+    """Balance of forces under test functions φ: drive, mass, drag, dry friction, spring and bias, (m, 6).
 
-    F = M·ẍ + c·ẋ + T·sgn ẋ + k·x + b times φ and integrated; derivatives are passed on to φ, which fades at
-    both ends with two of its derivatives.
+    F = M·ẍ + c·ẋ + T·sgn ẋ + k·x + b is multiplied by φ and integrated by parts; φ and its first two
+    derivatives vanish at both ends.
     """
     u, x = gain * record.inputs[:, 0], record.outputs[:, 0] - record.outputs[0, 0]
-    half = max(4, min(int(0.5 * WIDTH / record.period), (len(record) - 1) // 4))
+    half = max(4, min(int(0.5 * test_width / record.period), (len(record) - 1) // 4))
     s = np.arange(-half, half + 1) / half
     width, well = half * record.period, 1.0 - s * s
     functions = {0: well**3, 1: -6.0 * s * well**2 / width, 2: 6.0 * well * (5.0 * s * s - 1.0) / width**2}
@@ -91,17 +97,18 @@ def _weak_form(record: Record, gain: float) -> FloatArray:
     columns = ((u, 0, 1.0), (x, 2, 1.0), (x, 1, -1.0), (side, 0, 1.0), (x, 0, 1.0), (np.ones_like(x), 0, 1.0))
     hop = max(half // 2, 1)
     stretches = (sliding_window_view(values, len(s))[::hop] for values, _, _ in columns)
-    passed = zip(stretches, columns, strict=True)
-    return np.column_stack([sign * (values @ functions[order]) for values, (_, order, sign) in passed])
+    weighted = zip(stretches, columns, strict=True)
+    return np.column_stack([sign * (values @ functions[order]) for values, (_, order, sign) in weighted])
 
 
 def _smooth(x: FloatArray, width: int) -> FloatArray:
+    """Moving average over 2·width + 1 samples."""
     kernel = np.ones(2 * width + 1) / (2 * width + 1)
     return np.asarray(np.convolve(np.pad(x, width, mode="edge"), kernel, mode="valid"))
 
 
 def catalogue(s: Sizes) -> dict[str, Term]:
-    """All terms, their scales of the axis' size."""
+    """Terms of an axis, by key, with scales of its size."""
     level = 0.1 * s.force
     loads = (
         Term(
@@ -150,9 +157,13 @@ def catalogue(s: Sizes) -> dict[str, Term]:
 
 
 class AxisModel:
-    """The white-box model of one axis (satisfies ``physics.model.Model``).
+    """White-box model of one axis (implements ``physics.model.Model``).
 
-    Driven by ``drive_force``, or by ``drive_voltage`` times drive_gain; simulates ``position``.
+    The input is ``drive_force`` or ``drive_voltage``, the output is ``position``.
+
+    Args:
+        rig: The rig file.
+        record: The recording that typical sizes are taken from; None for default sizes.
     """
 
     kind = "axis"
@@ -193,57 +204,57 @@ class AxisModel:
         ) + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.02 * self.sizes.span, 0.1 * self.sizes.speed])
         self._values = Values(self.fixed, self.parameters)
-        self.cut_off = rig.metric.cut_off or CUT_OFF
+        self.cut_off = rig.metric.cut_off or DEFAULT_CUT_OFF
         self._stated = rig.metric.horizon
-        self.horizon = horizon_of(self._stated, TIME_CONSTANTS * self.sizes.time_constant, record)
-        self._path = DrivenPath()
+        self.horizon = horizon_of(self._stated, HORIZON_TIME_CONSTANTS * self.sizes.time_constant, record)
+        self._path = InputPath()
 
     def with_force(self, force: ExtraForce) -> AxisModel:
-        """The same axis under one more force, N."""
+        """Copy of the axis with an additional force, N."""
         other = copy.copy(self)
         other._extra = force
         return other
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Three times mass over viscous friction, s."""
+        """Scored horizon: three times mass over viscous friction, s."""
         drag = self._values.of(theta, "viscous_friction.coefficient")
         if self._stated or drag <= 0.0:
             return self._stated or self.horizon
-        return near(TIME_CONSTANTS * self._mass(theta) / drag, self.horizon)
+        return limit_horizon(HORIZON_TIME_CONSTANTS * self._mass(theta) / drag, self.horizon)
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
+        """Return the record unchanged: nothing is filtered."""
         return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Position and slope of a straight line through the first samples of each window."""
-        return straight_starts(record, windows, STATE_SPAN)
+        """Position and velocity of a straight line through the first samples of each window, (w, 2)."""
+        return states_from_line_fit(record, windows, INITIAL_STATE_SPAN)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Measured position in m, (N, 1)."""
+        """Simulate the measured position, (N, 1), m."""
         x = self._trajectory(theta, record, windows, states)[:, 0]
-        return self._values.sensed(theta, record, windows, x)[:, None]
+        return self._values.apply_sensor(theta, record, windows, x)[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Position, velocity and input along the simulation."""
+        """Position, velocity and input along the simulation, each (N,)."""
         motion = self._trajectory(theta, record, windows, states)
         along = {
             "position": motion[:, 0],
             "axis_velocity": motion[:, 1],
             record.input_names[0]: record.inputs[windows.rows, 0],
         }
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """What acts of the input behind the way in."""
+        """Input behind the effects of the input path, (N,)."""
         return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n))}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Force on the moving mass at these coordinates, N; zero where it rests."""
+        """Force on the moving mass at these coordinates, (N,), N; zero where it is at rest."""
         x, v = coordinates["position"], coordinates["axis_velocity"]
         u = coordinates["acting_drive"]
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
@@ -251,21 +262,21 @@ class AxisModel:
         return np.asarray(force - self._values.added_drag(theta, v))
 
     def balance(self, theta: FloatArray, record: Record) -> Balance:
-        """What the drive had to push for the measured motion and what it pushed, behind the low-pass.
+        """Compute the drive force that the measured motion needs and the one exerted, low-pass filtered.
 
-        What a sensor's own effects do to the position is not undone.
+        Effects of the sensor on the position are not corrected.
         """
         motion = DriveMotion.of(record, self.cut_off)
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         return Balance(
-            motion.at_judged(self.needed(theta, record, motion)),
+            motion.filter_and_select(self.inverse_dynamics(theta, record, motion)),
             self.gain(theta) * motion.drive(nodes, values),
             self._mass(theta) * motion.noise,
             motion.low_pass.cut_off,
         )
 
-    def needed(self, theta: FloatArray, record: Record, motion: DriveMotion) -> FloatArray:
-        """Force of the drive in N that a motion takes, M·ẍ + friction − all other forces, (n,)."""
+    def inverse_dynamics(self, theta: FloatArray, record: Record, motion: DriveMotion) -> FloatArray:
+        """Inverse dynamics: drive force that a motion needs, M·ẍ + friction − other forces, (n,), N."""
         idle = {"position": motion.x, "axis_velocity": motion.v, "acting_drive": np.zeros_like(motion.x)}
         force = self._mass(theta) * motion.a - self.generalised_force(theta, idle)
         if np.any(change := self._warming(theta, record) - 1.0):
@@ -280,8 +291,8 @@ class AxisModel:
         return self._values.of(theta, "drive_gain") if self.volts else 1.0
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of, from this recording."""
-        return yardsticks_of(record, self.sizes.force, self.sizes.speed)
+        """Characteristic scales of this recording."""
+        return characteristic_scales_of(record, self.sizes.force, self.sizes.speed)
 
     def _mass(self, theta: FloatArray) -> float:
         return self._values.of(theta, "moving_mass") + self._values.of(theta, "added_inertia.mass")
@@ -301,19 +312,23 @@ class AxisModel:
         )
 
     def _table(self, theta: FloatArray) -> sliding.Table:
-        table = np.zeros((sliding.POWERS, sliding.POWERS))
+        table = np.zeros((sliding.N_POWERS, sliding.N_POWERS))
         table[1, 0] = self.gain(theta) / self._mass(theta)
-        return sliding.table_of(table)
+        return sliding.table_from_array(table)
 
     def _warming(self, theta: FloatArray, record: Record) -> FloatArray:
-        """Viscous friction over what it is at the reference temperature, (n,)."""
+        """Viscous friction over that at the reference temperature, (n,)."""
         rate = self._values.of(theta, "temperature_dependent_friction.rate")
-        return np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE)) if rate else np.ones(len(record))
+        return (
+            np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE_TEMPERATURE))
+            if rate
+            else np.ones(len(record))
+        )
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """x and v of all windows, (N, 2)."""
+        """Position and velocity of all windows, (N, 2)."""
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         change = self._warming(theta, record)
         out = np.empty((len(windows.rows), 3))
@@ -322,9 +337,9 @@ class AxisModel:
             record.t, nodes, values, windows.first, windows.last, states, self._table(theta),
             self._part(theta), self._values.friction_law(theta, mass), change,
         )  # fmt: skip
-        beside = self._values.beside(theta, mass, self._extra, record)
-        if beside is None:
+        additional = self._values.additional_force(theta, mass, self._extra, record)
+        if additional is None:
             sliding.simulate(*given, out)
         else:
-            sliding.simulate_pushed(*given, *beside, out)
+            sliding.simulate_with_force(*given, *additional, out)
         return out[:, :2]

@@ -1,23 +1,29 @@
-"""What Newton says of an axis' recording before anything is fitted."""
+"""Plausibility figures of an axis' recording (see ``physics.facts``)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from math import inf
 
-from labhil.physics.facts import Fact, rate_fact, rate_of_change_fact, second_order_gain
+from labhil.physics.facts import Fact, derivative_fact, sampling_rate_fact, second_order_gain
 from labhil.physics.model import Record
 
-WITHIN = 4.0
-"""Factor to which a quick regression knows the mass: dry friction biases it."""
 
+def facts(record: Record, known: Mapping[str, float], *, mass_factor: float = 4.0) -> list[Fact]:
+    """Compute the facts: sampling rate, derivative of position, and acceleration per drive (Newton).
 
-def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
-    """That the axis goes where it is pushed, as fast as a known mass allows, and derivatives agree."""
-    figures = [rate_fact(record, 2.0, 1e6, 1000.0)]
+    Args:
+        record: The recording.
+        known: Numbers that the rig file states.
+        mass_factor: Factor within which the regression gives the mass; dry friction biases it.
+
+    Returns:
+        The facts.
+    """
+    figures = [sampling_rate_fact(record, 2.0, 1e6, 1000.0)]
     t, x, drive = record.t, record.outputs[:, 0], record.input_names[0]
     if "velocity" in record.auxiliary:
-        figures += rate_of_change_fact(t, "position", x, "velocity", record.auxiliary["velocity"])
+        figures += derivative_fact(t, "position", x, "velocity", record.auxiliary["velocity"])
     gain = second_order_gain(t, record.inputs[:, 0], x)
     if gain is None:
         return figures
@@ -26,8 +32,12 @@ def facts(record: Record, known: Mapping[str, float]) -> list[Fact]:
     if "moving_mass" in known and force is not None:
         what, why = "the acceleration over drive/moving_mass", "moving_mass of the rig file"
         ratio = gain * known["moving_mass"] / force
-        figures.append(Fact(what, ratio, "", 1.0 / WITHIN, WITHIN, powers, why, 1.0, dynamic=True))
+        figures.append(Fact(what, ratio, "", 1.0 / mass_factor, mass_factor, powers, why, 1.0, dynamic=True))
     else:
         what = f"the acceleration per unit of {drive}"
-        figures.append(Fact(what, gain, "", 0.0, inf, powers, "it goes where it is pushed", dynamic=True))
+        figures.append(
+            Fact(
+                what, gain, "", 0.0, inf, powers, "it accelerates in the direction of the drive", dynamic=True
+            )
+        )
     return figures

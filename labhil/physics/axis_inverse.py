@@ -1,8 +1,9 @@
-"""An axis as inverse dynamics fits it: the force that a model needs for the measured motion.
+"""White-box model of an axis for a fit by inverse dynamics.
 
-M·ẍ + friction − other forces = gain·drive, both sides behind one low-pass (see ``physics.drive_balance``).
-Nothing is simulated, so errors of the force do not add up along the way. What enters by the way in or by the
-sensor is not offered: it looks the same as the force. Scores stay those of the axis itself.
+M·ẍ + friction − other forces = gain·drive, both sides behind one low-pass (see ``physics.drive_balance``,
+with M in kg, x in m, forces in N). Nothing is simulated, so force errors do not accumulate. Terms of the
+input path and of the sensor are left out, since they cannot be separated from forces here. Scores stay those
+of the axis.
 """
 
 from __future__ import annotations
@@ -14,27 +15,27 @@ import numpy as np
 
 from labhil.physics.axis import AxisModel
 from labhil.physics.drive_balance import DriveMotion
-from labhil.physics.driven import effective
+from labhil.physics.driven import effective_input
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Term
 from labhil.signals import FloatArray, Hold
 
-AT_REST = ("static_friction",)
-UNSEEN = "inverse dynamics sees forces on what moves; fit by simulation"
+TERMS_AT_REST = ("static_friction",)
+NOT_IN_INVERSE_DYNAMICS = "inverse dynamics shows only forces on the moving part; fit by simulation"
 
 
 @dataclass(frozen=True, slots=True)
 class ForceRecord(Record):
-    """The judged places of the record ``whole``, its drive as the output, and the ``motion`` behind it."""
+    """The compared samples of the record ``whole``, with the drive as output, and the ``motion``."""
 
     motion: DriveMotion | None = field(default=None, compare=False)
     whole: Record | None = field(default=None, compare=False)
 
 
 class AxisInverse:
-    """The axis ``inner`` by inverse dynamics (satisfies ``physics.model.Model``).
+    """Inverse dynamics of the axis ``inner`` (implements ``physics.model.Model``).
 
-    Its vector is the inner model's; its output is the recorded drive: a force in N, or a voltage in V.
+    The parameter vector is that of the inner model; the output is the recorded drive, in N or V.
     """
 
     kind = "axis"
@@ -52,21 +53,21 @@ class AxisInverse:
         self.terms: Mapping[str, Term] = {
             key: term
             for key, term in inner.terms.items()
-            if term.enters is Enters.FORCE and key not in AT_REST
+            if term.enters is Enters.FORCE and key not in TERMS_AT_REST
         }
-        hidden = {key: UNSEEN for key in inner.terms if key not in self.terms}
-        self.unobservable_terms: Mapping[str, str] = {**inner.unobservable_terms, **hidden}
+        unobservable = {key: NOT_IN_INVERSE_DYNAMICS for key in inner.terms if key not in self.terms}
+        self.unobservable_terms: Mapping[str, str] = {**inner.unobservable_terms, **unobservable}
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """The inner model's, s."""
+        """Scored horizon of the inner model, s."""
         return self.inner.horizon_at(theta)
 
     def prepare(self, record: Record) -> ForceRecord:
-        """The filtered drive at the judged places; RecordingError when hardly anything moves."""
+        """Filter the record and keep the compared samples; RecordingError if there is too little motion."""
         if isinstance(record, ForceRecord):
             return record
         motion = DriveMotion.of(record, self.inner.cut_off)
-        rows, drive = motion.rows, motion.drive(*effective(record, 0, lambda name: 0.0))
+        rows, drive = motion.rows, motion.drive(*effective_input(record, 0, lambda name: 0.0))
         return ForceRecord(
             t=motion.t[rows],
             inputs=np.column_stack([motion.x[rows], motion.v[rows], motion.a[rows]]),
@@ -81,37 +82,37 @@ class AxisInverse:
         )
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """There are none: (w, 0)."""
+        """Inverse dynamics has no states: (w, 0)."""
         return np.empty((len(windows), 0))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """The drive that the motion needs, (N, 1), in N or V; of a record that was prepared."""
+        """Compute the drive that the motion of a prepared record needs, (N, 1), N or V."""
         assert isinstance(record, ForceRecord)
         assert record.motion is not None
         assert record.whole is not None
-        force = self.inner.needed(theta, record.whole, record.motion)
-        return (record.motion.at_judged(force) / self.inner.gain(theta))[windows.rows, None]
+        force = self.inner.inverse_dynamics(theta, record.whole, record.motion)
+        return (record.motion.filter_and_select(force) / self.inner.gain(theta))[windows.rows, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """The measured position and velocity, and the drive that they need."""
+        """Measured position and velocity, and the drive that they need, each (N,)."""
         needed = self.simulate(theta, record, windows, states)[:, 0]
         x, v, _ = record.inputs[windows.rows].T
         return {"position": x, "axis_velocity": v, "acting_drive": needed}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The recorded drive, whatever the motion."""
+        """The recorded drive, which does not depend on the motion."""
         return {"acting_drive": record.outputs[windows.rows, 0]}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The inner model's force on the moving mass, N."""
+        """Force of the inner model on the moving mass, (N,), N."""
         return self.inner.generalised_force(theta, coordinates)
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """The inner model's, of the record as it was measured."""
+        """Characteristic scales of the inner model for the unfiltered record."""
         return self.inner.characteristic_scales(
             record.whole or record if isinstance(record, ForceRecord) else record
         )

@@ -1,7 +1,9 @@
-"""The ball and beam as it is fitted: rig parameters, terms, and their way into the rolling kernel.
+"""White-box model of a ball on a beam: servo or beam angle in, ball position out.
 
-(M + J/R²)·ẍ + (J/R)·β̈ = M·g·sin β + M·x·β̇² − friction + forces, J = (2/5)·M·R² (a solid ball),
-β = asin((crank_radius/beam_length)·sin γ). Equations 4.13 to 4.18 of the reference text.
+(M + J/R²)·ẍ + (J/R)·β̈ = M·g·sin β + M·x·β̇² − friction + forces, with ball position x (m), mass M (kg),
+radius R (m), inertia J = (2/5)·M·R² of a solid ball (kg·m²), gravity g (m/s²) and beam angle β (rad), sin β =
+(crank_radius/beam_length)·sin γ for a servo angle γ (rad). Equations 4.13 to 4.18 of the reference text. The
+kernel is ``physics.rolling``.
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
-from labhil.physics.driven import nodes_of
+from labhil.physics.driven import input_nodes
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
-from labhil.physics.guesses import straight_starts
+from labhil.physics.guesses import states_from_line_fit
 from labhil.physics.measured_input import without_noise
 from labhil.physics.model import Metric, Record, Windows, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
@@ -25,18 +27,25 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
 GRAVITY = 9.81
-SOLID_BALL = 0.4
-ROLLS = GRAVITY / (1.0 + SOLID_BALL)
+"""m/s²."""
+
+SOLID_BALL_INERTIA = 0.4
+"""J/(M·R²) of a solid ball."""
+
+SOLID_BALL_ACCELERATION = GRAVITY / (1.0 + SOLID_BALL_INERTIA)
 """Acceleration of a solid ball per sine of the slope, m/s²."""
 
 DEFAULT_HORIZON = 4.0
-SPEED = 0.2
-SPAN = 0.2
+"""Scored horizon where the rig file states none, s."""
 
-STATE_SPAN = 0.15
-"""Seconds over which the first position and velocity of a window are guessed."""
+TYPICAL_SPEED = 0.2
+TYPICAL_SPAN = 0.2
+"""Typical speed of the ball, m/s, and range of its position, m."""
 
-WAY_IN = (
+INITIAL_STATE_SPAN = 0.15
+"""Span of the line fit that gives the initial state of a window, s."""
+
+INPUT_PATH_PARAMETERS = (
     "backlash.gap",
     "dead_zone.left",
     "dead_zone.right",
@@ -46,22 +55,34 @@ WAY_IN = (
     "time_delay.delay",
 )
 LINKAGE = ("crank_radius", "beam_length")
-REMEMBERED = 32
+CACHE_SIZE = 32
+"""Effective inputs that are kept."""
+
 LAG_PARTS = 4
+"""Straight lines per stretch of the input behind a first-order lag."""
 
 RIG_PARAMETERS = {
     "ball_mass": Parameter("ball_mass", "kg", 0.1, 1e-3, 10.0, starts=(0.2,)),
     "ball_radius": Parameter("ball_radius", "m", 0.01, 1e-3, 0.1, starts=(0.02,)),
     "crank_radius": Parameter("crank_radius", "m", 0.05, 1e-3, 1.0, starts=(0.05,)),
     "beam_length": Parameter("beam_length", "m", 0.2, 1e-2, 3.0, starts=(0.4,)),
-    "acceleration_per_radian": Parameter("acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(ROLLS,)),
+    "acceleration_per_radian": Parameter(
+        "acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(SOLID_BALL_ACCELERATION,)
+    ),
 }
-PER_SERVO_RADIAN = Parameter("acceleration_per_radian", "m/s²", 1.0, 1e-3, ROLLS, starts=(0.2 * ROLLS,))
+PER_SERVO_RADIAN = Parameter(
+    "acceleration_per_radian",
+    "m/s²",
+    1.0,
+    1e-3,
+    SOLID_BALL_ACCELERATION,
+    starts=(0.2 * SOLID_BALL_ACCELERATION,),
+)
 """With a linkage of unknown ratio: the beam turns at most as far as the servo, and often a fifth of that."""
 
 
 def catalogue(per_unit_mass: bool) -> dict[str, Term]:
-    """All terms; with ``per_unit_mass`` friction is an acceleration and levels are in m/s²."""
+    """Terms of a ball and beam, by name; with ``per_unit_mass`` forces are in m/s² instead of N."""
     force, level = ("m/s²", 0.3) if per_unit_mass else ("N", 0.1)
     loads = (
         Term(
@@ -80,7 +101,7 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
             "F = −k·x",
             "Hooke",
             "motion over the whole range",
-            (Parameter("spring_force.stiffness", f"{force}/m", level / SPAN),),
+            (Parameter("spring_force.stiffness", f"{force}/m", level / TYPICAL_SPAN),),
         ),
         Term(
             "spring_hardening",
@@ -89,7 +110,7 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
             "F = −k₃·x³",
             "Duffing",
             "motion over the whole range",
-            (Parameter("spring_hardening.coefficient", f"{force}/m³", level / SPAN**3),),
+            (Parameter("spring_hardening.coefficient", f"{force}/m³", level / TYPICAL_SPAN**3),),
         ),
     )
     inertia = Term(
@@ -101,19 +122,28 @@ def catalogue(per_unit_mass: bool) -> dict[str, Term]:
         "fast motion with friction known",
         (Parameter("added_inertia.mass", "kg", 0.05, -0.2),),
     )
-    terms = friction_terms(force, "m", level, SPEED) + loads + input_terms("rad")
+    terms = friction_terms(force, "m", level, TYPICAL_SPEED) + loads + input_terms("rad")
     offset = offset_term(
-        "ball_position", "m", 1e-3, "a beam that turns fast: what pulls outwards knows its pivot"
+        "ball_position",
+        "m",
+        1e-3,
+        "fast rotation of the beam: the centrifugal force depends on the distance from the pivot",
     )
-    terms += (*output_terms("ball_position", "m", SPAN), offset) + (() if per_unit_mass else (inertia,))
+    terms += (*output_terms("ball_position", "m", TYPICAL_SPAN), offset) + (
+        () if per_unit_mass else (inertia,)
+    )
     return {term.name: term for term in terms}
 
 
 class BallBeamModel:
-    """The white-box model of one ball-and-beam rig (satisfies ``physics.model.Model``).
+    """White-box model of one ball-and-beam rig (implements ``physics.model.Model``).
 
-    Driven by the ``servo_angle`` or the ``beam_angle`` of ``record``. Parameters that the rig file does
-    not know are estimated; without ``ball_mass`` everything is per unit of mass.
+    The input is ``servo_angle`` or ``beam_angle``, the output is ``ball_position``. Parameters that the rig
+    file does not state are estimated; without ``ball_mass`` all forces are per unit of mass.
+
+    Args:
+        rig: The rig file.
+        record: The recording, which decides on the input; None for the servo angle.
     """
 
     kind = "ball_beam"
@@ -147,11 +177,11 @@ class BallBeamModel:
 
     @property
     def force_unit(self) -> str:
-        """N, or m/s² per unit of mass."""
+        """Unit of forces: N, or m/s² per unit of mass."""
         return "m/s²" if self.per_unit_mass else "N"
 
     def with_force(self, force: ExtraForce) -> BallBeamModel:
-        """The same ball under one more force along the beam."""
+        """Copy of the ball with an additional force along the beam."""
         other = copy.copy(self)
         other._extra = force
         return other
@@ -162,6 +192,7 @@ class BallBeamModel:
         return self.linkage and self.per_unit_mass and not any(name in self.fixed for name in LINKAGE)
 
     def _estimated(self) -> list[str]:
+        """Names of the rig's own parameters that are estimated."""
         names = [] if "ball_radius" in self.fixed else ["ball_radius"]
         if self._gain_per_servo_radian:
             return names
@@ -169,26 +200,26 @@ class BallBeamModel:
         return names + [name for name in LINKAGE if self.linkage and name not in self.fixed]
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon, s: the same whatever is fitted."""
+        """Scored horizon, s; it does not depend on ``theta``."""
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
-        """The record without the white noise of an input that is measured."""
+        """Smooth the input if it is a sensor reading with white noise."""
         return without_noise(record)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Position and slope of a straight line through the first samples of each window."""
-        return straight_starts(record, windows, STATE_SPAN)
+        """Position and velocity of a straight line through the first samples of each window, (w, 2)."""
+        return states_from_line_fit(record, windows, INITIAL_STATE_SPAN)
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Measured position in m, (N, 1)."""
+        """Simulate the measured position, (N, 1), m."""
         x = self._trajectory(theta, record, windows, states)[:, 0]
-        return self._values.sensed(theta, record, windows, x)[:, None]
+        return self._values.apply_sensor(theta, record, windows, x)[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Ball position and velocity along the simulation, and the input with its rate."""
+        """Ball position and velocity, and the input with its rate, along the simulation, each (N,)."""
         motion = self._trajectory(theta, record, windows, states)
         u = record.inputs[:, 0]
         along = {
@@ -197,26 +228,26 @@ class BallBeamModel:
             record.input_names[0]: u[windows.rows],
             f"{record.input_names[0]}_rate": np.gradient(u, record.t)[windows.rows],
         }
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Sine of the beam's angle and its rate behind the way in."""
+        """Sine of the beam angle and its rate (rad/s) behind the input path, each (N,)."""
         nodes, angle = self._way_in(theta, record)
         sine = self._ratio(theta) * np.sin(np.interp(record.t, nodes, angle))
         rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         return {"beam_sine": sine[windows.rows], "beam_rate": rate[windows.rows]}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Acceleration of the ball times its effective mass, N (m/s² per unit of mass)."""
+        """Acceleration of the ball times its effective mass, (N,), N (m/s² per unit of mass)."""
         k = self._kernel(theta)
         x, v = coordinates["ball_position"], coordinates["ball_velocity"]
-        a = efforts(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
+        a = accelerations(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
         return np.asarray(a * self._effective_mass(theta) - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of, from this recording."""
+        """Characteristic scales of this recording."""
         u, t = record.inputs[:, 0], record.t
         largest = float(np.abs(u).max()) or 1.0
         speed = np.diff(record.outputs[:: self._stride(record), 0]) / np.diff(t[:: self._stride(record)])
@@ -229,7 +260,7 @@ class BallBeamModel:
             * self.fixed.get("ball_mass", 0.5)
             * ratio
             * np.sin(min(largest, 1.5)),
-            CharacteristicScale.SPEED: float(np.sqrt(np.mean(speed**2))) or SPEED,
+            CharacteristicScale.SPEED: float(np.sqrt(np.mean(speed**2))) or TYPICAL_SPEED,
         }
 
     @staticmethod
@@ -237,15 +268,18 @@ class BallBeamModel:
         return max(1, int(0.1 / record.period))
 
     def _effective_mass(self, theta: FloatArray) -> float:
+        """M + J/R² + added inertia, kg; 1 per unit of mass."""
         if self.per_unit_mass:
             return 1.0
-        return (1.0 + SOLID_BALL) * self.fixed["ball_mass"] + self._values.of(theta, "added_inertia.mass")
+        return (1.0 + SOLID_BALL_INERTIA) * self.fixed["ball_mass"] + self._values.of(
+            theta, "added_inertia.mass"
+        )
 
     def _kernel(self, theta: FloatArray) -> FloatArray:
-        """Everything per unit of effective mass, in the order of ``physics.rolling``."""
+        """Coefficients over the effective mass, (15,), in the order of ``physics.rolling``."""
         m_eff = self._effective_mass(theta)
         if self._gain_per_servo_radian:
-            share = ROLLS / GRAVITY
+            share = SOLID_BALL_ACCELERATION / GRAVITY
         elif self.per_unit_mass:
             share = self._values.of(theta, "acceleration_per_radian") / GRAVITY
         else:
@@ -253,7 +287,7 @@ class BallBeamModel:
         gain = share * GRAVITY
         k = np.zeros(rolling.SIZE)
         k[rolling.GRAVITY], k[rolling.CENTRIFUGAL] = gain, share
-        k[rolling.ROLLING] = SOLID_BALL * self._values.of(theta, "ball_radius") * share
+        k[rolling.ROLLING] = SOLID_BALL_INERTIA * self._values.of(theta, "ball_radius") * share
         for place, name in KERNEL_PLACES.items():
             k[place] = self._values.of(theta, name) / m_eff
         k[rolling.STRIBECK_VELOCITY] = self._values.of(theta, "stribeck_friction.velocity")
@@ -262,28 +296,25 @@ class BallBeamModel:
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """x and v of all windows, (N, 2)."""
+        """Position and velocity of all windows, (N, 2)."""
         nodes, angle = self._way_in(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
-        beside = self._values.beside(theta, self._effective_mass(theta), self._extra, record)
-        if beside is not None:
-            k = rolling.with_force(k, *beside)
+        additional = self._values.additional_force(theta, self._effective_mass(theta), self._extra, record)
+        if additional is not None:
+            k = rolling.with_force(k, *additional)
         rolling.simulate(
             record.t, nodes, angle, self._ratio(theta), windows.first, windows.last, states, k, out
         )
         return out
 
     def _way_in(self, theta: FloatArray, record: Record) -> input_path.Nodes:
-        """Nodes of the crank's angle; the last few are remembered.
-
-        Most simulations of a fit differ in friction or in initial states only.
-        """
-        key = (id(record), *(self._values.of(theta, name) for name in WAY_IN))
+        """Nodes of the effective angle, cached: most simulations of a fit have the same."""
+        key = (id(record), *(self._values.of(theta, name) for name in INPUT_PATH_PARAMETERS))
         entry = self._remembered.get(key)
         if entry is None or entry[0] is not record:
             entry = (record, self._effective_input(theta, record))
-            if len(self._remembered) >= REMEMBERED:
+            if len(self._remembered) >= CACHE_SIZE:
                 self._remembered.clear()
             self._remembered[key] = entry
         return entry[1]
@@ -295,14 +326,14 @@ class BallBeamModel:
         turns less than the servo, and sine and centrifugal force are those of the beam.
         """
         if self._gain_per_servo_radian:
-            return self._values.of(theta, "acceleration_per_radian") / ROLLS
+            return self._values.of(theta, "acceleration_per_radian") / SOLID_BALL_ACCELERATION
         if not self.linkage:
             return 1.0
         return self._values.of(theta, "crank_radius") / self._values.of(theta, "beam_length")
 
     def _effective_input(self, theta: FloatArray, record: Record) -> input_path.Nodes:
-        """Nodes of the angle behind backlash, dead zone, saturation, rate limit, lag and delay."""
-        t, u = nodes_of(record, 0)
+        """Apply backlash, dead zone, saturation, rate limit, lag and delay to the recorded angle."""
+        t, u = input_nodes(record, 0)
         gap = self._values.of(theta, "backlash.gap")
         left, right = self._values.of(theta, "dead_zone.left"), self._values.of(theta, "dead_zone.right")
         inverse_limit = self._values.of(theta, "saturation.inverse_limit")
@@ -333,8 +364,10 @@ KERNEL_PLACES = {
 }
 
 
-def efforts(x: FloatArray, v: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray) -> FloatArray:
-    """Acceleration of moving balls at many places at once, m/s²; zero where the ball rests."""
+def accelerations(
+    x: FloatArray, v: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray
+) -> FloatArray:
+    """Accelerations (n,) at positions, velocities, beam sines and rates (n,), m/s²; zero at rest."""
     drive = (
         k[rolling.GRAVITY] * sine
         + k[rolling.CENTRIFUGAL] * x * rate**2

@@ -1,4 +1,4 @@
-"""A root between two places, narrowed from the better side (Anderson and Björck 1973)."""
+"""Bracketing of a root by false position with the weights of Anderson and Björck (1973)."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from labhil.compiled import inlined
 
-LEAST = 1e-6
-"""Share of a bracket that is cut off at least."""
+MIN_CUT = 1e-6
+"""Least share of a bracket that one step cuts off."""
 
 
 class Bracket(NamedTuple):
-    """Two places with values of opposite sign; ``moved`` is the end that was moved last, −1 or +1."""
+    """Two abscissas with values of opposite sign; ``moved`` is the end that moved last, −1 or +1."""
 
     low: float
     at_low: float
@@ -21,27 +21,27 @@ class Bracket(NamedTuple):
 
 
 @inlined
-def crossing(b: Bracket) -> float:
-    """Where the straight line between both ends is zero, never an end itself."""
+def false_position(b: Bracket) -> float:
+    """Root of the straight line through both ends, kept away from the ends."""
     share = b.at_low / (b.at_low - b.at_high)
-    return b.low + min(max(share, LEAST), 1.0 - LEAST) * (b.high - b.low)
+    return b.low + min(max(share, MIN_CUT), 1.0 - MIN_CUT) * (b.high - b.low)
 
 
 @inlined
 def narrow(b: Bracket, place: float, value: float) -> Bracket:
-    """The bracket with the end moved to ``place`` whose sign ``value`` has.
+    """Move the end with the sign of ``value`` to ``place``.
 
-    An end that is kept twice counts for less by how much the value at the other one fell, or it would
-    never move.
+    The value at an end that is kept twice in a row is reduced, or that end would never move.
     """
     if (value > 0.0) == (b.at_low > 0.0):
-        kept = b.at_high * _share(value, b.at_low) if b.moved < 0.0 else b.at_high
+        kept = b.at_high * _retained_weight(value, b.at_low) if b.moved < 0.0 else b.at_high
         return Bracket(place, value, b.high, kept, -1.0)
-    kept = b.at_low * _share(value, b.at_high) if b.moved > 0.0 else b.at_low
+    kept = b.at_low * _retained_weight(value, b.at_high) if b.moved > 0.0 else b.at_low
     return Bracket(b.low, kept, place, value, 1.0)
 
 
 @inlined
-def _share(value: float, before: float) -> float:
+def _retained_weight(value: float, before: float) -> float:
+    """Factor on the value at the kept end."""
     fell = 1.0 - value / before
     return fell if fell > 0.0 else 0.5

@@ -1,7 +1,9 @@
-"""The DC motor as it is fitted: rig parameters, terms, and their way into the winding kernel.
+"""White-box model of a DC motor: voltage in, speed and current out.
 
-Equations 4.1 to 4.9 of the reference text. From voltage and speed alone resistance and inductance times a,
-inertia and torques divided by a, change nothing; the model does not hide this, and the statistics show it.
+U = R·i + L·di/dt + K·ω and J·ω̇ = K·i − friction − load; the symbols are in ``physics.winding``, the kernel
+that simulates it, the terms in ``physics.dc_motor_terms``. Equations 4.1 to 4.9 of the reference text.
+Voltage and speed alone do not identify all parameters: R and L may be multiplied by a factor if J and all
+torques are divided by it. The statistics of a fit show this.
 """
 
 from __future__ import annotations
@@ -14,35 +16,39 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from labhil.physics import winding
-from labhil.physics.dc_motor_terms import REFERENCE, Sizes, catalogue, own_parameters
-from labhil.physics.driven import DrivenPath
+from labhil.physics.dc_motor_terms import REFERENCE_TEMPERATURE, Sizes, catalogue, motor_parameters
+from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
-from labhil.physics.guesses import yardsticks_of
+from labhil.physics.guesses import characteristic_scales_of
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import CharacteristicScale, Term
-from labhil.physics.values import Values, horizon_of, known_numbers, near
+from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
-TIME_CONSTANTS = 3.0
+HORIZON_TIME_CONSTANTS = 3.0
 """Scored horizon in mechanical time constants."""
 
-BRUSH_WIDTH = 0.01
-"""Share of the typical current over which the brushes' drop changes its sign."""
+BRUSH_WIDTH_SHARE = 0.01
+"""Half-width of the range in which the brush drop changes its sign, as a share of the typical current."""
 
-TURN = 2.0 * np.pi
-"""After which an angle repeats, rad."""
+FULL_TURN = 2.0 * np.pi
+"""Period of the angle, rad."""
 
-MOTION = ("speed", "current")
-"""Where the outputs stand in a trajectory."""
+TRAJECTORY_COLUMNS = ("speed", "current")
+"""Outputs in the order of the columns of a trajectory."""
 
 
 class DcMotorModel:
-    """The white-box model of one DC motor (satisfies ``physics.model.Model``).
+    """White-box model of one DC motor (implements ``physics.model.Model``).
 
-    Driven by ``voltage``; simulates ``speed``, ``current`` or both. Parameters that the rig file does not
-    know are estimated. States are speed, current and, as an offset that nobody fits, the angle; where no
-    recording has the angle, it may be one more state (:meth:`with_place`).
+    The input is ``voltage``, the outputs are ``speed``, ``current`` or both. Parameters that the rig file
+    does not state are estimated. The states are speed and current; the angle starts at its measured value.
+    Where it is not recorded, it may be a further state (:meth:`with_place`).
+
+    Args:
+        rig: The rig file.
+        record: The recording that typical sizes are taken from; None for default sizes.
     """
 
     kind = "dc_motor"
@@ -69,21 +75,21 @@ class DcMotorModel:
         self.unobservable_terms: Mapping[str, str] = {
             k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if k not in self.terms
         }
-        estimated = tuple(p for n, p in own_parameters(self.sizes).items() if n not in self.fixed)
+        estimated = tuple(p for n, p in motor_parameters(self.sizes).items() if n not in self.fixed)
         self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.05 * self.sizes.speed, 0.1 * self.sizes.current])
         self._values = Values(self.fixed, self.parameters)
         self._stated = rig.metric.horizon
-        self.horizon = horizon_of(self._stated, TIME_CONSTANTS * self.sizes.time_constant, record)
-        self._path = DrivenPath()
-        # without a measured angle each window counts its own from zero
+        self.horizon = horizon_of(self._stated, HORIZON_TIME_CONSTANTS * self.sizes.time_constant, record)
+        self._path = InputPath()
+        # without a measured angle, each window starts at angle zero
         has_angle = record is not None and "angle" in record.auxiliary
-        self.moved = (MovedPart("shaft_angle" if has_angle else "", "shaft_velocity", TURN),)
+        self.moved = (MovedPart("shaft_angle" if has_angle else "", "shaft_velocity", FULL_TURN),)
 
     def with_place(self) -> DcMotorModel:
-        """The same motor with the angle as one more state of every window, guessed from the measured speed.
+        """Copy with the angle as a further state of every window, guessed from the measured speed.
 
-        Itself where recordings have the angle, or not even the speed.
+        The model itself if the recording has the angle, or has no speed.
         """
         if self.moved[0].position or "speed" not in self.outputs:
             return self
@@ -94,26 +100,26 @@ class DcMotorModel:
         return other
 
     def with_force(self, force: ExtraForce) -> DcMotorModel:
-        """The same motor under one more torque, N·m."""
+        """Copy of the motor with an additional torque, N·m."""
         other = copy.copy(self)
         other._extra = force
         return other
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Three mechanical time constants J/(c + K²/R), s."""
+        """Scored horizon: three mechanical time constants J/(c + K²/R), s."""
         if self._stated:
             return self._stated
         value = self._values.of
         damping = value(theta, "viscous_friction.coefficient")
         damping += value(theta, "torque_constant") ** 2 / value(theta, "resistance")
-        return near(TIME_CONSTANTS * self._inertia(theta) / damping, self.horizon)
+        return limit_horizon(HORIZON_TIME_CONSTANTS * self._inertia(theta) / damping, self.horizon)
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
+        """Return the record unchanged: nothing is filtered."""
         return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Mean of the first samples of each window; a channel that is not there is guessed from the other."""
+        """Mean of the first samples of each window; a missing channel is guessed from the other."""
         states = np.zeros((len(windows), len(self.state_names)))
         count = max(2, min(5, int(0.02 * self.sizes.time_constant / record.period)))
         constant = self.fixed.get("torque_constant", self.sizes.constant)
@@ -134,26 +140,26 @@ class DcMotorModel:
         return states
 
     def _shaft_angle(self, record: Record) -> FloatArray:
-        """How far the shaft turned since the begin of each recording by its measured speed, rad, (n,)."""
+        """Angle since the start of each recording by integration of the measured speed, (n,), rad."""
         speed = record.outputs[:, self.outputs.index("speed")]
         return np.concatenate(
             [cumulative_trapezoid(speed[a:b], record.t[a:b], initial=0.0) for a, b in record.spans]
         )
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Speed in rad/s and current in A, those that the record has, (N, channels)."""
+        """Simulate speed (rad/s) and current (A), as far as the record has them, (N, channels)."""
         motion = self._trajectory(theta, record, windows, states)
-        columns = [motion[:, MOTION.index(name)] for name in self.outputs]
-        seen = [self._values.sensed(theta, record, windows, columns[0])]
+        columns = [motion[:, TRAJECTORY_COLUMNS.index(name)] for name in self.outputs]
+        measured = [self._values.apply_sensor(theta, record, windows, columns[0])]
         if len(columns) > 1:
             gain = 1.0 + self._values.of(theta, "sensor_gain.current_gain")
-            seen.append(gain * columns[1] + self._values.of(theta, "sensor_offset.current_offset"))
-        return np.column_stack(seen)
+            measured.append(gain * columns[1] + self._values.of(theta, "sensor_offset.current_offset"))
+        return np.column_stack(measured)
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Speed, current and voltage along the simulation."""
+        """Speed, angle, current and voltage along the simulation, each (N,)."""
         motion = self._trajectory(theta, record, windows, states)
         u = record.inputs[:, 0]
         along = {
@@ -163,22 +169,22 @@ class DcMotorModel:
             "voltage": u[windows.rows],
             "voltage_rate": np.gradient(u, record.t)[windows.rows],
         }
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The voltage behind the way in, less brushes and what warmth adds to R·i, V."""
+        """Voltage behind the input path, minus brush drop and the rise of R·i by warming, (N,), V."""
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         u = np.interp(record.t[windows.rows], node_t, voltage)
         u = u * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(u))
         warm = (self._warm(theta, record)[windows.rows] - 1.0) * self._values.of(theta, "resistance")
         brushes = self._values.of(theta, "brush_drop.voltage")
-        across = np.clip(along["current"] / (BRUSH_WIDTH * self.sizes.current), -1.0, 1.0)
+        across = np.clip(along["current"] / (BRUSH_WIDTH_SHARE * self.sizes.current), -1.0, 1.0)
         return {"acting_voltage": u - warm * along["current"] - brushes * across}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Torque on the rotor at these coordinates, N·m; zero where it rests."""
+        """Torque on the rotor at these coordinates, (N,), N·m; zero where it is at rest."""
         i, angle, w = (coordinates[name] for name in ("current", "shaft_angle", "shaft_velocity"))
         inertia = self._inertia(theta)
         law = self._values.friction_law(theta, inertia)
@@ -186,8 +192,8 @@ class DcMotorModel:
         return np.asarray(torque - self._values.added_drag(theta, w))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of, from this recording."""
-        return yardsticks_of(record, self.sizes.torque, self.sizes.speed)
+        """Characteristic scales of this recording."""
+        return characteristic_scales_of(record, self.sizes.torque, self.sizes.speed)
 
     def _inertia(self, theta: FloatArray) -> float:
         return self._values.of(theta, "inertia") + self._values.of(theta, "added_inertia.mass")
@@ -200,7 +206,7 @@ class DcMotorModel:
             resistance=self._values.of(theta, "resistance"),
             inductance=self._values.of(theta, "inductance"),
             brush_drop=self._values.of(theta, "brush_drop.voltage"),
-            brush_width=BRUSH_WIDTH * self.sizes.current,
+            brush_width=BRUSH_WIDTH_SHARE * self.sizes.current,
             load=self._values.of(theta, "constant_force.force") / inertia,
             spring=self._values.of(theta, "spring_force.stiffness") / inertia,
             cogging_sine=self._values.of(theta, "cogging_torque.sine") / inertia,
@@ -211,7 +217,7 @@ class DcMotorModel:
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """ω, i and angle of all windows, (N, 3)."""
+        """Speed, current and angle of all windows, (N, 3)."""
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         voltage = voltage * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(voltage))
         starts = np.zeros((len(windows), 3))
@@ -225,21 +231,25 @@ class DcMotorModel:
             record.t, node_t, voltage, windows.first, windows.last, starts, self._motor(theta), law,
             warm, change,
         )  # fmt: skip
-        beside = self._values.beside(theta, self._inertia(theta), self._extra, record)
-        if beside is None:
+        additional = self._values.additional_force(theta, self._inertia(theta), self._extra, record)
+        if additional is None:
             winding.simulate(*given, out)
         else:
-            winding.simulate_pushed(*given, *beside, out)
+            winding.simulate_with_force(*given, *additional, out)
         return out
 
     def _warm(self, theta: FloatArray, record: Record) -> FloatArray:
+        """Resistance over that at the reference temperature, (n,)."""
         coefficient = self._values.of(theta, "thermal_resistance.coefficient")
         if not coefficient:
             return np.ones(len(record))
-        return np.asarray(1.0 + coefficient * (record.auxiliary["winding_temperature"] - REFERENCE))
+        return np.asarray(
+            1.0 + coefficient * (record.auxiliary["winding_temperature"] - REFERENCE_TEMPERATURE)
+        )
 
     def _viscous_change(self, theta: FloatArray, record: Record) -> FloatArray:
+        """Viscous friction over that at the reference temperature, (n,)."""
         rate = self._values.of(theta, "temperature_dependent_friction.rate")
         if not rate:
             return np.ones(len(record))
-        return np.asarray(np.exp(-rate * (record.auxiliary["winding_temperature"] - REFERENCE)))
+        return np.asarray(np.exp(-rate * (record.auxiliary["winding_temperature"] - REFERENCE_TEMPERATURE)))

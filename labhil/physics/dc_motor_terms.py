@@ -1,4 +1,7 @@
-"""What a DC motor's recording says of its size, and the terms that its model may have."""
+"""First estimates of a DC motor's parameters from a recording, and the terms that its model may contain.
+
+The symbols are those of ``physics.winding``; ``physics.dc_motor`` is the model.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +17,28 @@ from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.signals import FloatArray
 
-COPPER = 0.0039
-"""Relative rise of copper's resistance per kelvin."""
+COPPER_COEFFICIENT = 0.0039
+"""Temperature coefficient of the resistance of copper, 1/K."""
 
-REFERENCE = 20.0
+REFERENCE_TEMPERATURE = 20.0
 """Temperature (°C) at which resistance and viscous friction have their stated values."""
 
 TYPICAL_SPEED = 3.0
 TYPICAL_VOLTAGE = 5.0
 TYPICAL_TIME_CONSTANT = 1.0
+"""Sizes without a recording: rad/s, V, s."""
 
-LARGEST_CONSTANT = 1.5
-"""Times RMS voltage over RMS speed: no back-EMF is larger than the voltage for long."""
-
-FEWEST_BLOCKS = 12
-"""In motion, for a regression to mean anything."""
+MAX_TORQUE_CONSTANT = 1.5
+"""Largest torque constant over (RMS voltage/RMS speed): the back-EMF exceeds the voltage only briefly."""
 
 
 class Sizes:
-    """What a recording says of the motor's size before anything is fitted (SI).
+    """First estimates of the motor's parameters before a fit (SI), for starts and scales.
 
-    Short blocks in motion are integrated, so that no derivative of a noisy signal is needed. With speed and
-    current both balances, of voltages and of torques, are solved by linear least squares; with speed alone
-    a first order, ω̇ = (g·U_lagged − ω)/τ − d·sgn ω, gives back-EMF, inertia and inductance for a typical
-    current, the lag of U being the one that fits best.
+    The equations are integrated over short blocks in motion, so no noisy signal is differentiated. With speed
+    and current, the balances of voltages and torques are solved by linear least squares. With speed alone, a
+    first-order model ω̇ = (g·U_lagged − ω)/τ − d·sgn ω gives torque constant, inertia and inductance for a
+    typical current; the lag of U is chosen by the least error.
     """
 
     def __init__(self, record: Record | None) -> None:
@@ -63,26 +64,27 @@ class Sizes:
         self.inertia = self.inertia or self.time_constant * self.constant**2 / self.resistance
 
     def _first_order(self, blocks: Blocks) -> None:
+        """Estimate from voltage and speed: inductance, time constant and torque constant."""
         smallest = np.inf
         for lag in blocks.lags:
             factors, error = blocks.solve(
-                blocks.rise(blocks.w), blocks.lagged_volts(lag), blocks.turned, blocks.rubbed
+                blocks.rise(blocks.w), blocks.lagged_volts(lag), blocks.rotation, blocks.direction
             )
             if error < smallest and factors[1] < 0.0 < factors[0]:
                 smallest, self.inductance = error, lag * self.resistance
                 self.time_constant = float(np.clip(-1.0 / factors[1], 1e-3, 100.0))
-                largest = LARGEST_CONSTANT * self.voltage / self.speed
+                largest = MAX_TORQUE_CONSTANT * self.voltage / self.speed
                 self.constant = float(np.clip(-factors[1] / factors[0], 1e-2 * largest, largest))
 
     def _both_balances(self, blocks: Blocks, i: FloatArray) -> None:
-        """∫U = R·∫i + L·Δi + K·∫ω, then K·∫i = J·Δω + c·∫ω + T·∫sgn ω."""
+        """Estimate by ∫U = R·∫i + L·Δi + K·∫ω, then K·∫i = J·Δω + c·∫ω + T·∫sgn ω."""
         charge = blocks.integral(i)
-        electrical, error = blocks.solve(blocks.volts, charge, blocks.rise(i), blocks.turned)
+        electrical, error = blocks.solve(blocks.volts, charge, blocks.rise(i), blocks.rotation)
         if not np.isfinite(error) or min(electrical) <= 0.0:
             return
         self.resistance, self.inductance, self.constant = (float(x) for x in electrical)
         torque, error = blocks.solve(
-            self.constant * charge, blocks.rise(blocks.w), blocks.turned, blocks.rubbed
+            self.constant * charge, blocks.rise(blocks.w), blocks.rotation, blocks.direction
         )
         if np.isfinite(error) and torque[0] > 0.0:
             self.inertia = float(torque[0])
@@ -98,7 +100,7 @@ class Sizes:
 class Blocks:
     """Integrals of held voltage, speed and its sign over short blocks in which the shaft turns.
 
-    None reaches from one recording into the next; these begin at the samples ``begins``.
+    No block extends from one recording into the next; recordings start at the samples ``begins``.
     """
 
     def __init__(self, t: FloatArray, u: FloatArray, w: FloatArray, begins: Sequence[int] = (0,)) -> None:
@@ -111,11 +113,11 @@ class Blocks:
         crossed = np.searchsorted(self._edges, begins[1:]) - 1
         self._moving[crossed[crossed < len(self._moving)]] = False
         self.volts = self._over(self._h * u[:-1])
-        self.turned, self.rubbed = self.integral(w), self.integral(np.sign(w))
+        self.rotation, self.direction = self.integral(w), self.integral(np.sign(w))
 
     @property
     def lags(self) -> FloatArray:
-        """Electrical time constants worth trying, s."""
+        """Candidate electrical time constants, s."""
         return np.r_[0.0, self._period * np.geomspace(0.3, 30.0, 11)]
 
     def lagged_volts(self, lag: float) -> FloatArray:
@@ -126,23 +128,28 @@ class Blocks:
         behind = np.r_[
             self._u[0], lfilter([share], [1.0, share - 1.0], self._u[:-1] - self._u[0]) + self._u[0]
         ]
-        # what is lost on the way, ∫(u − y), is the lag times the rise of y
+        # T·ẏ = u − y, so ∫(u − y) is the lag T times the rise of y
         return self.volts - lag * self.rise(behind)
 
     def integral(self, x: FloatArray) -> FloatArray:
-        """Over each block."""
+        """Integral of a signal over each block, by the trapezoidal rule."""
         return self._over(0.5 * self._h * (x[1:] + x[:-1]))
 
     def rise(self, x: FloatArray) -> FloatArray:
-        """From each block's begin to its end."""
+        """Change of a signal from the start to the end of each block."""
         return np.diff(x[self._edges])[self._moving]
 
     def _over(self, pieces: FloatArray) -> FloatArray:
+        """Sums over the blocks in motion."""
         return np.diff(np.r_[0.0, np.cumsum(pieces)][self._edges])[self._moving]
 
-    def solve(self, y: FloatArray, *columns: FloatArray) -> tuple[FloatArray, float]:
-        """Least-squares factors of ``columns`` in ``y``, and their error, infinite where too little moves."""
-        if np.count_nonzero(self._moving) < FEWEST_BLOCKS:
+    def solve(self, y: FloatArray, *columns: FloatArray, min_blocks: int = 12) -> tuple[FloatArray, float]:
+        """Fit ``y`` by ``columns`` in the least-squares sense.
+
+        Returns:
+            Coefficients, and the sum of squared errors; infinite with fewer than ``min_blocks`` in motion.
+        """
+        if np.count_nonzero(self._moving) < min_blocks:
             return np.zeros(len(columns)), np.inf
         design = np.column_stack(columns)
         factors = np.asarray(np.linalg.lstsq(design, y, rcond=None)[0])
@@ -153,8 +160,8 @@ def _rms(x: FloatArray) -> float:
     return float(np.sqrt(np.mean(x**2)))
 
 
-def own_parameters(s: Sizes) -> dict[str, Parameter]:
-    """The motor's own parameters with starts and scales of its size."""
+def motor_parameters(s: Sizes) -> dict[str, Parameter]:
+    """Parameters of the motor itself, by name, with starts and scales of its size."""
     typical = {
         "inertia": ("kg·m²", s.inertia),
         "torque_constant": ("N·m/A", s.constant),
@@ -170,20 +177,29 @@ def own_parameters(s: Sizes) -> dict[str, Parameter]:
 
 
 def catalogue(s: Sizes, outputs: Sequence[str], inertia_known: bool) -> dict[str, Term]:
-    """All terms of a motor with these ``outputs``, their scales of the motor's size."""
+    """Terms of a motor, by key.
+
+    Args:
+        s: Sizes that give the scales.
+        outputs: Outputs that the recording has.
+        inertia_known: Whether the rig file states the inertia; only then added inertia is identifiable.
+
+    Returns:
+        The terms.
+    """
     level = 0.1 * s.torque
     terms = friction_terms("N·m", "rad", level, s.speed) + _load_terms(s, level)
     terms += _electrical_terms(s) + input_terms("V")
     terms += (load_dependent_friction("the motor's torque (a gear)"), *sensor_terms(outputs, s))
     if inertia_known:
         terms += (added_inertia(s),)
-    # where along a turn a motor stands is known from its angle only
+    # position-dependent friction needs the angle
     needing = {"position_dependent_friction": ("angle",)}
     return {term.key: replace(term, needs=needing.get(term.name, term.needs)) for term in terms}
 
 
 def _load_terms(s: Sizes, level: float) -> tuple[Term, ...]:
-    """Torques on the shaft but friction; ``level`` is a typical one, N·m."""
+    """Torques on the shaft other than friction; ``level`` is a typical one, N·m."""
     return (
         Term(
             "constant_force",
@@ -241,7 +257,7 @@ def _load_terms(s: Sizes, level: float) -> tuple[Term, ...]:
 
 
 def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
-    """Effects between supply and winding."""
+    """Effects between the supply and the winding."""
     return (
         Term(
             "brush_drop",
@@ -249,7 +265,7 @@ def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
             "a voltage that the brushes take, whatever the current",
             "U_b = V_b·sgn i",
             "standard",
-            "small currents both ways; needs the current to be told from dry friction",
+            "small currents both ways; a recorded current, to distinguish it from dry friction",
             (Parameter("brush_drop.voltage", "V", 0.1 * s.voltage, 0.0, starts=(0.05 * s.voltage,)),),
         ),
         Term(
@@ -268,14 +284,23 @@ def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
             "R(T) = R·(1 + α·(T − 20 °C)); copper: 0.0039/K",
             "copper",
             "long runs with large currents",
-            (Parameter("thermal_resistance.coefficient", "1/K", COPPER, 0.0, 0.05, starts=(COPPER,)),),
+            (
+                Parameter(
+                    "thermal_resistance.coefficient",
+                    "1/K",
+                    COPPER_COEFFICIENT,
+                    0.0,
+                    0.05,
+                    starts=(COPPER_COEFFICIENT,),
+                ),
+            ),
             needs=("winding_temperature",),
         ),
     )
 
 
 def added_inertia(s: Sizes) -> Term:
-    """The term of a motor whose own inertia is known."""
+    """Added inertia, for a motor whose own inertia is known."""
     return Term(
         "added_inertia",
         Enters.FORCE,
@@ -288,7 +313,7 @@ def added_inertia(s: Sizes) -> Term:
 
 
 def sensor_terms(outputs: Sequence[str], s: Sizes) -> tuple[Term, ...]:
-    """Effects of the first output's sensor; where the current is the second, its offset and gain as well."""
+    """Sensor terms of the first output, and offset and gain of the current where it is the second."""
     units = {"speed": ("rad/s", s.speed), "current": ("A", s.current)}
     first = outputs[0]
     terms = (*output_terms(first, *units[first]), offset_term(first, units[first][0], 0.1 * units[first][1]))

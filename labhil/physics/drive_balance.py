@@ -1,10 +1,10 @@
-"""What the drive of an axis had to push for the measured motion, beside what it did push.
+"""Inverse dynamics of an axis: the drive force that the measured motion needs, and the one exerted.
 
-The position passes a zero-phase low-pass at three times the cut-off and is differentiated twice; the force
-that the model needs for that motion, and the force of the drive, both pass another one at the cut-off
-(parallel filtering: Gautier 1997; Janot, Gautier, Brunot 2019 on the benchmark EMPS). The first is wider so
-that a reversal, at which dry friction jumps, stays where it was. Where the axis rests dry friction takes any
-value within its level, so nothing is judged there, nor near ends and gaps.
+The position passes a zero-phase low-pass at three times the cut-off and is differentiated twice. The force
+that the model needs for that motion and the force of the drive both pass a low-pass at the cut-off (parallel
+filtering: Gautier 1997; Janot, Gautier, Brunot 2019 on the benchmark EMPS). The first filter is wider so that
+a reversal, at which dry friction jumps, stays in place. At rest dry friction takes any value up to its level,
+so samples at rest, near the ends and near gaps are left out.
 """
 
 from __future__ import annotations
@@ -17,33 +17,32 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from labhil.errors import RecordingError
-from labhil.physics.arm.motion import FEWEST, GAP, KEPT_PER_CUT_OFF, LowPass
+from labhil.physics.arm.motion import MAX_GAP_IN_PERIODS, MIN_SAMPLES, ROWS_PER_CUT_OFF_PERIOD, LowPass
 from labhil.physics.model import Record
 from labhil.signals import FloatArray, IntArray
 
-CUT_OFF = 20.0
-"""Hz; where the rig file's [metric] says nothing."""
+DEFAULT_CUT_OFF = 20.0
+"""Cut-off where the rig file states none, Hz."""
 
-WIDER = 3.0
-"""The low-pass of the position lies this much above that of the forces."""
-
-HIGHEST_SHARE = 0.1
-"""Of the sampling rate: the highest cut-off, with room for the wider low-pass."""
-
-REST = 0.01
-"""Share of the RMS speed below which the axis rests, where that lasts for longer than the filter's reach."""
+POSITION_CUT_OFF_FACTOR = 3.0
+"""Cut-off of the position over that of the forces."""
 
 
-ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
-"""Share of a position within which readings of an axis at rest may stray."""
+ROUNDING_SHARE = 64.0 * float(np.finfo(np.float64).eps)
+"""Rounding error of a position as a share of its largest absolute value."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveMotion:
-    """The measured motion on an even raster, smooth enough for two derivatives.
+    """The measured motion, evenly sampled and smooth enough for two derivatives.
 
-    ``t`` s, ``x`` m, ``v`` m/s, ``a`` m/s², each (n,); ``rows`` (k,) are the places that are judged, about
-    2.5 per period of the cut-off; ``low_pass`` is the filter of the forces.
+    Attributes:
+        t: Times, (n,), s.
+        x: Position, (n,), m.
+        v: Velocity, (n,), m/s.
+        a: Acceleration, (n,), m/s².
+        rows: Samples that are compared, (k,), about 2.5 per period of the cut-off.
+        low_pass: The filter of the forces.
     """
 
     t: FloatArray
@@ -54,42 +53,63 @@ class DriveMotion:
     low_pass: LowPass
 
     @classmethod
-    def of(cls, record: Record, cut_off: float = CUT_OFF) -> DriveMotion:
-        """The motion of a record's first output; RecordingError when hardly anything moves."""
+    def of(
+        cls,
+        record: Record,
+        cut_off: float = DEFAULT_CUT_OFF,
+        *,
+        max_cut_off_share: float = 0.1,
+        rest_speed_share: float = 0.01,
+    ) -> DriveMotion:
+        """Filter and differentiate the first output of a record.
+
+        Args:
+            record: The record.
+            cut_off: Cut-off of the forces, Hz.
+            max_cut_off_share: Highest cut-off over the sampling rate, with room for the wider low-pass.
+            rest_speed_share: Speed below which the axis is at rest, over the RMS speed, where that lasts for
+                longer than the reach of the filter.
+
+        Returns:
+            The motion.
+
+        Raises:
+            RecordingError: The record is too short, or there is too little motion.
+        """
         period = record.period
         t = record.t[0] + period * np.arange(int((record.t[-1] - record.t[0]) / period + 1e-6) + 1)
-        low_pass = LowPass(min(cut_off, HIGHEST_SHARE / period), period)
-        if len(t) < max(FEWEST, 8 * low_pass.reach):
+        low_pass = LowPass(min(cut_off, max_cut_off_share / period), period)
+        if len(t) < max(MIN_SAMPLES, 8 * low_pass.reach):
             raise RecordingError(f"too short for inverse dynamics: {len(t)} samples")
         x = _smoother(low_pass)(np.interp(t, record.t, record.outputs[:, 0]))
         v = np.gradient(x, period)
-        rounding = ROUNDING * float(np.abs(x).max()) / period
+        rounding = ROUNDING_SHARE * float(np.abs(x).max()) / period
         rows = _judged_rows(
-            record.t, t, np.abs(v) > max(REST * float(np.sqrt(np.mean(v**2))), rounding), low_pass
+            record.t, t, np.abs(v) > max(rest_speed_share * float(np.sqrt(np.mean(v**2))), rounding), low_pass
         )
-        if len(rows) < FEWEST:
+        if len(rows) < MIN_SAMPLES:
             raise RecordingError(
                 f"too little motion for inverse dynamics: {len(rows)} places are left below "
-                f"{low_pass.cut_off:g} Hz, at least {FEWEST} are needed"
+                f"{low_pass.cut_off:g} Hz, at least {MIN_SAMPLES} are needed"
             )
         return cls(t, x, v, np.gradient(v, period), rows, low_pass)
 
-    def at_judged(self, force: FloatArray) -> FloatArray:
-        """What is left of a force (n,) behind the low-pass at the places that are judged, (k,)."""
+    def filter_and_select(self, force: FloatArray) -> FloatArray:
+        """Low-pass a force (n,) and take the samples that are compared, (k,)."""
         return self.low_pass(force)[self.rows]
 
     def drive(self, nodes: FloatArray, values: FloatArray) -> FloatArray:
-        """What is left behind the low-pass, (k,), of a drive that is straight between ``nodes`` (m,) s.
+        """Low-pass a drive that is linear between ``nodes`` (m,), s; gives the compared samples, (k,).
 
-        A held drive jumps at the samples: the mean of both sides is what is in effect there.
+        A held drive jumps at the samples, where the mean of both sides is taken.
         """
         half = 0.5 * self.low_pass.period
         both = np.interp(self.t - half, nodes, values) + np.interp(self.t + half, nodes, values)
-        return self.at_judged(0.5 * both)
+        return self.filter_and_select(0.5 * both)
 
     @property
     def noise(self) -> float:
-        """What white noise of 1 m of the position makes of the judged acceleration, RMS in m/s²."""
+        """RMS of the filtered acceleration for white noise of 1 m of the position, m/s²."""
         impulse = np.zeros(16 * self.low_pass.reach + 1)
         impulse[len(impulse) // 2] = 1.0
         smooth = _smoother(self.low_pass)(impulse)
@@ -99,9 +119,13 @@ class DriveMotion:
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Force that a motion needs and force that the drive exerted, each (k,) N, and what noise does to it.
+    """Drive force that a motion needs and drive force exerted, low-pass filtered.
 
-    ``noise`` is the RMS error in N that white noise of 1 m of the position makes of the needed one.
+    Attributes:
+        needed: Force that the motion needs, (k,), N.
+        exerted: Force of the drive, (k,), N.
+        noise: RMS error of the needed force for white noise of 1 m of the position, N.
+        cut_off: Cut-off of the low-pass, Hz.
     """
 
     needed: FloatArray
@@ -112,26 +136,27 @@ class Balance:
 
 @runtime_checkable
 class HasInverseDynamics(Protocol):
-    """A model that can say what its drive had to push."""
+    """A model with inverse dynamics."""
 
     def balance(self, theta: FloatArray, record: Record) -> Balance:
-        """The judged forces of a record; RecordingError when hardly anything moves."""
+        """Needed and exerted drive force of a record; RecordingError if there is too little motion."""
         ...
 
 
 def _smoother(low_pass: LowPass) -> LowPass:
-    return LowPass(WIDER * low_pass.cut_off, low_pass.period)
+    """The low-pass of the position."""
+    return LowPass(POSITION_CUT_OFF_FACTOR * low_pass.cut_off, low_pass.period)
 
 
 def _judged_rows(
     measured: FloatArray, t: FloatArray, moves: NDArray[np.bool_], low_pass: LowPass
 ) -> IntArray:
-    """Places of the even raster ``t`` (n,) that are judged, thinned out; ``moves`` (n,) where it does."""
+    """Samples of the even times ``t`` (n,) that are compared; ``moves`` (n,) marks motion."""
     span = np.ones(2 * low_pass.reach + 1, dtype=bool)
     after = np.clip(np.searchsorted(measured, t), 1, len(measured) - 1)
-    missing = measured[after] - measured[after - 1] > GAP * low_pass.period
+    missing = measured[after] - measured[after - 1] > MAX_GAP_IN_PERIODS * low_pass.period
     left_out = ndimage.binary_dilation(ndimage.binary_opening(~moves, span) | missing, span)
     left_out[: 3 * low_pass.reach] = left_out[-3 * low_pass.reach :] = True
-    every = max(1, round(1.0 / (KEPT_PER_CUT_OFF * low_pass.cut_off * low_pass.period)))
+    every = max(1, round(1.0 / (ROWS_PER_CUT_OFF_PERIOD * low_pass.cut_off * low_pass.period)))
     rows = np.arange(0, len(t), every)
     return np.asarray(rows[~left_out[rows]], dtype=np.int64)

@@ -1,4 +1,7 @@
-"""The way of a recorded input through the effects before the mechanism, remembered per record."""
+"""The recorded input behind the effects of the input path, cached per record.
+
+The effects themselves (backlash, dead zone, saturation, rate limit, lag) are in ``physics.input_path``.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from labhil.physics import input_path
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray, Hold
 
-WAY_IN = (
+INPUT_PATH_PARAMETERS = (
     "backlash.gap",
     "dead_zone.left",
     "dead_zone.right",
@@ -19,42 +22,51 @@ WAY_IN = (
     "actuator_lag.time_constant",
     "time_delay.delay",
 )
-REMEMBERED = 32
 LAG_PARTS = 2
-"""Into how many straight lines a stretch is cut behind a lag."""
+"""Straight lines per stretch of the input behind a first-order lag."""
 
 Value = Callable[[str], float]
 
 
-class DrivenPath:
-    """Nodes of an input behind backlash, dead zone, saturation, rate limit, lag and delay.
+class InputPath:
+    """Cache of inputs behind backlash, dead zone, saturation, rate limit, lag and delay.
 
-    Most simulations of a fit differ in friction or in initial states only, so the last few are kept.
+    Most simulations of a fit differ in friction or in initial states only, so the last ``size`` are kept.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, size: int = 32) -> None:
+        self._size = size
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
     def nodes(self, record: Record, column: int, value: Value) -> input_path.Nodes:
-        """Times and values (m,) of input ``column``; ``value`` gives a parameter by name, 0 if absent."""
-        key = (id(record), column, *(value(name) for name in WAY_IN))
+        """Node times and values (m,) of input ``column``; ``value`` gives a parameter by name, else 0."""
+        key = (id(record), column, *(value(name) for name in INPUT_PATH_PARAMETERS))
         entry = self._remembered.get(key)
         if entry is None or entry[0] is not record:
-            entry = (record, effective(record, column, value))
-            if len(self._remembered) >= REMEMBERED:
+            entry = (record, effective_input(record, column, value))
+            if len(self._remembered) >= self._size:
                 self._remembered.clear()
             self._remembered[key] = entry
         return entry[1]
 
     def at_samples(self, record: Record, windows: Windows, value: Value) -> FloatArray:
-        """The first input behind these effects at the samples of windows, (N,)."""
+        """Values of the first input behind these effects at the samples of windows, (N,)."""
         nodes, values = self.nodes(record, 0, value)
         return np.interp(record.t[windows.rows], nodes, values)
 
 
-def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
-    """The way in, walked once through the whole record."""
-    t, u = nodes_of(record, column)
+def effective_input(record: Record, column: int, value: Value) -> input_path.Nodes:
+    """Apply the effects of the input path to input ``column`` over the whole record.
+
+    Args:
+        record: The record.
+        column: Column of its inputs.
+        value: Gives a parameter by name, 0 where the term is absent.
+
+    Returns:
+        Node times and values, (m,) each, linear in between.
+    """
+    t, u = input_nodes(record, column)
     gap, left, right = value("backlash.gap"), value("dead_zone.left"), value("dead_zone.right")
     inverse_limit, inverse_rate = value("saturation.inverse_limit"), value("rate_limit.inverse_rate")
     time_constant = value("actuator_lag.time_constant")
@@ -67,14 +79,16 @@ def effective(record: Record, column: int, value: Value) -> input_path.Nodes:
     return t + value("time_delay.delay"), u
 
 
-def nodes_of(record: Record, column: int) -> input_path.Nodes:
-    """Input ``column`` as it was recorded, at nodes; one that is held jumps at a node that is there twice."""
+def input_nodes(record: Record, column: int) -> input_path.Nodes:
+    """The recorded input ``column`` as nodes; a held input has two nodes at each jump."""
     t, u = record.t, np.ascontiguousarray(record.inputs[:, column])
     if record.input_holds[column] is Hold.ZERO:
         return np.repeat(t, 2)[1:], np.repeat(u, 2)[:-1]
     return t, u
 
 
-def lagged(record: Record, windows: Windows, values: FloatArray, time_constant: float) -> FloatArray:
-    """An output (N,) behind a sensor's first-order lag, which every window finds as after a steady slope."""
+def apply_sensor_lag(
+    record: Record, windows: Windows, values: FloatArray, time_constant: float
+) -> FloatArray:
+    """Apply the first-order lag of a sensor to an output (N,); each window begins as after a steady ramp."""
     return input_path.sensor_lag(record.t[windows.rows], values, windows.owner, time_constant)

@@ -1,9 +1,9 @@
-"""A force that no named term describes, beside a kernel's laws: a curve along the motion or a course.
+"""An additional, nonparametric force on a moving part: a curve along its motion, or a course over time.
 
-:func:`with_extra` makes of the laws of any moving part (see ``physics.moving_part``) those of the same part
-under one more force, so a kernel without it stays what it is. A curve is a table over the part's own
-position or velocity while it is simulated, never over the measured ones: a force that knew the measurement
-would pull the simulation towards it (a stiff spring to the measured place explains any record).
+:func:`with_extra_force` extends the laws of any moving part (``physics.moving_part``) by one force; a kernel
+without it is unchanged. A curve is a table over the simulated position or velocity, never over the measured
+one: a force that depends on the measurement would pull the simulation towards it (a stiff spring to the
+measured position explains any record).
 """
 
 from __future__ import annotations
@@ -17,45 +17,52 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from labhil.compiled import inlined, specialised
-from labhil.physics.friction import RESOLVED
+from labhil.physics.friction import MAX_STEP_SHARE
 from labhil.physics.friction_law import FASTEST, GRID, PER_OCTAVE, SLOWEST, SLOWEST_POWER
 from labhil.physics.model import Model, Record
 from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
 from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
-MOST = FASTEST * (1.0 - 1e-12)
-"""Speed beyond which the table of a law keeps its last value."""
+MAX_SPEED = FASTEST * (1.0 - 1e-12)
+"""Speed above which the table of a law keeps its last value, m/s or rad/s."""
 
-NODES = len(GRID)
+N_NODES = len(GRID)
 
-STRAIGHT = 0.03
-"""Share of the pull by which friction of one's own may leave its tangent within a step."""
+MAX_DEVIATION_FROM_TANGENT = 0.03
+"""Largest deviation of tabulated friction from its tangent within a step, as a share of the acceleration."""
 
 
 class CurveArgument(IntEnum):
-    """What a curve is a function of, and which way it acts."""
+    """The argument of a curve, and the direction in which the force acts."""
 
     TIME = 0
-    """Nothing of the motion: an input, its rate, time itself. Acts along the positive direction."""
+    """Not the motion: an input, its rate, or time. Acts along the positive direction."""
     POSITION = 1
     """Acts along the positive direction."""
     POSITION_AGAINST = 2
-    """Acts against the motion, as dry friction, and adds to the hold at rest."""
+    """Over position; acts against the motion as dry friction and adds to the break-away force."""
     VELOCITY = 3
     """Acts along the positive direction."""
     SPEED_AGAINST = 4
-    """A curve over the size of velocity, which acts against the motion; at zero it adds to the hold."""
+    """Over speed; acts against the motion, and its value at zero adds to the break-away force."""
     DAMPING = 5
-    """A curve over position times the velocity, against the motion."""
+    """Over position: a damping coefficient. The force is curve times velocity, against the motion."""
 
 
 def along_positive(
     acts: CurveArgument, curve: FloatArray, velocity: FloatArray, direction: FloatArray
 ) -> FloatArray:
-    """The force along the positive direction of values of a curve (N,), at velocities (N,).
+    """Convert values of a curve to the force along the positive direction.
 
-    ``direction`` (N,) is the one that dry friction acts against: sgn of the velocity, or bristles'.
+    Args:
+        acts: Argument and direction of the curve.
+        curve: Its values, (N,).
+        velocity: Velocities, (N,).
+        direction: Direction of dry friction from −1 to 1, (N,): sign of the velocity, or of bristles.
+
+    Returns:
+        The force, (N,).
     """
     if acts in (CurveArgument.POSITION_AGAINST, CurveArgument.SPEED_AGAINST):
         return np.asarray(-curve * direction)
@@ -64,12 +71,16 @@ def along_positive(
 
 @dataclass(frozen=True, slots=True)
 class MovedPart:
-    """What one more force may act on.
+    """A part on which an additional force may act.
 
-    ``position`` and ``velocity`` are names of coordinates, empty where recordings lack them; ``turn``
-    is the period of the position, 0 where it does not repeat; ``joint`` the joint of an arm that it is.
-    ``force`` and ``speed`` are its typical ones, in units of the model's yardsticks. What is added
-    ``enters`` as a force, or as a difference of the output where nothing moves that a force could push.
+    Attributes:
+        position: Coordinate of its position, "" if recordings lack it.
+        velocity: Coordinate of its velocity, "" if recordings lack it.
+        turn: Period of the position, 0 if it is not periodic.
+        joint: Joint of an arm, from 0.
+        force: Typical force in units of the model's characteristic scales.
+        speed: Typical speed in units of the model's characteristic scales.
+        enters: As a force, or as a difference of the output where no simulated part moves.
     """
 
     position: str
@@ -82,13 +93,17 @@ class MovedPart:
 
 
 class CompiledForce(NamedTuple):
-    """A force over the inertia as a kernel holds it.
+    """An additional force over the inertia as a kernel holds it.
 
-    ``values`` are those of the curve at ``low`` and every 1/``per_unit`` further on, straight in between and
-    constant outside; ``turn`` is the period of a position that repeats (0: it does not). ``width`` is how
-    far one step may go along the coordinate. ``course`` is the force from this sample to the next.
-    ``friction`` are values of friction laws of one's own at the speeds of ``friction_law.GRID``, empty where
-    there are none.
+    Attributes:
+        over: The :class:`CurveArgument` as a number.
+        low: Coordinate of the first value of the curve.
+        per_unit: Values per unit of the coordinate; the curve is linear in between and constant outside.
+        turn: Period of the position, 0 if it is not periodic.
+        width: Longest way of one step along the coordinate.
+        values: Values of the curve.
+        course: The force from this sample to the next.
+        friction: User-defined friction at the speeds of ``friction_law.GRID``; empty if there is none.
     """
 
     over: int
@@ -103,12 +118,19 @@ class CompiledForce(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ExtraForce:
-    """A generalised force (N, N·m, or per unit of mass where the model is) beside a model's own.
+    """An additional generalised force, N or N·m (or per unit of mass where the model is).
 
-    Either a curve over the simulated motion, with its values (m,) at the evenly spaced ``grid`` (m,), or a
-    ``course`` (n,) along the record, constant from each sample to the next. ``turn`` is the period of a
-    position that repeats, 0 where it does not; ``width`` the least width of what the curve may show. Where a
-    model has several parts it acts on that of the ``joint``, and ``of`` names the coordinate of the curve.
+    Either a curve over the simulated motion, or a course over time.
+
+    Attributes:
+        acts: Argument and direction of the curve.
+        grid: Evenly spaced coordinates of the curve, (m,).
+        values: Force at these coordinates, (m,).
+        width: Least width of a feature of the curve, in the unit of the coordinate.
+        course: Force at each sample of the record, (n,), constant until the next; None for a curve.
+        turn: Period of the position, 0 if it is not periodic.
+        of: Coordinate of the curve in a model of several parts.
+        joint: Joint on which it acts in a model of several parts.
     """
 
     acts: CurveArgument
@@ -121,25 +143,25 @@ class ExtraForce:
     joint: int | None = None
 
     def over(self, inertia: float, record: Record, friction: FloatArray) -> tuple[CompiledForce, FloatArray]:
-        """As a kernel takes it: the curve, and the course (n,) along a record, both over the inertia.
+        """Convert to the form that a kernel takes: the curve and the course (n,), over the inertia.
 
-        ``friction`` (398,), or empty, is that of laws of one's own, over the inertia as well.
+        ``friction`` (398,) is user-defined friction over the inertia, or empty.
         """
         per_unit = (len(self.grid) - 1) / float(self.grid[-1] - self.grid[0])
         values = np.ascontiguousarray(self.values / inertia)
         low = float(self.grid[0])
-        beyond = CompiledForce(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0, friction)
+        force = CompiledForce(int(self.acts), low, per_unit, self.turn, self.width, values, 0.0, friction)
         along = np.zeros(len(record)) if self.course is None else self.course / inertia
-        return beyond, np.ascontiguousarray(along)
+        return force, np.ascontiguousarray(along)
 
 
 NO_FORCE = ExtraForce(CurveArgument.TIME, np.array([0.0, 1.0]), np.zeros(2), 1.0)
-"""Beside which a kernel may hold friction laws of one's own."""
+"""Zero force, for a kernel that holds user-defined friction only."""
 
 
 @runtime_checkable
 class AcceptsExtraForce(Model, Protocol):
-    """A model that takes one more force."""
+    """A model that accepts an additional force."""
 
     @property
     def force_unit(self) -> str:
@@ -148,31 +170,31 @@ class AcceptsExtraForce(Model, Protocol):
 
     @property
     def moved(self) -> tuple[MovedPart, ...]:
-        """What that force may act on: the one part that moves, or every joint."""
+        """The parts on which that force may act: the moving part, or every joint."""
         ...
 
     def with_force(self, force: ExtraForce) -> AcceptsExtraForce:
-        """The same model under one more force; this one stays as it is.
+        """Copy of the model with an additional force.
 
-        A model of several parts may be under several; the force on a single part takes the place of another.
+        A model of several parts keeps the forces that it has; on a single part the force replaces another.
         """
         ...
 
 
 @runtime_checkable
 class PositionUnobserved(AcceptsExtraForce, Protocol):
-    """A model whose recordings may lack the position of its part.
+    """A model whose recordings may lack the position of its moving part.
 
-    Under a force that depends on the position, each window may estimate it from its outputs.
+    With a force that depends on the position, each window may estimate its initial position.
     """
 
     def with_place(self) -> AcceptsExtraForce:
-        """The same with the place as one more state of every window; itself where recordings have it."""
+        """Copy with the position as one more state of every window; the model itself if it is recorded."""
         ...
 
 
 def with_place(model: AcceptsExtraForce, over: Collection[str]) -> AcceptsExtraForce:
-    """The model as it takes forces ``over`` these coordinates: it has to know its place for some."""
+    """Add the position to the states if a force ``over`` one of these coordinates needs it."""
     if not isinstance(model, PositionUnobserved):
         return model
     other = model.with_place()
@@ -185,10 +207,10 @@ C = TypeVar("C")
 
 
 class Pushed(NamedTuple, Generic[P]):
-    """A part between two samples, and the force beside it."""
+    """A part between two samples, and the additional force on it."""
 
     part: P
-    beyond: CompiledForce
+    force: CompiledForce
 
 
 class PushedCourse(NamedTuple, Generic[C]):
@@ -200,7 +222,7 @@ class PushedCourse(NamedTuple, Generic[C]):
 
 @inlined
 def look_up(x: float, b: CompiledForce) -> float:
-    """The curve at ``x``: straight between its nodes, constant outside."""
+    """Value of the curve at ``x``: linear between its nodes, constant outside."""
     if b.turn > 0.0:
         x = b.low + (x - b.low) % b.turn
     place = (x - b.low) * b.per_unit
@@ -215,8 +237,8 @@ def look_up(x: float, b: CompiledForce) -> float:
 
 
 @inlined
-def pushes(s: Motion, b: CompiledForce) -> float:
-    """What acts along the positive direction, over the inertia."""
+def push(s: Motion, b: CompiledForce) -> float:
+    """Force along the positive direction, over the inertia."""
     if b.over == 1:
         return look_up(s.x, b)
     if b.over == 5:
@@ -225,8 +247,8 @@ def pushes(s: Motion, b: CompiledForce) -> float:
 
 
 @inlined
-def rubs(s: Motion, b: CompiledForce) -> float:
-    """What acts against the motion, over the inertia."""
+def drag(s: Motion, b: CompiledForce) -> float:
+    """Force against the motion, over the inertia."""
     level = 0.0
     if b.over == 2:
         level = look_up(s.x, b)
@@ -237,11 +259,11 @@ def rubs(s: Motion, b: CompiledForce) -> float:
 
 @inlined
 def cell_of(speed: float) -> tuple[int, float]:
-    """The cell of ``friction_law.GRID`` in which a speed is, and the share of it behind."""
+    """Cell of ``friction_law.GRID`` that contains a speed, and the relative position in it."""
     if not speed > SLOWEST:
         return 0, speed / SLOWEST
     # half to one times a power of two; the octave below that power begins at twice the half
-    part, power = math.frexp(min(speed, MOST))
+    part, power = math.frexp(min(speed, MAX_SPEED))
     place = (2.0 * part - 1.0) * PER_OCTAVE
     k = int(place)
     return 1 + (power - 1 - SLOWEST_POWER) * PER_OCTAVE + k, place - k
@@ -249,88 +271,107 @@ def cell_of(speed: float) -> tuple[int, float]:
 
 @inlined
 def friction_at(speed: float, values: FloatArray, first: int) -> float:
-    """A table over ``friction_law.GRID`` that begins at ``first``: straight between its nodes."""
+    """Value of a table over ``friction_law.GRID`` that begins at ``first``: linear between its nodes."""
     k, share = cell_of(speed)
     low = values[first + k]
     return low + (values[first + k + 1] - low) * share
 
 
 @inlined
-def friction_pace(speed: float, rate: float, values: FloatArray, first: int) -> float:
-    """How long one step may be (s) at acceleration ``rate``: short against how the table damps and bends."""
+def max_table_step(speed: float, rate: float, values: FloatArray, first: int) -> float:
+    """Longest step at acceleration ``rate``, s: short against the slope and curvature of the table."""
     k, _ = cell_of(speed)
     slope = cell_slope(values, first, k)
-    bend = abs(cell_slope(values, first, min(k + PER_OCTAVE, NODES - 2)) - slope)
+    bend = abs(cell_slope(values, first, min(k + PER_OCTAVE, N_NODES - 2)) - slope)
     pull = abs(rate) + TINY
-    reach = max(RESOLVED * (speed + SLOWEST), STRAIGHT * pull / (bend + TINY))
-    return min(reach / pull, RESOLVED / (abs(slope) + TINY))
+    reach = max(MAX_STEP_SHARE * (speed + SLOWEST), MAX_DEVIATION_FROM_TANGENT * pull / (bend + TINY))
+    return min(reach / pull, MAX_STEP_SHARE / (abs(slope) + TINY))
 
 
 @inlined
 def cell_slope(values: FloatArray, first: int, k: int) -> float:
-    """How fast a table that begins at ``first`` rises in cell ``k`` of ``friction_law.GRID``."""
+    """Slope of a table that begins at ``first`` in cell ``k`` of ``friction_law.GRID``."""
     width = math.ldexp(SLOWEST / PER_OCTAVE, (k - 1) // PER_OCTAVE) if k > 0 else SLOWEST
     return (values[first + k + 1] - values[first + k]) / width
 
 
-Pull = Callable[[Motion, float, float, Part], float]
+MaxStep = Callable[[Motion, float, float, float, float, Follows, float, Part], float]
+"""The law :attr:`physics.moving_part.Laws.max_step`."""
 
 
-def with_extra(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Course]]:
-    """The laws of the same part under one more force."""
-    pull, target, follow, settled, grip, pace, damping, at = laws
-
-    @specialised
-    def extra_pull(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
-        return pull(s, side, u, p.part) + pushes(s, p.beyond) - side * rubs(s, p.beyond)
+def _compile_max_step(
+    max_step: MaxStep[Part], acceleration: Callable[[Motion, float, float, Pushed[Part]], float]
+) -> MaxStep[Pushed[Part]]:
+    """Compile the longest step of a part under an additional force, with which it has ``acceleration``."""
 
     @specialised
-    def extra_target(s: Motion, u: float, how: Follows, p: Pushed[Part]) -> float:
-        return target(s, u, how, p.part)
+    def extra_max_step(
+        s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float,
+        p: Pushed[Part],
+    ) -> float:  # fmt: skip
+        size = max_step(s, side, u, rise, since, lag, finest, p.part)
+        b = p.force
+        if side == 0.0 or (b.over == 0 and not b.friction.size):
+            return size
+        pulled = acceleration(s, side, u, p)
+        if b.friction.size:
+            size = min(size, max(max_table_step(abs(s.v), pulled, b.friction, 0), finest))
+        if b.over == 0:
+            return size
+        rate = pulled if 3 <= b.over <= 4 else s.v
+        return min(size, max(b.width / (abs(rate) + TINY), finest))
+
+    return extra_max_step
+
+
+def with_extra_force(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCourse[Course]]:
+    """Extend the laws of a part by an additional force.
+
+    Args:
+        laws: Laws of the part.
+
+    Returns:
+        Laws of the same part, as :class:`Pushed`, with the force.
+    """
+    acceleration, target, follow, steady_value, pull_and_hold, max_step, damping, part_at = laws
+
+    @specialised
+    def extra_acceleration(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
+        return acceleration(s, side, u, p.part) + push(s, p.force) - side * drag(s, p.force)
+
+    @specialised
+    def extra_target(s: Motion, u: float, lag: Follows, p: Pushed[Part]) -> float:
+        return target(s, u, lag, p.part)
 
     @specialised
     def extra_follow(s: Motion, p: Pushed[Part]) -> Follows:
         return follow(s, p.part)
 
     @specialised
-    def extra_settled(s: Motion, u: float, p: Pushed[Part]) -> float:
-        return settled(s, u, p.part)
+    def extra_steady_value(s: Motion, u: float, p: Pushed[Part]) -> float:
+        return steady_value(s, u, p.part)
 
     @specialised
-    def extra_grip(s: Motion, u: float, p: Pushed[Part]) -> tuple[float, float]:
-        drive, level = grip(s, u, p.part)
-        return drive + pushes(s, p.beyond), max(level + rubs(s, p.beyond), 0.0)
+    def extra_pull_and_hold(s: Motion, u: float, p: Pushed[Part]) -> tuple[float, float]:
+        drive, level = pull_and_hold(s, u, p.part)
+        return drive + push(s, p.force), max(level + drag(s, p.force), 0.0)
 
-    @specialised
-    def extra_pace(
-        s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float,
-        p: Pushed[Part],
-    ) -> float:  # fmt: skip
-        size = pace(s, side, u, rise, since, how, finest, p.part)
-        b = p.beyond
-        if side == 0.0 or (b.over == 0 and not b.friction.size):
-            return size
-        pulled = extra_pull(s, side, u, p)
-        if b.friction.size:
-            size = min(size, max(friction_pace(abs(s.v), pulled, b.friction, 0), finest))
-        if b.over == 0:
-            return size
-        rate = pulled if 3 <= b.over <= 4 else s.v
-        return min(size, max(b.width / (abs(rate) + TINY), finest))
+    extra_max_step = _compile_max_step(max_step, extra_acceleration)
 
     @specialised
     def extra_damping(s: Motion, side: float, p: Pushed[Part]) -> tuple[float, float]:
-        # what depends on velocity damps as well: such a part does not count as creeping
-        if p.beyond.over >= 3 or p.beyond.friction.size:
+        # a force that depends on velocity damps too, so such a part does not count as creeping
+        if p.force.over >= 3 or p.force.friction.size:
             return 0.0, 0.0
         return damping(s, side, p.part)
 
     @specialised
-    def extra_at(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
-        b = p.beyond
+    def extra_part_at(p: Pushed[Part], c: PushedCourse[Course], k: int) -> Pushed[Part]:
+        b = p.force
         force = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k], b.friction)
-        return Pushed(at(p.part, c.course, k), force)
+        return Pushed(part_at(p.part, c.course, k), force)
 
     return Laws(
-        extra_pull, extra_target, extra_follow, extra_settled, extra_grip, extra_pace, extra_damping, extra_at
-    )
+        extra_acceleration, extra_target, extra_follow, extra_steady_value, extra_pull_and_hold,
+        extra_max_step, extra_damping, extra_part_at,
+    )  # fmt: skip

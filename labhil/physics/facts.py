@@ -1,10 +1,9 @@
-"""What physics knows of a rig's recording before anything is fitted: figures with bounds, and how they scale.
+"""Plausibility figures of a recording that need no fit, with physical bounds and their scaling with units.
 
-A fact is a figure that is made of signals (the largest position, the acceleration per radian, the sampling
-rate). It knows by which power of each signal's unit it scales, so that what a wrong unit, sign or time would
-have made of it is arithmetic. The facts of a kind of rig stand in a file of its own beside its model
-(``ball_beam_facts`` …); ``identify.plausibility`` draws the conclusions. Nothing here is compiled, since
-``labhil import`` looks at facts too.
+A fact is a figure computed from signals (the largest position, the acceleration per radian, the sampling
+rate). It states with which power of each signal's unit it scales, so the effect of a wrong unit, sign or time
+base can be computed. The facts of each rig kind are in a file beside its model (``ball_beam_facts`` …);
+``identify.plausibility`` draws the conclusions. Nothing here is compiled, since ``labhil import`` uses facts.
 """
 
 from __future__ import annotations
@@ -18,27 +17,30 @@ from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
 TIME = "t"
+"""Name of the time among the powers of a fact."""
 
-LENGTHS = (8, 16, 32, 64, 128, 256)
-"""Samples in the stretches of a regression: in samples, so that a wrong unit of time changes no choice."""
+MIN_T_RATIO = 10.0
+"""Least |slope|/standard error of a slope that counts; high, since correlated residuals make errors small."""
 
-CERTAIN = 10.0
-"""Standard errors from zero at which a slope counts: residuals are correlated, so errors look too small."""
-
-HOLE = 3.0
-"""Usual steps of time from which one is a hole: what the signals did in it is not known."""
-
-LEAST_R2 = 0.5
-"""Share of the variance that a regression has to explain for its slopes to mean anything."""
+MIN_R_SQUARED = 0.5
+"""Least coefficient of determination R² of a regression whose slopes count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One figure of a recording with the bounds that physics sets.
+    """One figure of a recording with its physical bounds.
 
-    ``powers`` say how ``value`` scales with each signal ("t" for the time); ``typical`` is what it mostly is,
-    for choosing among explanations, ``because`` a reason for the bounds. ``dynamic`` facts compare signals,
-    ``unsigned`` ones are sizes, of which signs make nothing else.
+    Attributes:
+        what: The figure in words.
+        value: Its value.
+        unit: Its unit.
+        low: Lower bound, excluded.
+        high: Upper bound, included.
+        powers: Power of each signal ("t" for the time) with which the value scales.
+        because: Reason for the bounds.
+        typical: Usual value, for the choice among explanations.
+        dynamic: True if it compares signals with each other.
+        unsigned: True for an absolute value, which a change of sign does not affect.
     """
 
     what: str
@@ -53,33 +55,38 @@ class Fact:
     unsigned: bool = False
 
     def holds(self, factors: Mapping[str, float] | None = None) -> bool:
-        """Whether the value is within the bounds, its signals multiplied by these ``factors``."""
+        """Whether the value is within the bounds after its signals are multiplied by ``factors``."""
         return self.low < self.scaled(factors or {}) <= self.high
 
     def scaled(self, factors: Mapping[str, float]) -> float:
-        """The value that signals multiplied by these ``factors`` would have given."""
+        """The value after its signals are multiplied by ``factors``."""
         value = self.value
         for name, factor in factors.items():
             value *= float(factor) ** self.powers.get(name, 0)
         return abs(value) if self.unsigned else value
 
 
-def rate_fact(record: Record, low: float, high: float, typical: float = 100.0) -> Fact:
-    """The sampling rate, Hz."""
+def sampling_rate_fact(record: Record, low: float, high: float, typical: float = 100.0) -> Fact:
+    """Make the fact of the sampling rate, Hz, with bounds ``low`` and ``high``."""
     why = f"such a rig is sampled at {low:g} to {high:g} Hz"
     return Fact("the sampling rate", 1.0 / record.period, "Hz", low, high, {TIME: -1}, why, typical)
 
 
-def size_fact(name: str, unit: str, values: FloatArray, high: float, typical: float, because: str) -> Fact:
-    """The largest absolute value of a signal (…); one sample in a thousand may stray."""
+def amplitude_fact(
+    name: str, unit: str, values: FloatArray, high: float, typical: float, because: str
+) -> Fact:
+    """Make the fact of the largest absolute value of a signal; one sample in a thousand may exceed it."""
     largest = float(np.quantile(np.abs(values), 0.999))
     return Fact(
         f"the largest {name}", largest, unit, -1.0, high, {name: 1}, because, typical, unsigned=True
     )  # fmt: skip
 
 
-def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, v: FloatArray) -> list[Fact]:
-    """That a measured rate (n, …) is the derivative of a measured position (n, …), where both move."""
+def derivative_fact(t: FloatArray, position: str, x: FloatArray, rate: str, v: FloatArray) -> list[Fact]:
+    """Make the fact that a measured rate (n, …) is the derivative of a measured position (n, …).
+
+    The list is empty unless both move and are correlated.
+    """
     complete = ~_holes(t)
     step = np.diff(t)[complete, None] if x.ndim > 1 else np.diff(t)[complete]
     moved, by_rate = np.diff(x, axis=0)[complete], 0.5 * step * (v[1:] + v[:-1])[complete]
@@ -88,48 +95,63 @@ def rate_of_change_fact(t: FloatArray, position: str, x: FloatArray, rate: str, 
         return []
     slope = float(np.sum(moved * by_rate)) / power
     correlation = float(np.sum(moved * by_rate)) / np.sqrt(power * float(np.sum(moved**2)))
-    if abs(correlation) < np.sqrt(LEAST_R2):
+    if abs(correlation) < np.sqrt(MIN_R_SQUARED):
         return []
     what = f"the change of {position} over what {rate} adds up to"
     powers = {position: 1, rate: -1, TIME: -1}
     return [Fact(what, slope, "", 0.7, 1.4, powers, "one is the derivative of the other", 1.0, dynamic=True)]
 
 
-def _holes(t: FloatArray) -> np.ndarray:
-    """Which steps of time (n − 1,) are holes."""
+def _holes(t: FloatArray, *, max_periods: float = 3.0) -> np.ndarray:
+    """Mark gaps in time: steps (n − 1,) longer than ``max_periods`` median periods."""
     step = np.diff(t)
-    return np.asarray(step > HOLE * np.median(step))
+    return np.asarray(step > max_periods * np.median(step))
 
 
-def integral(t: FloatArray, x: FloatArray, *, held: bool = False) -> FloatArray:
-    """The running integral (n,) of x, which is held or straight between samples."""
+def running_integral(t: FloatArray, x: FloatArray, *, held: bool = False) -> FloatArray:
+    """Running integral (n,) of x, which is held or linear between samples."""
     pieces = x[:-1] if held else 0.5 * (x[1:] + x[:-1])
     return np.r_[0.0, np.cumsum(np.diff(t) * pieces)]
 
 
-def slopes(
-    target: FloatArray, columns: Sequence[FloatArray], t: FloatArray, degree: int
+def regress_stretches(
+    target: FloatArray,
+    columns: Sequence[FloatArray],
+    t: FloatArray,
+    degree: int,
+    *,
+    lengths: Sequence[int] = (8, 16, 32, 64, 128, 256),
 ) -> tuple[FloatArray, FloatArray]:
-    """Slopes of a regression on short stretches, and how many standard errors each is from zero.
+    """Regress a target on columns over short stretches of a recording.
 
-    Each stretch has a polynomial in time (``degree`` 0 or 1) of its own, so that how it began does not count;
-    those with a hole in time do not count. Of several lengths the one whose first slope is most certain is
-    taken. Slopes are (columns,); the second array is zero where too little is explained.
+    Each stretch has its own polynomial in time, which absorbs initial values; stretches with a gap in time
+    are left out. Of all lengths, the one with the largest t ratio of the first slope is taken.
+
+    Args:
+        target: What is regressed, (n,).
+        columns: Regressors, each (n,).
+        t: Times, (n,), s.
+        degree: Degree of the polynomial, 0 or 1.
+        lengths: Lengths of the stretches, in samples, so a wrong unit of time does not change the choice.
+
+    Returns:
+        Slopes and their t ratios, (columns,) each; zeros where the regression explains too little.
     """
     best = np.zeros(len(columns)), np.zeros(len(columns))
-    for length in LENGTHS:
+    for length in lengths:
         count = len(t) // length
         if count < 2 or length <= degree + 1 + len(columns):
             continue
-        candidate = _slopes(target, columns, t, degree, (count, length))
+        candidate = _regress(target, columns, t, degree, (count, length))
         if candidate is not None and abs(candidate[1][0]) > abs(best[1][0]):
             best = candidate
     return best
 
 
-def _slopes(
+def _regress(
     target: FloatArray, columns: Sequence[FloatArray], t: FloatArray, degree: int, shape: tuple[int, int]
 ) -> tuple[FloatArray, FloatArray] | None:
+    """Slopes and t ratios for ``shape`` = (stretches, samples in each); None if it explains too little."""
     count, length = shape
     complete = ~np.r_[_holes(t), False][: count * length].reshape(count, length)[:, :-1].any(axis=1)
     samples = np.column_stack([target, *columns])[: count * length].reshape(count, length, -1)[complete]
@@ -148,7 +170,7 @@ def _slopes(
     design = design / norms
     factors, _, rank, _ = np.linalg.lstsq(design, y, rcond=1e-9)
     residuals = y - design @ factors
-    if rank < len(norms) or float(residuals @ residuals) > (1.0 - LEAST_R2) * total:
+    if rank < len(norms) or float(residuals @ residuals) > (1.0 - MIN_R_SQUARED) * total:
         return None
     freedom = max(count * (length - degree - 1) - len(norms), 1)
     errors = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * float(residuals @ residuals) / freedom)
@@ -156,10 +178,16 @@ def _slopes(
 
 
 def second_order_gain(t: FloatArray, u: FloatArray, x: FloatArray) -> float | None:
-    """Acceleration of x per unit of u, by ẍ = g·u + c − d·ẋ; None where the recording does not show it.
+    """Estimate the gain g of ẍ = g·u + c − d·ẋ by a regression on double integrals.
 
-    Positions are compared with double integrals, so no derivative of a noisy signal is needed.
+    Args:
+        t: Times, (n,), s.
+        u: Input, (n,).
+        x: Position, (n,).
+
+    Returns:
+        Acceleration of x per unit of u; None if its t ratio is below ``MIN_T_RATIO``.
     """
-    push, drag = integral(t, integral(t, u)), integral(t, x)
-    (gain, *_), (certainty, *_) = slopes(x, [push, 0.5 * (t - t[0]) ** 2, drag], t, 1)
-    return float(gain) if abs(certainty) > CERTAIN else None
+    push, drag = running_integral(t, running_integral(t, u)), running_integral(t, x)
+    (gain, *_), (certainty, *_) = regress_stretches(x, [push, 0.5 * (t - t[0]) ** 2, drag], t, 1)
+    return float(gain) if abs(certainty) > MIN_T_RATIO else None

@@ -1,9 +1,9 @@
-"""Friction laws of one's own: any function of speed, offered to every moving part as a term.
+"""User-defined friction laws: any function of speed, added as a term to every moving part.
 
-``F = c·g(|v|, s)`` against the motion, c estimated and s a shape parameter that g may have. A law is stated
-once, in Python (:func:`add_law`) or by a package with an entry point of the group ``labhil.terms``, and is
-then offered, fitted, diagnosed and plotted for every rig, arms and simulators included. The kernels of moving
-parts hold such laws as one table over speed (see ``physics.extra_force``): nothing is compiled for a law.
+``F = c·g(|v|, s)·sgn v`` against the motion, with an estimated coefficient c and an optional shape parameter
+s. A law is defined once, in Python (:func:`add_law`) or by a package with an entry point of the group
+``labhil.terms``. Fits, diagnoses and plots of every rig, arms and simulators included, then have it. Kernels
+hold such laws as one table over speed (see ``physics.extra_force``), so nothing is compiled for a law.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from labhil.signals import FloatArray
 
 SLOWEST_POWER, FASTEST_POWER, PER_OCTAVE = -20, 13, 12
 SLOWEST, FASTEST = 2.0**SLOWEST_POWER, 2.0**FASTEST_POWER
-"""Speeds (m/s or rad/s) between which the table of a law has nodes."""
+"""Range of speeds (m/s or rad/s) of the table of a law, with ``PER_OCTAVE`` nodes to an octave."""
 
 _OCTAVES = 2.0 ** np.arange(SLOWEST_POWER, FASTEST_POWER)
 GRID: FloatArray = np.concatenate(
     [[0.0], np.outer(_OCTAVES, 1.0 + np.arange(PER_OCTAVE) / PER_OCTAVE).ravel(), [FASTEST]]
 )
-"""Speeds (398,) at which a law is tabulated: 0, then 12 to an octave; √|v| is straight in between to 3e-4."""
+"""Speeds (398,) at which a law is tabulated. Linear interpolation of √|v| has a relative error of 3e-4."""
 
 SUFFIX = "_friction"
 LABHIL = "labhil"
-"""Who provides what labhil has itself."""
+"""Provider of the built-in terms."""
 
 BUILT_IN = frozenset(
     f"{name}{SUFFIX}"
@@ -40,20 +40,27 @@ BUILT_IN = frozenset(
         "position_dependent", "load_dependent", "temperature_dependent", "presliding",
     )
 )  # fmt: skip
-"""Terms of this form that labhil has itself."""
+"""Names of the built-in friction terms, which a law must not take."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrictionLaw:
-    """A friction law ``F = c·g(|v|, s)·sgn v``, to be added to every catalogue by :func:`add_law`.
+    """A friction law ``F = c·g(|v|, s)·sgn v``, added to every catalogue by :func:`add_law`.
 
-    ``g`` takes speeds (n,) in m/s or rad/s, 0 included, and where ``shape`` names a parameter its value too;
-    it returns as many numbers. The coefficient c has the unit ``unit``, in which ``{force}`` and ``{length}``
-    stand for those of the part (N and m, N·m and rad). ``source`` is where the law is from, ``revealed_by``
-    the motion that shows it.
+    Attributes:
+        name: Name of the term; ends in ``_friction``.
+        g: Function of speeds (n,) in m/s or rad/s, 0 included, and of the shape parameter s if ``shape`` has
+            one; returns (n,) numbers.
+        unit: Unit of the coefficient c, with ``{force}`` and ``{length}`` for the units of the part (N and m,
+            or N·m and rad).
+        statement: The effect in a few plain words.
+        equation: The equation in text.
+        source: Where the law is from.
+        revealed_by: The motion that shows it.
+        shape: The shape parameter s by name; at most one.
 
     Raises:
-        UsageError: The name is taken or none, or ``g`` does not give finite numbers.
+        UsageError: The name is invalid or taken, or ``g`` does not return finite numbers.
 
     Example:
         >>> import labhil as lh, numpy as np
@@ -103,25 +110,26 @@ class FrictionLaw:
 
     @property
     def coefficient(self) -> str:
-        """Name of the parameter c."""
+        """Name of the coefficient c."""
         return f"{self.name}.coefficient"
 
     @property
     def shaped_by(self) -> str | None:
-        """Name of the parameter s, where there is one."""
+        """Name of the shape parameter s; None if there is none."""
         return next((f"{self.name}.{name}" for name in self.shape), None)
 
     @property
     def shape_start(self) -> float:
-        """Where a fit of s starts."""
+        """Start of the shape parameter s in a fit; 0 if there is none."""
         return next((quantity.start for quantity in self.shape.values()), 0.0)
 
     def values(self, speeds: FloatArray, shape: float) -> FloatArray:
-        """g (n,) at speeds (n,)."""
-        with np.errstate(all="ignore"):  # what is no number then is the business of whoever asks
+        """Evaluate g at speeds (n,); the result (n,) may contain values that are not finite."""
+        with np.errstate(all="ignore"):  # callers check for values that are not finite
             return np.asarray(self.g(speeds, shape) if self.shape else self.g(speeds), dtype=float)
 
     def _check_values(self, shape: float) -> None:
+        """Raise UsageError unless g gives a finite number at every tabulated speed."""
         try:
             forces = self.values(GRID, shape)
         except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
@@ -139,15 +147,22 @@ class FrictionLaw:
         )
 
     def force_at(self, speed: float, coefficient: float, shape: float | None = None) -> float:
-        """The friction at one speed, in the unit of force."""
+        """Friction force at one speed, in the unit of force of the part."""
         at = self.shape_start if shape is None else shape
         return float(coefficient * self.values(np.array([abs(speed)]), at)[0])
 
     def term(self, force: str, length: str, level: float, speed: float, joint: int | None = None) -> Term:
-        """The term of one moving part.
+        """Make the term of one moving part.
 
-        ``force`` and ``length`` are its units, ``level`` and ``speed`` a typical friction and velocity in
-        them; ``joint`` is the joint of an arm that it is.
+        Args:
+            force: Unit of force of the part, "N" or "N·m".
+            length: Unit of its position, "m" or "rad".
+            level: A typical friction force in ``force``.
+            speed: A typical speed in ``length``/s.
+            joint: Joint of an arm, from 0.
+
+        Returns:
+            The term, with the scale of the coefficient such that it gives ``level`` at ``speed``.
         """
         typical = abs(float(self.values(np.array([speed]), self.shape_start)[0])) or 1.0
         scale = level / typical
@@ -165,7 +180,7 @@ class FrictionLaw:
         )  # fmt: skip
 
     def force(self, speeds: FloatArray, values: Callable[[str], float]) -> FloatArray:
-        """Friction (n,) at speeds (n,), for parameters by name; zeros where the coefficient is zero."""
+        """Friction force (n,) at speeds (n,); ``values`` gives a parameter by name."""
         coefficient = values(self.coefficient)
         if not coefficient:
             return np.zeros_like(speeds)
@@ -177,19 +192,19 @@ _ADDED: dict[str, FrictionLaw] = {}
 
 
 def add_law(law: FrictionLaw) -> FrictionLaw:
-    """Offer a friction law to every rig and simulator of this process; one of the same name takes its place.
+    """Add a friction law to the terms of every rig and simulator in this process.
 
-    What is offered on the command line and to everybody is an installed package's, see
-    docs/how-to/add-a-law.md.
+    A law of the same name is replaced. To have a law on the command line and in every process, install it as
+    a package: see docs/how-to/add-a-law.md.
 
     Args:
         law: The law.
 
     Returns:
-        The law.
+        The same law.
 
     Raises:
-        UsageError: It is none.
+        UsageError: ``law`` is not a FrictionLaw.
 
     Example:
         >>> import labhil as lh, numpy as np
@@ -213,16 +228,16 @@ def add_law(law: FrictionLaw) -> FrictionLaw:
 
 
 def remove_law(name: str) -> FrictionLaw:
-    """Take back what :func:`add_law` added; models that are made from here on do not have it.
+    """Remove a law that :func:`add_law` added; models made afterwards do not have it.
 
     Args:
-        name: The law's name.
+        name: Name of the law.
 
     Returns:
-        The law that was there.
+        The removed law.
 
     Raises:
-        UnknownNameError: None of that name was added.
+        UnknownNameError: No law of that name was added.
 
     Example:
         >>> import labhil as lh
@@ -236,16 +251,20 @@ def remove_law(name: str) -> FrictionLaw:
 
 
 def laws() -> tuple[FrictionLaw, ...]:
-    """All laws that were added, those of installed packages first.
+    """List all user-defined friction laws.
 
-    Raises UsageError where what a package provides is no law.
+    Returns:
+        Laws of installed packages, then those of :func:`add_law`, which replace others of the same name.
+
+    Raises:
+        UsageError: An entry point of a package does not provide a FrictionLaw.
     """
     installed = {law.name: law for law in _installed().values()}
     return tuple({**installed, **_ADDED}.values())
 
 
 def _installed() -> dict[str, FrictionLaw]:
-    """Laws of installed packages, by package and name of the entry point."""
+    """Laws of installed packages by "package: entry point"."""
     by_place = {}
     for place, law in installed_terms():
         if not isinstance(law, FrictionLaw):
@@ -258,7 +277,7 @@ def _installed() -> dict[str, FrictionLaw]:
 
 
 def provider(name: str) -> str:
-    """Who provides a term: a package, "added in Python", or labhil."""
+    """Provider of a term: "added in Python", the entry point of a package, or "labhil"."""
     if name in _ADDED:
         return "added in Python"
     places = {law.name: place for place, law in _installed().items()}

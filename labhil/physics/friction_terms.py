@@ -1,8 +1,9 @@
-"""Friction terms, the same for every moving part; only the units of force and velocity differ.
+"""Friction terms of a moving part; only the units of force and velocity differ between rigs.
 
-friction = viscous·v + [coulomb + stribeck·exp(−|v|/v_s)]·sgn v + …, so levels add up: the Stribeck
-level is what the friction at creeping speed exceeds Coulomb friction by, and ``static_friction`` is
-the hold at rest beyond both.
+F = c·v + [F_c + F_st·exp(−|v|/v_s)]·sgn v + …, with velocity v, viscous coefficient c, Coulomb level F_c,
+Stribeck level F_st and Stribeck velocity v_s (Coulomb 1785; Stribeck 1902). Levels add up: F_st is the
+friction at creeping speed above the Coulomb level, and ``static_friction`` is the break-away force above
+both. The same laws as compiled functions are in ``physics.friction``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ SOURCE = "eq. 4.17 of the reference text, its Stribeck exponent with the minus s
 
 
 def load_dependent_friction(drive: str) -> Term:
-    """The term of a part whose drive (named ``drive``) presses what rubs."""
+    """Dry friction proportional to the force of the drive, which ``drive`` names for the user."""
     return Term(
         "load_dependent_friction",
         Enters.FORCE,
@@ -27,10 +28,16 @@ def load_dependent_friction(drive: str) -> Term:
 
 
 def friction_terms(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
-    """Terms for one moving part.
+    """Make the friction terms of one moving part, user-defined laws included.
 
-    ``force`` and ``length`` are units ("N", "m"; "N·m", "rad"); ``level`` a typical friction force
-    and ``speed`` a typical velocity in those units, for scales and starts.
+    Args:
+        force: Unit of force, "N" or "N·m".
+        length: Unit of position, "m" or "rad".
+        level: A typical friction force in ``force``, which gives scales and starts.
+        speed: A typical speed in ``length``/s.
+
+    Returns:
+        The terms.
     """
     slope = level / speed
     return (
@@ -38,13 +45,14 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
         _coulomb(force, level),
         _static(force, level),
         _stribeck(force, length, level, speed),
-        *_fast(force, length, level, speed),
-        *_uneven(force, length, level, speed),
+        *_drag(force, length, level, speed),
+        *_direction_and_position(force, length, level, speed),
         *(law.term(force, length, level, speed) for law in laws()),
     )
 
 
 def _viscous(force: str, length: str, slope: float) -> Term:
+    """Linear viscous friction."""
     return Term(
         "viscous_friction",
         Enters.FORCE,
@@ -57,6 +65,7 @@ def _viscous(force: str, length: str, slope: float) -> Term:
 
 
 def _coulomb(force: str, level: float) -> Term:
+    """Coulomb friction."""
     return Term(
         "coulomb_friction",
         Enters.FORCE,
@@ -73,6 +82,7 @@ def _coulomb(force: str, level: float) -> Term:
 
 
 def _static(force: str, level: float) -> Term:
+    """Break-away force above Coulomb and Stribeck friction."""
     return Term(
         "static_friction",
         Enters.FORCE,
@@ -81,7 +91,7 @@ def _static(force: str, level: float) -> Term:
         "Coulomb's stiction as an event",
         "slow reversals with stops",
         (
-            # between two samples a held input does not change: the moment of breaking loose goes in steps
+            # a held input is constant between samples, so the instant of break-away changes in steps
             Parameter(
                 "static_friction.level",
                 force,
@@ -97,6 +107,7 @@ def _static(force: str, level: float) -> Term:
 
 
 def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
+    """Stribeck friction."""
     return Term(
         "stribeck_friction",
         Enters.FORCE,
@@ -130,8 +141,8 @@ def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
     )
 
 
-def _fast(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
-    """Drag, which grows faster than velocity."""
+def _drag(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
+    """Drag of second and third order in velocity."""
     slope = level / speed
     return (
         Term(
@@ -163,8 +174,8 @@ def _fast(force: str, length: str, level: float, speed: float) -> tuple[Term, ..
     )
 
 
-def _uneven(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
-    """Friction that differs with direction or place."""
+def _direction_and_position(force: str, length: str, level: float, speed: float) -> tuple[Term, ...]:
+    """Friction that depends on direction or position."""
     slope = level / speed
     return (
         Term(

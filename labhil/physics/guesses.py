@@ -1,4 +1,4 @@
-"""What a recording says of a model's states and sizes before anything is fitted."""
+"""Initial states and characteristic scales of a recording, estimated before a fit."""
 
 from __future__ import annotations
 
@@ -9,10 +9,16 @@ from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 
 
-def straight_starts(record: Record, windows: Windows, span: float) -> FloatArray:
-    """First output and its rate at the begin of each window, (W, 2).
+def states_from_line_fit(record: Record, windows: Windows, span: float) -> FloatArray:
+    """Estimate position and velocity at the start of each window by a line fit to the first output.
 
-    Of a straight line through ``span`` seconds, or through four samples where that is longer.
+    Args:
+        record: The record.
+        windows: The windows.
+        span: Time span of the fit, s; at least four samples are used.
+
+    Returns:
+        Initial states, (w, 2).
     """
     states = np.empty((len(windows), 2))
     count = max(4, int(span / record.period))
@@ -24,8 +30,8 @@ def straight_starts(record: Record, windows: Windows, span: float) -> FloatArray
     return states
 
 
-def yardsticks_of(record: Record, drive: float, speed: float) -> dict[CharacteristicScale, float]:
-    """What starts are fractions of: the first input's size and rate, beside a typical drive and speed."""
+def characteristic_scales_of(record: Record, drive: float, speed: float) -> dict[CharacteristicScale, float]:
+    """Characteristic scales: size and rate of the first input, and a given typical force and speed."""
     u = record.inputs[:, 0]
     rates = np.abs(np.diff(u)) / np.diff(record.t)
     return {

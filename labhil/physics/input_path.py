@@ -1,10 +1,9 @@
-"""Effects between the command and the mechanism, shared by every rig; all act on angles or volts.
+"""Effects of the input path, from the command to the mechanism: backlash, dead zone, saturation, limits, lag.
 
-A signal is given at nodes, straight in between: times ``t`` (n,) and values ``u`` (n,). Each effect
-returns new nodes: where it bends the signal between two samples, a node is added at that very moment,
-so that nothing depends on how a bend falls between samples. Each walks once through the whole
-recording, so that what it remembers (a gap's side, a lag's state) comes from the whole past and not
-from the start of a window.
+A signal is given by nodes, linear in between: times ``t`` (n,), s, and values ``u`` (n,). Each effect returns
+new nodes and adds one wherever it bends the signal between two samples, so results do not depend on the
+sampling. Each is applied once to the whole recording, so its memory (the side of a gap, the state of a lag)
+comes from the whole past and not from the start of a window. ``physics.driven`` applies them in order.
 """
 
 from __future__ import annotations
@@ -15,11 +14,12 @@ from labhil.compiled import inlined
 from labhil.signals import FloatArray, IntArray
 
 Nodes = tuple[FloatArray, FloatArray]
+"""Times and values of a piecewise linear signal."""
 
 
 @inlined
 def with_crossings(t: FloatArray, u: FloatArray, low: float, high: float) -> Nodes:
-    """Add nodes where the signal passes the levels ``low`` and ``high``."""
+    """Add nodes where the signal crosses the levels ``low`` and ``high``."""
     times, values = np.empty(3 * t.size), np.empty(3 * t.size)
     count = 0
     for i in range(t.size):
@@ -38,14 +38,14 @@ def with_crossings(t: FloatArray, u: FloatArray, low: float, high: float) -> Nod
 
 @inlined
 def dead_zone(t: FloatArray, u: FloatArray, left: float, right: float) -> Nodes:
-    """No output between −left and right, shifted beyond (eq. 4.18 of the reference text)."""
+    """Dead zone: y = u − right above right, u + left below −left, else 0 (eq. 4.18 of the reference text)."""
     t, u = with_crossings(t, u, -left, right)
     return t, np.maximum(u - right, 0.0) + np.minimum(u + left, 0.0)
 
 
 @inlined
 def saturation(t: FloatArray, u: FloatArray, inverse_limit: float) -> Nodes:
-    """Clip to ±1/inverse_limit; zero means no limit."""
+    """Saturation: clip to ±1/inverse_limit; zero means no limit."""
     if inverse_limit <= 0.0:
         return t, u
     limit = 1.0 / inverse_limit
@@ -55,7 +55,7 @@ def saturation(t: FloatArray, u: FloatArray, inverse_limit: float) -> Nodes:
 
 @inlined
 def backlash(t: FloatArray, u: FloatArray, gap: float) -> Nodes:
-    """Play operator of full width ``gap`` (unit of u); begins in the middle of its play."""
+    """Backlash: play operator of width ``gap`` (unit of u; Prandtl 1928), initially in mid-gap."""
     times, values = np.empty(2 * t.size), np.empty(2 * t.size)
     half, output, count = 0.5 * gap, u[0], 0
     for i in range(t.size):
@@ -74,7 +74,7 @@ def backlash(t: FloatArray, u: FloatArray, gap: float) -> Nodes:
 
 @inlined
 def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
-    """Follow u no faster than 1/inverse_rate per second; zero means as fast as it likes."""
+    """Rate limit: follow u with |dy/dt| ≤ 1/inverse_rate; zero means no limit."""
     if inverse_rate <= 0.0:
         return t, u
     fastest = 1.0 / inverse_rate
@@ -105,7 +105,7 @@ def rate_limit(t: FloatArray, u: FloatArray, inverse_rate: float) -> Nodes:
 
 @inlined
 def refine(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
-    """Cut every stretch into equal parts: for what follows to bend the signal smoothly between samples."""
+    """Split every stretch into equal parts, for an effect that bends the signal smoothly between nodes."""
     n = t.size
     times, values = np.empty(parts * (n - 1) + 1), np.empty(parts * (n - 1) + 1)
     for i in range(n - 1):
@@ -119,7 +119,7 @@ def refine(t: FloatArray, u: FloatArray, parts: int) -> Nodes:
 
 @inlined
 def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> FloatArray:
-    """Solve T·ẏ + y = u exactly for u that is straight between nodes; begins settled at u[0]."""
+    """First-order lag: exact solution of T·ẏ + y = u at the nodes of u, from the steady state y = u[0]."""
     y = u.copy()
     if time_constant <= 0.0:
         return y
@@ -136,7 +136,7 @@ def first_order_lag(t: FloatArray, u: FloatArray, time_constant: float) -> Float
 
 @inlined
 def sensor_lag(t: FloatArray, x: FloatArray, owner: IntArray, time_constant: float) -> FloatArray:
-    """The same of windows, rows of one ``owner`` (N,) each; every one begins as after a steady slope."""
+    """First-order lag of the outputs of windows (rows of one ``owner`` each), each from a steady ramp."""
     y = x.copy()
     before, decay = -1.0, 0.0
     for i in range(x.size):
@@ -157,10 +157,10 @@ def sensor_lag(t: FloatArray, x: FloatArray, owner: IntArray, time_constant: flo
 
 @inlined
 def lag_in_lines(t: FloatArray, u: FloatArray, time_constant: float, parts: int) -> Nodes:
-    """Nodes of y from T·ẏ + y = u, each stretch cut into ``parts`` with a straight line in each.
+    """First-order lag T·ẏ + y = u as nodes: a straight line in each of ``parts`` per stretch.
 
-    y is solved exactly; a line is the best one through it (least squares, so that its mean and its first
-    moment are y's own), and jumps a little from part to part. Begins settled at u[0].
+    y is solved exactly from the steady state u[0]. A line is the least-squares fit to it (equal mean and
+    first moment), so there are small jumps between parts.
     """
     times, values = np.empty(2 * parts * t.size), np.empty(2 * parts * t.size)
     times[0], values[0] = t[0], u[0]
@@ -186,7 +186,7 @@ def lag_in_lines(t: FloatArray, u: FloatArray, time_constant: float, parts: int)
 
 @inlined
 def line_through_decay(z: float, decay: float) -> tuple[float, float]:
-    """Mean and slope of the straight line that fits e^(−z·s) best for s from 0 to 1; ``decay`` is e^(−z)."""
+    """Mean and slope of the least-squares line through e^(−z·s) on s = 0 … 1; ``decay`` is e^(−z)."""
     if z < 0.02:
         return 1.0 - z * (0.5 - z * (1.0 / 6.0 - z / 24.0)), -z * (1.0 - z * (0.5 - z * 0.15))
     mean = (1.0 - decay) / z

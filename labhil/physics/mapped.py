@@ -1,7 +1,7 @@
-"""A force that is a table of drive and position: a bicubic spline through its points, as kernels hold it.
+"""A force tabulated over drive and position, interpolated by a bicubic spline in a kernel.
 
-The spline is kept as one polynomial of third order in each direction for each cell, so a kernel finds the
-cell and evaluates that. Beyond the table's edges it goes on straight, with the slope that it has there.
+The spline is stored as one bicubic polynomial per cell. Outside the table it is extrapolated linearly with
+the slope at the edge. ``physics.force_map`` reads such tables.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from labhil.signals import FloatArray
 
 
 class Axis(NamedTuple):
-    """``cells`` equal ones from ``low`` to ``high``, ``per_unit`` of them to a unit."""
+    """An axis of equal cells from ``low`` to ``high``, ``per_unit`` of them to a unit."""
 
     low: float
     high: float
@@ -22,9 +22,9 @@ class Axis(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """A force over drive and position: C[a, b]·fᵃ·gᵇ in each cell, times ``scale``.
+    """A force over drive and position: Σ C[a, b]·fᵃ·gᵇ in each cell, times ``scale``.
 
-    f and g are 0 at the cell's begin and 1 at its end; ``numbers`` are the cells', (n·m·16,).
+    f and g run from 0 to 1 across a cell; ``numbers`` (n·m·16,) are the coefficients of all cells.
     """
 
     u: Axis
@@ -41,20 +41,20 @@ def row(b: float, at: int, c: FloatArray) -> float:
 
 @inlined
 def row_slope(b: float, at: int, c: FloatArray) -> float:
-    """d/db of that."""
+    """Derivative by b of :func:`row`."""
     return c[at + 1] + b * (2.0 * c[at + 2] + b * 3.0 * c[at + 3])
 
 
 @inlined
 def rise_at(a: float, b: float, k: int, c: FloatArray) -> float:
-    """Slope along the way, at ``a`` and ``b`` within the cell whose coefficients begin at ``k``."""
+    """Derivative by position at ``a`` and ``b`` within the cell whose coefficients begin at ``k``."""
     inner = row_slope(b, k + 8, c) + a * row_slope(b, k + 12, c)
     return row_slope(b, k, c) + a * (row_slope(b, k + 4, c) + a * inner)
 
 
 @inlined
 def locate(u: float, x: float, c: Chart) -> tuple[float, float, int]:
-    """Where in its cell (or how far beyond the last one) a place is, and where the cell's numbers begin."""
+    """Relative coordinates in the cell of (u, x), below 0 or above 1 outside, and its first coefficient."""
     a, b = (u - c.u.low) * c.u.per_unit, (x - c.x.low) * c.x.per_unit
     i, j = min(max(int(a), 0), c.u.cells - 1), min(max(int(b), 0), c.x.cells - 1)
     return a - i, b - j, 16 * (i * c.x.cells + j)
@@ -62,7 +62,7 @@ def locate(u: float, x: float, c: Chart) -> tuple[float, float, int]:
 
 @inlined
 def charted_force(u: float, x: float, c: Chart) -> float:
-    """The force."""
+    """Interpolated force at drive ``u`` and position ``x``."""
     a, b, k = locate(u, x, c)
     n = c.numbers
     if a < 0.0 or a > 1.0 or b < 0.0 or b > 1.0:
@@ -73,7 +73,7 @@ def charted_force(u: float, x: float, c: Chart) -> float:
 
 @compiled
 def beyond_edges(a: float, b: float, k: int, c: Chart) -> float:
-    """The force beyond the edges: straight on from the nearest place of the table."""
+    """Force outside the table: linear extrapolation from the nearest edge."""
     f, g, n = min(max(a, 0.0), 1.0), min(max(b, 0.0), 1.0), c.numbers
     r0, r1, r2, r3 = row(g, k, n), row(g, k + 4, n), row(g, k + 8, n), row(g, k + 12, n)
     force = r0 + f * (r1 + f * (r2 + f * r3))
@@ -83,7 +83,7 @@ def beyond_edges(a: float, b: float, k: int, c: Chart) -> float:
 
 @compiled
 def charted_slope(u: float, x: float, c: Chart) -> float:
-    """The slope of the force along the way."""
+    """Derivative of the force by position."""
     a, b, k = locate(u, x, c)
     f, g = min(max(a, 0.0), 1.0), min(max(b, 0.0), 1.0)
     return c.scale * c.x.per_unit * rise_at(f, g, k, c.numbers)

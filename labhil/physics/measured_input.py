@@ -1,8 +1,8 @@
-"""A measured input without the noise of its sensor: what was not there cannot push.
+"""Removal of white sensor noise from measured inputs.
 
-A model that is driven by a measured input simulates the noise of that measurement as if it had acted, and an
-answer that follows is taken for what the model lacks (errors in variables). Where that noise is white, a
-smoother of zero phase takes most of it away.
+A model whose input is measured simulates the noise of that measurement as if it had acted on the plant, which
+biases estimates (errors in variables). Where the noise is white, a zero-phase smoother
+(``physics.smoothing``) removes most of it.
 """
 
 from __future__ import annotations
@@ -16,32 +16,29 @@ from labhil.physics.smoothing import WIDTHS, Smoothing
 from labhil.signals import Hold
 
 MEASURED_INPUTS = ("beam_angle", "coil_current")
-"""Inputs that are no command but the reading of a sensor."""
+"""Inputs that are sensor readings and not commands."""
 
-DIFFERENCES = 20.0
-"""Variance of third differences of white noise over its own."""
+THIRD_DIFFERENCE_VARIANCE = 20.0
+"""Variance of third differences of white noise over that of the noise: 1 + 9 + 9 + 1."""
 
-NEIGHBOURS, WHITE = -0.75, 0.15
-"""Correlation of neighbours among these, and by how much it may differ: those of a motion go together."""
+THIRD_DIFFERENCE_CORRELATION = -0.75
+"""Correlation of neighbouring third differences of white noise: −15/20."""
 
-NORMAL = 0.6745
-"""Median size of normal noise over its standard deviation."""
-
-FEWEST = 300
-"""Samples from which the noise of an input can be separated from what drives the plant."""
-
-LARGEST = 0.5
-"""Of the input's own spread, beyond which such noise is no sensor's: it may be what drives the plant."""
-
-EVEN = 0.1
-"""Share of the period by which samples may stand beside their beat."""
+MEDIAN_OF_ABSOLUTE_NORMAL = 0.6745
+"""Median absolute value of normal noise over its standard deviation."""
 
 
 def with_input_smoothing(record: Record) -> Record:
-    """A record with how its measured input is to be smoothed where each recording begins.
+    """Estimate the smoothing of a measured input for each recording and store it in the record.
 
-    That is a matter of whole recordings: a part in which hardly anything moves shows no difference between
-    the noise of a sensor and what drives the plant.
+    The estimate needs the whole recording: in a part with little motion, sensor noise cannot be separated
+    from the input itself.
+
+    Args:
+        record: The record.
+
+    Returns:
+        The record with ``Begin.input_smoothing``; unchanged where the input is a command.
     """
     if record.input_names[0] not in MEASURED_INPUTS:
         return record
@@ -51,29 +48,48 @@ def with_input_smoothing(record: Record) -> Record:
 
 
 def smoothing_of(record: Record) -> Smoothing:
-    """How to smooth the first input of one recording; none where there is no white noise on it."""
+    """Smoothing of the first input of a single recording; of zero noise where it has no white noise."""
     (begin,) = record.begins
     return begin.input_smoothing or _estimate(record)
 
 
-def _estimate(record: Record) -> Smoothing:
+def _estimate(
+    record: Record,
+    *,
+    min_samples: int = 300,
+    max_noise_share: float = 0.5,
+    max_jitter: float = 0.1,
+    correlation_tolerance: float = 0.15,
+) -> Smoothing:
+    """Estimate white noise by the median of third differences; zero if the noise is not white.
+
+    Args:
+        record: A single recording.
+        min_samples: Least number of samples that separate noise from the input.
+        max_noise_share: Largest noise over the spread of the input; larger noise may drive the plant.
+        max_jitter: Largest deviation of a sampling step from the median, in periods.
+        correlation_tolerance: Largest deviation of the correlation of neighbouring third differences from
+        that
+            of white noise; a motion correlates them positively.
+    """
     u = record.inputs[:, 0]
-    if record.input_holds[0] is not Hold.LINEAR or len(u) < FEWEST:
+    if record.input_holds[0] is not Hold.LINEAR or len(u) < min_samples:
         return Smoothing(0.0)
     steps = np.diff(record.t)
-    if np.any(np.abs(steps - np.median(steps)) > EVEN * np.median(steps)):
+    if np.any(np.abs(steps - np.median(steps)) > max_jitter * np.median(steps)):
         return Smoothing(0.0)
     third = np.diff(u, 3)
-    noise = float(np.median(np.abs(third))) / NORMAL / np.sqrt(DIFFERENCES)
-    if not 0.0 < noise < LARGEST * float(np.std(u)):
+    noise = float(np.median(np.abs(third))) / MEDIAN_OF_ABSOLUTE_NORMAL / np.sqrt(THIRD_DIFFERENCE_VARIANCE)
+    if not 0.0 < noise < max_noise_share * float(np.std(u)):
         return Smoothing(0.0)
-    if abs(float(third[1:] @ third[:-1]) / float(third @ third) - NEIGHBOURS) > WHITE:
+    correlation = float(third[1:] @ third[:-1]) / float(third @ third)
+    if abs(correlation - THIRD_DIFFERENCE_CORRELATION) > correlation_tolerance:
         return Smoothing(0.0)
     return Smoothing(noise)
 
 
 def without_noise(record: Record) -> Record:
-    """A record whose measured input is smoothed, each recording by itself, where it has white noise."""
+    """Smooth the measured input of each recording that has white noise on it."""
     if record.input_names[0] not in MEASURED_INPUTS:
         return record
     record = with_input_smoothing(record)
@@ -85,7 +101,7 @@ def without_noise(record: Record) -> Record:
 
 
 def smoothing_notes(record: Record, unit: str) -> list[str]:
-    """What is done with a measured input that has white noise, for people; a line a recording."""
+    """Notes for the user on smoothed inputs, one for each recording; ``unit`` is that of the input."""
     if record.input_names[0] not in MEASURED_INPUTS:
         return []
     noisy = [

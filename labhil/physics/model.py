@@ -1,4 +1,8 @@
-"""What identification needs of a model: its parameters, its terms, and simulated windows of a recording."""
+"""The interface between white-box models and identification.
+
+A :class:`Record` holds measured signals, :class:`Windows` are the stretches of it that are simulated, each
+from its own initial state, and a :class:`Model` simulates them. Read on in ``physics.terms``.
+"""
 
 from __future__ import annotations
 
@@ -17,27 +21,26 @@ from labhil.signals import FloatArray, Hold, IntArray
 if TYPE_CHECKING:
     from labhil.physics.smoothing import Smoothing
 
-BORDER = 20.0
-"""Usual steps of time between two recordings that stand in one record."""
+PERIODS_BETWEEN_RECORDINGS = 20.0
+"""Gap between two recordings that are joined into one record, in sampling periods."""
 
-TWO_AND_A_LEAD = 0.4
-"""Of a recording, for a horizon that follows another and half of one before them."""
+MAX_HORIZON_SHARE = 0.4
+"""Longest horizon over the duration of a recording: two horizons, and half of one before them, fit in."""
 
 UNREAD = 2
-"""Mark of a reading that was wrong: what stands in its place was not measured."""
+"""Value of ``Record.censored`` where a reading was wrong: the number in its place was not measured."""
 
-WHITE = (1.0, 0.0, 0.0, 0.0)
-"""Correlation of white noise in rows 0 to 3 apart."""
+WHITE_NOISE_AUTOCORRELATION = (1.0, 0.0, 0.0, 0.0)
+"""Autocorrelation of white noise at lags of 0 to 3 rows."""
 
 
 @dataclass(frozen=True, slots=True)
 class Begin:
-    """Where one of the recordings of a record begins.
+    """The start of one recording within a record: its first sample ``row`` and its ``number``, from 1.
 
-    Its first sample is ``row``; its ``number`` counts from 1; its own time is the record's less ``shift`` s.
-    ``noise_scale`` (channels,) is the noise of its outputs over that of the record, where it was looked at;
-    ``clock_faults`` are what is wrong with the stamps of its samples. ``input_smoothing`` is how noise was
-    taken off the first input, where that is a sensor's reading.
+    ``shift`` is the time of the record minus the recording's own, s; ``noise_scale`` (channels,) the noise of
+    its outputs over that of the record, empty if not estimated; ``clock_faults`` are faults of its time
+    stamps; ``input_smoothing`` is the smoothing of the first input where that is the reading of a sensor.
     """
 
     row: int = 0
@@ -50,16 +53,16 @@ class Begin:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One recording as a model sees it, or several, one after another (see ``physics.joining``).
+    """The measured signals of one recording, or of several joined one after another (``physics.joining``).
 
     ``t`` (n,) s, increasing; ``inputs`` (n, inputs) and ``outputs`` (n, channels) in SI units;
-    ``input_holds`` (inputs,) what each input does between samples; ``auxiliary`` holds other channels of
-    the rig, each (n,), by column name; ``output_joints`` (channels,) the joint of each output, where it
-    has one. ``begins`` marks where each recording begins: nothing may be followed from one to the next.
-    ``least_noise`` (channels,) is the least standard deviation of the noise that the whole recording shows: a
-    part of it that rests shows none; empty where nothing is known. ``censored`` (n, channels) is +1 where a
-    reading stands at the upper end of its range and says only "at least this", −1 at the lower end,
-    ``UNREAD`` where what stands there was not measured, else 0; None where all are readings.
+    ``input_holds`` (inputs,) is what each input does between samples; ``auxiliary`` are other channels, each
+    (n,), by column name; ``output_joints`` (channels,) is the joint of each output, None for none. ``begins``
+    marks the start of each recording: no simulation crosses from one into the next. ``least_noise``
+    (channels,) is a lower bound of the standard deviation of each output's noise from the whole recording (a
+    part at rest shows none), empty if not known. ``censored`` (n, channels) is +1 for a reading at the upper
+    end of its range (the true value is at least that), −1 at the lower end, ``UNREAD`` for a value that was
+    not measured, else 0; None if every value is a reading.
     """
 
     t: FloatArray
@@ -80,12 +83,12 @@ class Record:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """First sample, and the one after the last, of each recording."""
+        """First and one-past-last sample of each recording."""
         rows = [begin.row for begin in self.begins]
         return list(zip(rows, [*rows[1:], len(self)], strict=True))
 
     def recordings(self) -> tuple[Record, ...]:
-        """Each recording by itself, with its number and its own time; of one the record itself."""
+        """Split into single recordings, each with its number and its own time."""
         if len(self.begins) == 1 and not self.begins[0].shift:
             return (self,)
         return tuple(
@@ -95,7 +98,7 @@ class Record:
         )
 
     def own_time(self, row: int) -> tuple[int, float]:
-        """Number of the recording that a sample belongs to, and its time there, s."""
+        """Number of the recording that sample ``row`` belongs to, and the time in that recording, s."""
         begin = next(b for b in reversed(self.begins) if b.row <= row)
         return begin.number, float(self.t[row] - begin.shift)
 
@@ -106,42 +109,42 @@ class Record:
 
     @property
     def duration(self) -> float:
-        """All of these, s."""
+        """Sum of the durations of all recordings, s."""
         return sum(self.durations)
 
     @property
-    def countable(self) -> float:
-        """The longest horizon of which two and the half of one before them fit into every recording, s."""
-        return TWO_AND_A_LEAD * min(self.durations)
+    def max_horizon(self) -> float:
+        """Longest horizon with which every recording can be scored (``MAX_HORIZON_SHARE``), s."""
+        return MAX_HORIZON_SHARE * min(self.durations)
 
     @property
     def longest(self) -> float:
-        """The longest of them: no window can be longer, s."""
+        """Duration of the longest recording, s: no window can be longer."""
         return max(self.durations)
 
     @property
     def period(self) -> float:
-        """Median time between samples, s."""
+        """Sampling period: median time between samples, s."""
         return float(np.median(np.diff(self.t)))
 
     @property
-    def alike(self) -> tuple[float, ...]:
-        """Correlation of the measurement noise in rows 0 to 3 apart, as far as it was filtered."""
-        return WHITE
+    def autocorrelation(self) -> tuple[float, ...]:
+        """Autocorrelation at lags of 0 to 3 rows that filtering gave to white measurement noise."""
+        return WHITE_NOISE_AUTOCORRELATION
 
     def with_holds(self, holds: Mapping[str, Hold]) -> Record:
-        """The same with what some inputs do between samples, by column name."""
+        """Copy with the input holds ``holds``, given by column name."""
         input_holds = tuple(holds.get(n, h) for n, h in zip(self.input_names, self.input_holds, strict=False))
         return self if input_holds == self.input_holds else replace(self, input_holds=input_holds)
 
     def channel(self, j: int) -> tuple[str, int | None]:
-        """Signal and joint of output column ``j``."""
+        """Signal name and joint of output column ``j``; the joint is None where the signal has none."""
         joint = self.output_joints[j] if self.output_joints else None
         name = self.output_names[j]
         return (name if joint is None else name.removesuffix(f"_{joint}")), joint
 
     def part(self, first: int, last: int) -> Record:
-        """The samples first … last − 1."""
+        """Cut out the samples first … last − 1."""
         begins = [self.begins[k] for k in self.within(first, last)]
         return replace(
             self,
@@ -154,17 +157,20 @@ class Record:
         )
 
     def within(self, first: int, last: int) -> list[int]:
-        """Which of the recordings, counted from 0, have samples among first … last − 1."""
+        """Indices (from 0) of the recordings with samples among first … last − 1."""
         return [k for k, (a, b) in enumerate(self.spans) if max(a, first) < min(b, last)]
 
     def followed_by(self, others: Sequence[Record]) -> Record:
-        """This recording and others of the same channels as one record, numbered in their order."""
+        """Append other recordings with the same channels; recordings are numbered in order, from 1."""
         records = (self, *others)
         begins, row, next_start = list[Begin](), 0, float(self.t[0])
         for number, record in enumerate(records, 1):
             shift = next_start - float(record.t[0]) if row else 0.0
             begins.append(replace(record.begins[0], row=row, number=number, shift=shift, noise_scale=()))
-            row, next_start = row + len(record), float(record.t[-1]) + shift + BORDER * self.period
+            row, next_start = (
+                row + len(record),
+                float(record.t[-1]) + shift + PERIODS_BETWEEN_RECORDINGS * self.period,
+            )
         return replace(
             self,
             t=np.concatenate(
@@ -183,13 +189,14 @@ class Record:
 
 
 def _common_floor(records: Sequence[Record]) -> tuple[float, ...]:
-    """The least noise that every one of them has at least; none where one does not state it."""
+    """Lower bound of the noise that holds for all records; empty if one record has none."""
     if not all(record.least_noise for record in records):
         return ()
     return tuple(np.min([record.least_noise for record in records], axis=0).tolist())
 
 
 def _censored_of(records: Sequence[Record]) -> IntArray | None:
+    """Concatenated censoring marks; None if no record has any."""
     if all(record.censored is None for record in records):
         return None
     return np.concatenate(
@@ -202,10 +209,10 @@ def _censored_of(records: Sequence[Record]) -> IntArray | None:
 
 @dataclass(frozen=True, slots=True)
 class Windows:
-    """Stretches of a record that are simulated each from an initial state of its own.
+    """Stretches of a record, each simulated from its own initial state.
 
-    Window w covers the samples first[w] … last[w] − 1. All results are the rows of all windows, one
-    after the other: ``rows`` (N,) are their sample numbers, ``owner`` (N,) the window of each.
+    Window w covers the samples first[w] … last[w] − 1. Simulated arrays have the samples of all windows one
+    after another: ``rows`` (N,) are their sample numbers and ``owner`` (N,) is the window of each.
     """
 
     first: IntArray
@@ -218,7 +225,7 @@ class Windows:
 
     @classmethod
     def of(cls, spans: Sequence[tuple[int, int]]) -> Windows:
-        """Build from (first, last) pairs."""
+        """Make windows of (first, last) pairs."""
         first = np.array([a for a, _ in spans], dtype=np.int64)
         last = np.array([b for _, b in spans], dtype=np.int64)
         if not len(first):
@@ -228,14 +235,14 @@ class Windows:
 
 
 class Metric(StrEnum):
-    """By which error a model is judged; pinned per rig."""
+    """The error measure by which models of a rig are scored; fixed per rig kind."""
 
     WINDOWED_SIMULATION = "windowed_simulation"
     INVERSE_DYNAMICS = "inverse_dynamics"
 
 
 class Model(Protocol):
-    """A rig's white-box model: one simulation that knows every term, neutral at zero.
+    """White-box model of a rig: one simulation with every term, each of which vanishes at parameter zero.
 
     A vector ``theta`` holds a value for each of ``parameters``, in their order.
     """
@@ -247,63 +254,63 @@ class Model(Protocol):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the states; those that end in ``_velocity`` are zero at rest."""
+        """Names of the states; names that end in ``_velocity`` are zero at rest."""
         ...
 
     @property
     def state_scale(self) -> FloatArray:
-        """Typical error of a guessed state, (states,)."""
+        """Typical error of a guessed initial state, (states,)."""
         ...
 
     @property
     def terms(self) -> Mapping[str, Term]:
-        """All terms that it may have, by name."""
+        """All terms that the model may contain, by key."""
         ...
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """What may be estimated: the rig's own parameters first, then those of all terms."""
+        """Parameters that may be estimated: those of the rig first, then those of all terms."""
         ...
 
     @property
     def fixed(self) -> Mapping[str, float]:
-        """Parameters that the rig file knows."""
+        """Values that the rig file states under [known], by name."""
         ...
 
     @property
     def unobservable_terms(self) -> Mapping[str, str]:
-        """Terms that no recording of this rig can show, with the reason."""
+        """Terms that this recording cannot identify, each with the reason."""
         ...
 
     @property
     def metric(self) -> Metric:
-        """The error by which it is judged."""
+        """The error measure by which the model is scored."""
         ...
 
     @property
     def fading_memory(self) -> bool:
-        """Whether its state forgets how it began: windows may then be as long as the recording."""
+        """Whether the effect of the initial state decays: windows may then be as long as the recording."""
         ...
 
     @property
     def horizon(self) -> float:
-        """Scored horizon of the windowed simulation (s) before anything is fitted, to cut windows by."""
+        """Scored horizon of the windowed simulation before a fit, s; sets the length of windows."""
         ...
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon of the windowed simulation, s; the rig file's own where it states one."""
+        """Scored horizon of the windowed simulation at ``theta``, s; the one of the rig file if stated."""
         ...
 
     def prepare(self, record: Record) -> Record:
-        """What is fitted and scored: the record itself, or filtered where accelerations are needed."""
+        """Make the record that is fitted and scored: filtered where accelerations are needed."""
         ...
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Guess the state at the first sample of each window from the measurement alone, (w, states)."""
+        """Guess the state at the first sample of each window from the measurement, (w, states)."""
         ...
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Simulated outputs of all windows, (N, channels)."""
+        """Simulate all windows from ``states`` (w, states); gives outputs (N, channels)."""
         ...
 
     def coordinates(
@@ -314,57 +321,56 @@ class Model(Protocol):
 
     @property
     def coordinate_units(self) -> Mapping[str, str]:
-        """Units of those coordinates by which a person would locate a mismatch; a vector's by its name
-        alone."""
+        """Units of the coordinates along which a mismatch is located; vectors are listed by name."""
         ...
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Those of the coordinates that describe how ``theta`` drives the motion ``along``, each (N,).
+        """The coordinates that depend on ``theta`` at a given motion ``along``, each (N,).
 
-        What effects on the way in, of the winding or of a load change, with the motion as it is.
+        They change with effects of the input path, of a winding or of a load while the motion stays fixed.
         """
         ...
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Generalised force (or acceleration) that the model exerts there, (N,) or (N, joints)."""
+        """Generalised force (or acceleration) of the model at coordinates, (N,) or (N, joints)."""
         ...
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What the starts of parameters are fractions of, in this record."""
+        """Characteristic scales of a record, in units of which the starts of parameters are given."""
         ...
 
 
 @runtime_checkable
 class PartlyLinear(Model, Protocol):
-    """A model without states that knows its exact slopes by those parameters that it is linear in."""
+    """A model without states that has exact derivatives by the parameters in which it is linear."""
 
     def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
-        """Slopes of :meth:`simulate` over a whole record by linear parameters, (N·c, P) per unit."""
+        """Derivatives of :meth:`simulate` over a whole record by linear parameters, (N·c, P)."""
         ...
 
 
 def unit_of(units: Mapping[str, str], name: str) -> str | None:
-    """Unit of a coordinate, None where there is none; a joint's goes by its vector's name and a number."""
+    """Unit of a coordinate (``actual_q_2`` has that of ``actual_q``); None if it is not listed."""
     return units.get(name, units.get(name.rpartition("_")[0]))
 
 
 def index_of(parameters: Sequence[Parameter]) -> dict[str, int]:
-    """Where each parameter stands in a vector ``theta``, by key."""
+    """Position of each parameter in a vector ``theta``, by key."""
     return {parameter.key: i for i, parameter in enumerate(parameters)}
 
 
 def start_values(parameters: Sequence[Parameter]) -> FloatArray:
-    """The vector at which every term vanishes and the rig's own parameters are at their first start."""
+    """The vector ``theta`` at which terms vanish and the rig's own parameters have their first start."""
     return np.array([p.neutral if "." in p.name else p.starts[0] for p in parameters])
 
 
 def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[str, float]]:
-    """Sets of values from which a fit of these terms may begin, the first with every level at zero."""
-    measure = model.characteristic_scales(record)
+    """Starting points of a fit of ``terms``: values by parameter key; in the first every level is zero."""
+    scales = model.characteristic_scales(record)
     parameters = [p for term in terms for p in term.parameters]
-    starts = {p.key: tuple(s * measure[p.of] ** p.power for s in p.starts) for p in parameters}
+    starts = {p.key: tuple(s * scales[p.of] ** p.power for s in p.starts) for p in parameters}
     neutral = {p.key: starts[p.key][0] if p.shape and starts[p.key] else p.neutral for p in parameters}
     count = max((len(values) for values in starts.values()), default=0)
     return [neutral] + [
@@ -374,9 +380,11 @@ def starts_of(model: Model, terms: Sequence[Term], record: Record) -> list[dict[
 
 
 def terms_named(model: Model, names: Sequence[str]) -> tuple[Term, ...]:
-    """The terms of a model by name or key, duplicates removed; a name alone means all joints.
+    """Look up terms by name or key, without duplicates; a name without joint stands for all joints.
 
-    UnknownNameError lists the terms that exist; UsageError says why this recording cannot show one.
+    Raises:
+        UnknownNameError: A term does not exist; the message lists those that do.
+        UsageError: The recording cannot identify a term; the message has the reason.
     """
     by_name: dict[str, list[str]] = {}
     for key, term in model.terms.items():

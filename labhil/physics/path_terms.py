@@ -1,4 +1,8 @@
-"""Terms on the way in (command to mechanism) and on the way out (mechanism to sample), for every rig."""
+"""Terms of the input path (command to mechanism) and of sensors (mechanism to sample), for every rig.
+
+u is the command, u_eff what acts on the mechanism, x the true output and y its reading. The functions that
+simulate them are in ``physics.input_path``.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,14 @@ from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 
 
 def input_terms(unit: str) -> tuple[Term, ...]:
-    """Terms between a command in ``unit`` and what it moves; starts are fractions of the input."""
+    """Make the terms of the input path: delay, dead zone, backlash, limits and lag.
+
+    Args:
+        unit: Unit of the command.
+
+    Returns:
+        The terms; their starts are fractions of the largest input.
+    """
     return (
         Term(
             "time_delay",
@@ -14,7 +25,7 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "a delay: the command acts later than it is recorded",
             "u_eff(t) = u(t − T_d)",
             "reference text, section 4.3",
-            "any input that changes; several frequencies tell it from a lag",
+            "any input that changes; several frequencies, to distinguish it from a lag",
             (Parameter("time_delay.delay", "s", 0.05, 0.0, 1.0, starts=(0.05,), step=0.04),),
         ),
         *_play_terms(unit),
@@ -25,14 +36,14 @@ def input_terms(unit: str) -> tuple[Term, ...]:
             "an actuator that follows as a first-order lag",
             "T·u̇_eff + u_eff = u",
             "standard",
-            "several frequencies; tells itself from a delay by the fall in gain",
+            "several frequencies: its gain falls with frequency, that of a delay does not",
             (Parameter("actuator_lag.time_constant", "s", 0.05, 0.0, 2.0, starts=(0.05,)),),
         ),
     )
 
 
 def _play_terms(unit: str) -> tuple[Term, ...]:
-    """Commands that have no effect: around zero, or after a reversal."""
+    """Dead zone and backlash: commands without effect around zero, or after a reversal."""
     return (
         Term(
             "dead_zone",
@@ -59,7 +70,7 @@ def _play_terms(unit: str) -> tuple[Term, ...]:
 
 
 def _limit_terms(unit: str) -> tuple[Term, ...]:
-    """Commands that are larger or faster than the actuator allows."""
+    """Saturation and rate limit: commands larger or faster than the actuator allows."""
     return (
         Term(
             "saturation",
@@ -105,7 +116,17 @@ def _limit_terms(unit: str) -> tuple[Term, ...]:
 def offset_term(
     channel: str, unit: str, size: float, revealed_by: str = "rest at a known place, or motion both ways"
 ) -> Term:
-    """An offset of the sensor of ``channel``, for channels whose zero means something."""
+    """Make the offset of the sensor of ``channel``, for a channel with a defined zero.
+
+    Args:
+        channel: The output.
+        unit: Its unit.
+        size: Typical offset in that unit.
+        revealed_by: The excitation that shows it.
+
+    Returns:
+        The term.
+    """
     return Term(
         "sensor_offset",
         Enters.OUTPUT,
@@ -118,12 +139,21 @@ def offset_term(
 
 
 def output_terms(channel: str, unit: str, span: float) -> tuple[Term, ...]:
-    """Terms between the plant and the samples of ``channel``, whose values span about ``span``."""
+    """Make the terms of a sensor: nonlinearity, gain error and lag.
+
+    Args:
+        channel: The output.
+        unit: Its unit.
+        span: Typical range of its values in that unit.
+
+    Returns:
+        The terms.
+    """
     return (
         Term(
             "sensor_nonlinearity",
             Enters.OUTPUT,
-            f"a sensor of {channel} that is not straight",
+            f"a nonlinear sensor of {channel}",
             "y = x + c·x³",
             "odd static curve, first term",
             "motion over the whole range",

@@ -1,4 +1,4 @@
-"""A number that its user states: where a fit of it starts, and what it may be."""
+"""A parameter that a user states: the start of its fit, its unit and its bounds."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ from dataclasses import dataclass
 
 from labhil.physics.terms import Parameter
 
-DECADES = 1e3
+BOUND_FACTOR = 1e3
+"""Default bounds are the start over and times this factor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A parameter of a simulator or of a law: where a fit starts, its unit, and what it may be.
+    """A parameter of a simulator or of a friction law.
 
-    Without bounds a positive start may change by a factor of 1000 both ways and keeps its sign.
+    Attributes:
+        start: Value from which a fit starts.
+        unit: Its unit.
+        lower: Lower bound; without bounds, the value may change by a factor of 1000 and keeps its sign.
+        upper: Upper bound.
 
     Example:
         >>> from labhil import Quantity
@@ -28,12 +33,12 @@ class Quantity:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the largest value that a fit may find."""
-        ends = sorted((self.start / DECADES, self.start * DECADES)) if self.start else (-1e6, 1e6)
+        """Lower and upper bound of a fit."""
+        ends = sorted((self.start / BOUND_FACTOR, self.start * BOUND_FACTOR)) if self.start else (-1e6, 1e6)
         low = ends[0] if self.lower is None else self.lower
         return low, ends[1] if self.upper is None else self.upper
 
     def parameter(self, name: str, *, shape: bool = False, joint: int | None = None) -> Parameter:
-        """As fits take it; as a ``shape`` it is nothing while the level of its term is zero."""
+        """Convert to a parameter of a model, as a ``shape`` if it has no meaning at level zero."""
         scale = abs(self.start) or 1.0
         return Parameter(name, self.unit, scale, *self.bounds, starts=(self.start,), shape=shape, joint=joint)

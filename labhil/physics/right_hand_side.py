@@ -1,9 +1,9 @@
-"""A model by its right-hand side: whoever can write ẋ = f(t, x, u, p) has a rig kind that can be fitted.
+"""Models of third parties, defined by the right-hand side of ẋ = f(t, x, u, p).
 
-A third party's package registers a ``labhil.kinds.RigKind`` under the entry point ``labhil.rigs`` and a
-:class:`RightHandSide` of the same name under ``labhil.models``; the rest (windows, estimators, statistics,
-reports) is there already. The functions work on columns: all windows are stepped together, so a model in
-plain numpy is fast enough.
+A package registers a ``labhil.kinds.RigKind`` under the entry point ``labhil.rigs`` and a
+:class:`RightHandSide` of the same name under ``labhil.models``; windows, estimators, statistics and reports
+then work for it. The functions are vectorised: all windows are integrated together, so plain numpy is fast
+enough.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray, Hold
 
 Values = Mapping[str, float]
+"""Parameter values by name."""
 Derivative = Callable[[FloatArray, FloatArray, FloatArray, Values], FloatArray]
 Output = Callable[[FloatArray, FloatArray, Values], FloatArray]
 Guess = Callable[[FloatArray, FloatArray], FloatArray]
@@ -27,15 +28,25 @@ Guess = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class RightHandSide:
-    """What a third party states of its rig; everything in SI units.
+    """The model of a third party's rig kind; everything in SI units.
 
-    ``derivative(t, x, u, p)`` gives ẋ (states, k) for k windows at once: ``t`` (k,) s, ``x`` (states, k),
-    ``u`` (inputs, k), ``p`` values by parameter name. ``output(x, u, p)`` gives the outputs (channels, k).
-    ``guess(t, y)`` gives the state (states,) at the first of some samples ``y`` (n, channels) at ``t`` (n,).
-    ``states`` maps their names to typical errors of a guess; names that end in ``_velocity`` are zero at
-    rest. ``parameters`` are the rig's own, ``terms`` what may be added, neutral at zero. Between samples
-    the equation is stepped ``substeps`` times (classical Runge-Kutta), so f should be
-    smooth there. ``fading_memory`` says that the state forgets how it began.
+    Attributes:
+        states: Names of the states and typical errors of a guess; names that end in ``_velocity`` are zero at
+            rest.
+        derivative: ``derivative(t, x, u, p)`` gives ẋ (states, k) for k windows at once, at times ``t`` (k,),
+        s,
+            states ``x`` (states, k), inputs ``u`` (inputs, k) and parameter values ``p`` by name.
+        output: ``output(x, u, p)`` gives the outputs (channels, k).
+        guess: ``guess(t, y)`` gives the state (states,) at the first of samples ``y`` (n, channels) at times
+            ``t`` (n,).
+        parameters: Parameters of the rig itself.
+        horizon: Scored horizon of the windowed simulation, s.
+        terms: Terms that may be added; they vanish at zero.
+        baseline: Terms from which a diagnosis starts.
+        general: Terms of a fit by default.
+        substeps: Runge-Kutta steps (classical, fourth order) between samples; f should be smooth there.
+        fading_memory: Whether the effect of the initial state decays.
+        unobservable_terms: Terms that no recording can identify, each with the reason.
     """
 
     states: Mapping[str, float]
@@ -57,7 +68,7 @@ class RightHandSide:
 
 
 class RightHandSideModel:
-    """The white-box model of a third party's rig (satisfies ``physics.model.Model``)."""
+    """White-box model of a third party's rig (implements ``physics.model.Model``)."""
 
     metric = Metric.WINDOWED_SIMULATION
 
@@ -66,7 +77,7 @@ class RightHandSideModel:
         self.fading_memory = stated.fading_memory
         self.kind = rig.kind.name
         self.state_names = tuple(stated.states)
-        # what they are counted in is their author's matter
+        # units of the states are not known here
         self.coordinate_units: Mapping[str, str] = dict.fromkeys(self.state_names, "")
         self.state_scale = np.array(list(stated.states.values()))
         self.terms: Mapping[str, Term] = {term.key: term for term in stated.terms}
@@ -78,15 +89,15 @@ class RightHandSideModel:
         self._index = index_of(self.parameters)
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon, s: as stated."""
+        """Scored horizon, s; it does not depend on ``theta``."""
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
+        """Return the record unchanged: nothing is filtered."""
         return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """The stated guess at the first samples of each window, (w, states)."""
+        """Guess the state at the first sample of each window, (w, states)."""
         states = [
             self.stated.guess(record.t[a:b], record.outputs[a:b])
             for a, b in zip(windows.first, windows.last, strict=True)
@@ -94,7 +105,7 @@ class RightHandSideModel:
         return np.array(states, dtype=np.float64).reshape(len(windows), len(self.state_names))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Outputs of all windows, (N, channels)."""
+        """Simulate the outputs of all windows, (N, channels)."""
         values = self._values(theta)
         x = self._trajectories(values, record, windows, states)
         return np.ascontiguousarray(self.stated.output(x, record.inputs[windows.rows].T, values).T)
@@ -102,25 +113,25 @@ class RightHandSideModel:
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """States and inputs along the simulation."""
+        """States and inputs along the simulation, each (N,)."""
         x = self._trajectories(self._values(theta), record, windows, states)
         inputs = dict(zip(record.input_names, record.inputs[windows.rows].T, strict=True))
         return dict(zip(self.state_names, x, strict=True)) | inputs
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Nothing: effects on the way in are the right-hand side's own matter."""
+        """Nothing: effects of the input path are part of the right-hand side."""
         return {}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The last state's derivative at these coordinates, (N,)."""
+        """Derivative of the last state at these coordinates, (N,)."""
         x = np.array([coordinates[name] for name in self.state_names])
         u = np.array([values for name, values in coordinates.items() if name not in self.state_names])
         return self.stated.derivative(np.zeros(x.shape[1]), x, u, self._values(theta))[-1]
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of: only the input is known here."""
+        """Characteristic scales: only those of the input are known here."""
         largest = float(np.abs(record.inputs).max()) or 1.0
         rate = float(np.abs(np.gradient(record.inputs[:, 0], record.t)).max()) or 1.0
         return dict.fromkeys(CharacteristicScale, 1.0) | {
@@ -134,22 +145,22 @@ class RightHandSideModel:
     def _trajectories(
         self, values: Values, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """States of all windows' rows, (states, N); windows of different length end when they end."""
+        """States of all windows, (states, N); windows may have different lengths."""
         lengths = windows.last - windows.first
         begins = np.r_[0, np.cumsum(lengths)[:-1]]
         out = np.empty((len(self.state_names), len(windows.rows)))
         x = states.T.astype(np.float64)
-        going = np.arange(len(windows))
+        active = np.arange(len(windows))
         for i in range(int(lengths.max())):
-            out[:, begins[going] + i] = x
-            staying = lengths[going] > i + 1
-            going, x = going[staying], x[:, staying]
-            if len(going):
-                x = self._step(values, record, windows.first[going] + i, x)
+            out[:, begins[active] + i] = x
+            continues = lengths[active] > i + 1
+            active, x = active[continues], x[:, continues]
+            if len(active):
+                x = self._step(values, record, windows.first[active] + i, x)
         return out
 
     def _step(self, values: Values, record: Record, rows: np.ndarray, x: FloatArray) -> FloatArray:
-        """From samples ``rows`` (k,) to the next ones."""
+        """Integrate from the samples ``rows`` (k,) to the next ones."""
         t, h = record.t[rows], (record.t[rows + 1] - record.t[rows]) / self.stated.substeps
         held = np.array([hold is Hold.ZERO for hold in record.input_holds])[:, None]
         before, after = record.inputs[rows].T, record.inputs[rows + 1].T

@@ -1,4 +1,4 @@
-"""Which model belongs to which kind of rig, and how a recording becomes what it works on."""
+"""Registry of the models of all rig kinds, and the conversion of recordings to records of a rig."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, Stream
 from labhil.terminal import printable_name
 
-ALL_SPEEDS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
+SPEED_TERMS = ("stribeck_friction", "quadratic_viscous_friction", "cubic_viscous_friction")
 
 
 @dataclass(frozen=True, slots=True)
 class RigModel:
-    """How a rig kind is modelled.
+    """The model of a rig kind.
 
-    ``model`` names its class as "module:class", imported when needed, or is what makes it. ``baseline`` are
-    the terms that a diagnosis starts from by default, ``general`` those of a fit by default (the reference
-    text's general models). ``facts`` names the function that states what physics knows of a recording of such
-    a rig (see ``physics.facts``), "" for none.
+    Attributes:
+        model: Its class as "module:class", imported when needed, or a factory.
+        baseline: Terms from which a diagnosis starts by default.
+        general: Terms of a fit by default (the general models of the reference text).
+        facts: The function of plausibility figures (``physics.facts``) as "module:function"; "" for none.
     """
 
     model: str | Callable[[RigFile, Record | None], Model]
@@ -37,7 +38,7 @@ class RigModel:
     facts: str = ""
 
     def facts_of(self, record: Record, known: Mapping[str, float]) -> list[Fact]:
-        """What is known of a record, given the numbers of ``[known]``; nothing is compiled for it."""
+        """Plausibility figures of a record, given the numbers of [known]; nothing is compiled for them."""
         if not self.facts:
             return []
         module, _, name = self.facts.partition(":")
@@ -45,7 +46,7 @@ class RigModel:
         return figures
 
     def load(self) -> Callable[[RigFile, Record | None], Model]:
-        """The class: rig file and the record that sizes are taken from (None: typical sizes) to a model."""
+        """Import the factory, which maps a rig file and a record (None: typical sizes) to a model."""
         if not isinstance(self.model, str):
             return self.model
         module, _, name = self.model.partition(":")
@@ -59,13 +60,13 @@ MODELS: Mapping[str, RigModel] = {
     "ball_beam": RigModel(
         "labhil.physics.ball_beam:BallBeamModel",
         VISCOUS,
-        (*DRY, *ALL_SPEEDS, "dead_zone", "time_delay"),
+        (*DRY, *SPEED_TERMS, "dead_zone", "time_delay"),
         "labhil.physics.ball_beam_facts:facts",
     ),
     "dc_motor": RigModel(
         "labhil.physics.dc_motor:DcMotorModel",
         VISCOUS,
-        (*DRY, *ALL_SPEEDS),
+        (*DRY, *SPEED_TERMS),
         "labhil.physics.dc_motor_facts:facts",
     ),
     "solenoid": RigModel(
@@ -77,37 +78,41 @@ MODELS: Mapping[str, RigModel] = {
     "axis": RigModel(
         "labhil.physics.axis:AxisModel",
         (*DRY, "constant_force"),
-        (*DRY, "constant_force", *ALL_SPEEDS),
+        (*DRY, "constant_force", *SPEED_TERMS),
         "labhil.physics.axis_facts:facts",
     ),
     "ur5": RigModel(
         "labhil.physics.arm:ArmModel",
         (*DRY, "sensor_offset"),
-        (*DRY, "sensor_offset", *ALL_SPEEDS),
+        (*DRY, "sensor_offset", *SPEED_TERMS),
         "labhil.physics.arm_facts:facts",
     ),
 }
 
 
-PLUGGED = "labhil.models"
-"""Entry points under which other packages register a ``RightHandSide`` by the name of its rig kind."""
+MODEL_ENTRY_POINTS = "labhil.models"
+"""Entry point group in which packages register a ``RightHandSide`` by the name of its rig kind."""
 
 
 _DECLARED: dict[str, RigModel] = {}
 
 
 def declare_model(kind: str, model: RigModel) -> None:
-    """Make known in this process how the rig kind of a user's own simulator is modelled."""
+    """Register the model of a user's simulator as rig kind ``kind`` in this process."""
     _DECLARED[kind] = model
 
 
 def rig_model(kind: str) -> RigModel:
-    """How a rig kind is modelled; UnknownNameError lists those that are."""
+    """Look up the model of a rig kind.
+
+    Raises:
+        UnknownNameError: The rig kind has no model; the message lists those that have.
+    """
     if kind in MODELS:
         return MODELS[kind]
     if kind in _DECLARED:
         return _DECLARED[kind]
-    for point in entry_points(group=PLUGGED):
+    for point in entry_points(group=MODEL_ENTRY_POINTS):
         if point.name == kind:
             stated = point.load()
             return RigModel(point.value, tuple(stated.baseline), tuple(stated.general))
@@ -115,10 +120,16 @@ def rig_model(kind: str) -> RigModel:
 
 
 def model_for(rig: RigFile, record: Record | None = None, per_recording: Sequence[str] = ()) -> Model:
-    """The model of this rig, with sizes for starts and scales taken from ``record`` where there is one.
+    """Make the model of a rig.
 
-    That of several recordings has a value in each of what ``per_recording`` names, else the same values in
-    all (see ``physics.several``).
+    Args:
+        rig: The rig file.
+        record: The record that starts and scales are taken from; None for typical sizes.
+        per_recording: Terms or parameters with a value of their own in each of several recordings
+            (``physics.several``); all others are shared.
+
+    Returns:
+        The model.
     """
     model = rig_model(rig.kind.name).load()(rig, record)
     count = 1 if record is None else len(record.begins)
@@ -130,7 +141,11 @@ def model_for(rig: RigFile, record: Record | None = None, per_recording: Sequenc
 
 
 def by_inverse_dynamics(model: Model) -> Model:
-    """The same model as inverse dynamics fits it; UsageError for a rig whose drive it does not know."""
+    """Convert a model to one that is fitted by inverse dynamics.
+
+    Raises:
+        UsageError: The rig kind has no inverse dynamics.
+    """
     from labhil.physics.axis import AxisModel
     from labhil.physics.axis_inverse import AxisInverse
 
@@ -142,7 +157,7 @@ def by_inverse_dynamics(model: Model) -> Model:
 
 
 def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
-    """Simulate a moment of these rigs, so that the compiled kernels stand in their cache."""
+    """Simulate one second of these rig kinds, so that their kernels are compiled and cached."""
     for kind in kinds:
         rig = default_rig(kind)
         t = np.linspace(0.0, 1.0, 30)
@@ -164,14 +179,12 @@ def compile_kernels(kinds: tuple[str, ...] = ("ball_beam",)) -> None:
         model.simulate(everything, record, windows, states)
 
 
-LARGEST_VALUE = 1e50
-SMALLEST_VALUE = 1e-50
-"""In SI units, far beyond anything on a bench. The laws take third powers and the residuals are squared:
-the sixth power of larger values overflows in a double, that of a signal that is smaller throughout is 0."""
-
-
 def record_of(recording: Recording, kind: RigKind) -> Record:
-    """Take the signals of a rig out of a recording; RecordingError says which are missing."""
+    """Extract the signals of a rig kind from a recording.
+
+    Raises:
+        RecordingError: Signals are missing, several devices match, or values are unusable.
+    """
     devices = _devices_of(recording, kind)
     if len(devices) > 1:
         raise RecordingError(
@@ -194,7 +207,7 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
 
 
 def record_of_samples(stream: Stream, t: FloatArray, values: FloatArray, kind: RigKind) -> Record | None:
-    """Take the signals of a rig out of samples (n, columns) at times (n,) s; None where some are missing."""
+    """Extract the signals of a rig kind from samples (n, columns) at times (n,), s; None if incomplete."""
     names = set(stream.names())
     driven_by = next((inputs for inputs in kind.driven_by if names >= set(inputs)), None)
     outputs = [signal for signal in kind.outputs if signal.name in names]
@@ -226,7 +239,7 @@ def record_of_samples(stream: Stream, t: FloatArray, values: FloatArray, kind: R
 
 
 def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
-    """Names of the devices that a model of this kind could be made of."""
+    """Names of the devices that have the signals of this rig kind."""
     matching = [
         data.device
         for data in recording.streams
@@ -236,26 +249,37 @@ def _devices_of(recording: Recording, kind: RigKind) -> list[str]:
     return sorted(set(matching))
 
 
-def unusable_values(record: Record) -> str:
-    """Why no model can calculate with the values of a record; empty where one can."""
+def unusable_values(record: Record, *, largest: float = 1e50, smallest: float = 1e-50) -> str:
+    """Check that a model can compute with the values of a record.
+
+    Laws take third powers and residuals are squared: the sixth power of a larger value overflows in double
+    precision, that of a signal that is smaller throughout is 0.
+
+    Args:
+        record: The record.
+        largest: Largest absolute value, SI units.
+        smallest: Least maximum of a signal that is not zero, SI units.
+
+    Returns:
+        The reason why it cannot; "" if it can.
+    """
     names = (*record.input_names, *record.output_names, *record.auxiliary)
     columns = (*record.inputs.T, *record.outputs.T, *record.auxiliary.values())
     for name, values in zip(names, columns, strict=True):
         sizes = np.where(np.isfinite(values), np.abs(values), 0.0)
-        huge = np.flatnonzero(sizes > LARGEST_VALUE)
+        huge = np.flatnonzero(sizes > largest)
         if len(huge):
             return (
-                f"{name}: expected values within ±{LARGEST_VALUE:g}, found "
+                f"{name}: expected values within ±{largest:g}, found "
                 f"{values[huge[0]]:g} at {record.t[huge[0]]:g} s, and {len(huge) - 1} more"
             )
-        if 0.0 < sizes.max(initial=0.0) < SMALLEST_VALUE:
-            return (
-                f"{name}: expected values beyond ±{SMALLEST_VALUE:g} or 0, found none beyond ±{sizes.max():g}"
-            )
+        if 0.0 < sizes.max(initial=0.0) < smallest:
+            return f"{name}: expected values beyond ±{smallest:g} or 0, found none beyond ±{sizes.max():g}"
     return ""
 
 
 def _needed(kind: RigKind) -> str:
+    """The signals that a rig kind needs, for a message."""
     inputs = " or ".join(" with ".join(names) for names in kind.driven_by)
     outputs = (" or " if kind.any_output else " and ").join(signal.name for signal in kind.outputs)
     return f"a {kind.name} needs {outputs} and {inputs} in one stream"

@@ -1,14 +1,15 @@
-"""The simulation kernel of a ball that rolls on a tilting beam, with every friction law it may have.
+"""Simulation kernel of a ball that rolls on a tilting beam, with friction.
 
-Everything is divided by the effective mass M + J/R² (+ added inertia), so forces are accelerations
-here and the same kernel serves rigs whose mass is unknown. Equations 4.13 to 4.17 of the reference
-text, with its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept. The crank turns
-straight between nodes, so β̇ jumps at each node, which changes the velocity by
-−(J/R)/(M + J/R²)·Δβ̇.
+(M + J/R²)·ẍ = M·g·sin β + M·x·β̇² − (J/R)·β̈ + F₀ − k·x − k₃·x³ − friction, sin β = ratio·sin γ, with
+position x (m), beam angle β and crank angle γ (rad), mass M (kg), radius R (m), inertia J (kg·m²), constant
+force F₀ (N), stiffness k (N/m) and hardening k₃ (N/m³). Equations 4.13 to 4.17 of the reference text, with
+its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept. Everything is divided by the effective
+mass M + J/R² (+ added inertia), so forces are accelerations and the kernel serves rigs of unknown mass. The
+crank turns at a constant rate between nodes; β̇ jumps at a node, which changes the velocity by −(J/R)/(M +
+J/R²)·Δβ̇.
 
-Rest is an event: below break-away the ball holds still, the moment at which the drive exceeds the
-hold is solved exactly (the drive is straight in time), and so is the moment at which a moving ball
-comes to rest.
+Rest is an event: below break-away the ball is at rest. The instant of break-away is exact (the drive is taken
+as linear in time), and the instant at which a ball comes to rest is found by root bracketing.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.bracket import Bracket, crossing, narrow
-from labhil.physics.extra_force import CompiledForce, friction_at, friction_pace
+from labhil.physics.bracket import Bracket, false_position, narrow
+from labhil.physics.extra_force import CompiledForce, friction_at, max_table_step
 from labhil.signals import FloatArray, IntArray
 
 (
@@ -40,18 +41,18 @@ from labhil.signals import FloatArray, IntArray
     HARDENING,
 ) = range(15)
 SIZE = 15
-"""Strengths; what follows them describes one more force, see :func:`with_force`."""
+"""Number of coefficients; an additional force follows them, see :func:`with_force`."""
 
-ACTS, LOW, PER_UNIT, WIDTH, RUBS = range(SIZE, SIZE + 5)
+ACTS, LOW, PER_UNIT, WIDTH, N_TABLE = range(SIZE, SIZE + 5)
 TABLE = SIZE + 5
-"""Where as many values as ``RUBS`` says begin of friction laws of one's own.
+"""Place of the first of ``k[N_TABLE]`` values of user-defined friction.
 
-The curve's values follow; a course is in their place where the force has no curve.
+The values of the curve follow, or those of the course where the force has no curve.
 """
 
 
 class Crank(NamedTuple):
-    """How the crank turns in a stretch: straight from ``angle`` (rad) with ``turning`` (rad/s)."""
+    """Motion of the crank in a stretch: from ``angle`` (rad) at the rate ``turning`` (rad/s)."""
 
     angle: float
     turning: float
@@ -60,8 +61,13 @@ class Crank(NamedTuple):
 
 LONGEST_STEP = 0.02
 SHORTEST_STEP = 3e-4
-NARROW = 30.0
-INSTANT = 1e-7
+"""Limits of a time step, s."""
+
+STRIBECK_RANGE = 30.0
+"""Speed, in Stribeck velocities, above which the Stribeck peak counts as zero (e^−30)."""
+
+BREAK_AWAY_DELAY = 1e-7
+"""Time after the instant of break-away at which the ball moves, s."""
 
 
 @inlined
@@ -81,18 +87,18 @@ def lever(angle: float, ratio: float) -> float:
     return ratio * np.cos(angle) / np.sqrt(max(1.0 - sine * sine, 1e-6))
 
 
-def with_force(k: FloatArray, beyond: CompiledForce, along: FloatArray) -> FloatArray:
-    """Strengths ``k`` (15,), and behind them friction of one's own and a curve or a course, over the mass."""
-    friction = beyond.friction
-    head = [float(beyond.over), beyond.low, beyond.per_unit, beyond.width, float(len(friction))]
-    return np.concatenate([k, head, friction, beyond.values if beyond.over else along])
+def with_force(k: FloatArray, extra: CompiledForce, along: FloatArray) -> FloatArray:
+    """Append an additional force to coefficients ``k`` (15,): user-defined friction, curve or course."""
+    friction = extra.friction
+    head = [float(extra.over), extra.low, extra.per_unit, extra.width, float(len(friction))]
+    return np.concatenate([k, head, friction, extra.values if extra.over else along])
 
 
 @inlined
 def curve(x: float, k: FloatArray) -> float:
-    """The curve at ``x``: straight between its nodes, constant outside, m/s²."""
+    """Value of the curve at ``x``: linear between its nodes, constant outside, m/s²."""
     place = (x - k[LOW]) * k[PER_UNIT]
-    first = TABLE + int(k[RUBS])
+    first = TABLE + int(k[N_TABLE])
     last = k.size - first - 1
     if not place > 0.0:
         return k[first]
@@ -104,8 +110,8 @@ def curve(x: float, k: FloatArray) -> float:
 
 
 @inlined
-def pushes(x: float, v: float, k: FloatArray) -> float:
-    """What the curve adds along the beam, m/s²."""
+def push(x: float, v: float, k: FloatArray) -> float:
+    """Force of the curve along the beam, m/s²."""
     if k[ACTS] == 1.0:
         return curve(x, k)
     if k[ACTS] == 3.0:
@@ -114,19 +120,19 @@ def pushes(x: float, v: float, k: FloatArray) -> float:
 
 
 @inlined
-def rubs(x: float, v: float, k: FloatArray) -> float:
-    """What the curve and laws of one's own add against the motion, m/s²."""
+def drag(x: float, v: float, k: FloatArray) -> float:
+    """Force of the curve and of user-defined friction against the motion, m/s²."""
     level = 0.0
     if k[ACTS] == 2.0:
         level = curve(x, k)
     elif k[ACTS] == 4.0:
         level = curve(abs(v), k)
-    return level + friction_at(abs(v), k, TABLE) if k[RUBS] > 0.0 else level
+    return level + friction_at(abs(v), k, TABLE) if k[N_TABLE] > 0.0 else level
 
 
 @inlined
 def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> float:
-    """Acceleration by everything but friction, m/s²; ``rate`` is β̇ and ``turn`` is β̈."""
+    """Acceleration without friction, m/s²; ``rate`` is β̇ and ``turn`` is β̈."""
     return (
         k[GRAVITY] * sine
         + k[CENTRIFUGAL] * x * rate * rate
@@ -138,10 +144,10 @@ def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> flo
 
 @inlined
 def hold(x: float, k: FloatArray) -> float:
-    """Largest drive either way against which the ball stays at rest, m/s²; never negative."""
+    """Break-away level: acceleration either way up to which the ball stays at rest, m/s²; never negative."""
     level = k[COULOMB] + k[STRIBECK] + k[STATIC] + k[DRY_SLOPE] * x
     if k.size > SIZE:
-        level += rubs(x, 0.0, k)
+        level += drag(x, 0.0, k)
     return max(level, 0.0)
 
 
@@ -150,11 +156,11 @@ def friction(x: float, v: float, side: float, k: FloatArray) -> float:
     """Deceleration by friction of a ball that moves towards ``side``, m/s²."""
     speed = abs(v)
     dry = k[COULOMB] + k[DRY_SLOPE] * x
-    if k[STRIBECK] != 0.0 and speed < NARROW * k[STRIBECK_VELOCITY]:
+    if k[STRIBECK] != 0.0 and speed < STRIBECK_RANGE * k[STRIBECK_VELOCITY]:
         dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
     viscous = v * (k[VISCOUS] + k[QUADRATIC] * speed + k[CUBIC] * v * v) + k[ASYMMETRIC_VISCOUS] * speed
     if k.size > SIZE:
-        return side * (dry + rubs(x, v, k)) + viscous - pushes(x, v, k)
+        return side * (dry + drag(x, v, k)) + viscous - push(x, v, k)
     return side * dry + viscous
 
 
@@ -182,9 +188,9 @@ def runge_kutta(
 
 @inlined
 def step_length(v: float, pull: float, k: FloatArray) -> float:
-    """How far one step may go: the Stribeck peak is narrow and must not be jumped over.
+    """Longest step, s: it must not jump over a narrow Stribeck peak.
 
-    ``pull`` is the acceleration at the start of the step.
+    ``pull`` is the acceleration at the start of the step, m/s².
     """
     speed = abs(v)
     stiffness = abs(k[VISCOUS]) + 2.0 * abs(k[QUADRATIC]) * speed + 3.0 * abs(k[CUBIC]) * v * v
@@ -195,8 +201,8 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
         h = min(h, 0.5 * (width + 0.25 * speed) / (abs(pull) + 1e-9))
     if k.size > SIZE and k[ACTS] != 0.0:
         h = min(h, k[WIDTH] / ((abs(pull) if 3.0 <= k[ACTS] <= 4.0 else speed) + 1e-9))
-    if k.size > SIZE and k[RUBS] > 0.0:
-        h = min(h, friction_pace(speed, pull, k, TABLE))
+    if k.size > SIZE and k[N_TABLE] > 0.0:
+        h = min(h, max_table_step(speed, pull, k, TABLE))
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
@@ -204,13 +210,13 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
 def time_to_rest(
     a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> float:
-    """When within a step of length h, that ends with the velocity reversed, it is zero."""
+    """Instant of zero velocity within a step of length h that ends with the velocity reversed, s."""
     later = runge_kutta(a1, x, v, side, crank, t, h, k)[1]
     between = Bracket(0.0, v * side, h, later * side, 0.0)
     for _ in range(60):
         if between.high - between.low < 1e-10:
             break
-        middle = crossing(between)
+        middle = false_position(between)
         speed = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
         if abs(speed) < 1e-10:
             return middle
@@ -220,14 +226,14 @@ def time_to_rest(
 
 @inlined
 def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple[float, float]:
-    """When a ball at rest starts to move, and towards which side; infinity when the drive recedes.
+    """Time until break-away (s) and its side (±1); infinity if the drive recedes.
 
-    The drive is taken to go on straight; whoever waits that long looks again.
+    The drive is extrapolated linearly; the caller repeats the call after that time.
     """
     sine, rate, turn = beam(crank, t)
     now = drive(x, sine, rate, turn, k)
     if k.size > SIZE:
-        now += pushes(x, 0.0, k)
+        now += push(x, 0.0, k)
     growth = k[GRAVITY] * crank.ratio * np.cos(crank.angle + t * crank.turning) * crank.turning
     level = hold(x, k)
     if now > level:
@@ -245,7 +251,7 @@ def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple
 def advance(
     x: float, v: float, side: float, crank: Crank, start: float, end: float, k: FloatArray
 ) -> tuple[float, float, float]:
-    """Move the ball from ``start`` to ``end`` s into a stretch, through all its stops and starts.
+    """Move the ball from ``start`` to ``end`` s into a stretch, through rest and break-away.
 
     ``side`` is +1 or −1 while it moves and 0 at rest. Returns the new x, v, side.
     """
@@ -258,7 +264,7 @@ def advance(
             if wait == 0.0:
                 side = towards
             else:
-                t += wait + INSTANT
+                t += wait + BREAK_AWAY_DELAY
             continue
         pull = acceleration(x, v, side, crank, t, k)
         step = min(end - t, step_length(v, pull, k))
@@ -267,7 +273,7 @@ def advance(
             x, v = x_new, v_new
             t += step
         elif v == 0.0:
-            # the drive that broke it away is gone again at once
+            # the drive fell below break-away again within the step
             side = 0.0
             t += min(step, SHORTEST_STEP)
         else:
@@ -290,13 +296,19 @@ def simulate(
     k: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Simulate windows of a recording; ``out`` (rows of all windows after each other, 2) gets x and v.
+    """Simulate windows of a recording.
 
-    ``t`` (n,) are the times of the samples; the crank stands at ``angle`` (m,) rad at the times
-    ``node_t`` (m,), turns straight in between and rests before and after; sin β = ratio·sin(angle).
-    Without a linkage the ratio is 1 and the angle is the beam's own. Window w covers the samples
-    first[w] … last[w] − 1 and begins with states[w] = (x, v + ROLLING·β̇): unlike v, that does not jump
-    at a node, so nothing jumps when a delay moves nodes across the first sample.
+    Args:
+        t: Times of the samples, (n,), s.
+        node_t: Times of the nodes of the crank's angle, (m,), s.
+        angle: Angle of the crank at the nodes, (m,), rad; linear in between, constant before and after.
+        ratio: sin β = ratio·sin(angle). Without a linkage the ratio is 1 and the angle is that of the beam.
+        first: First sample of each window, (w,).
+        last: One past the last sample of each window, (w,).
+        states: Initial (x, v + k[ROLLING]·β̇) of each window, (w, 2). Unlike v that is continuous at a node,
+            so results do not jump when a delay moves nodes across the first sample.
+        k: Coefficients over the effective mass, (15,), or longer with an additional force.
+        out: Receives x and v of all windows one after another, (N, 2).
     """
     row = 0
     given = k.size > SIZE and k[ACTS] == 0.0
@@ -314,7 +326,7 @@ def simulate(
         for i in range(first[w], last[w] - 1):
             end = t[i + 1]
             if given:
-                k[CONSTANT] = constant + k[TABLE + int(k[RUBS]) + i]
+                k[CONSTANT] = constant + k[TABLE + int(k[N_TABLE]) + i]
             while now < end:
                 until = min(end, node_t[node]) if node < node_t.size else end
                 x, v, side = advance(x, v, side, crank, now - began, until - began, k)
@@ -331,7 +343,7 @@ def simulate(
 
 @inlined
 def stretch(node_t: FloatArray, angle: FloatArray, ratio: float, node: int) -> tuple[Crank, float]:
-    """The crank's motion in the stretch before ``node`` (0: before all, m: after the last), and its start."""
+    """Motion of the crank in the stretch before ``node`` (0: before the first), and the start of it, s."""
     if node == 0:
         return Crank(angle[0], 0.0, ratio), node_t[0]
     if node == node_t.size:

@@ -1,8 +1,8 @@
-"""The motion of one part with dry friction and stops: rest is an event.
+"""Simulation of one moving part with dry friction and end stops by event detection.
 
-Its physics are functions (:class:`physics.moving_part.Laws`), from which :func:`integrator` makes what a
-kernel calls. Below break-away the part holds still; the moments of coming to rest, of breaking away and of
-meeting a stop are solved for within a step, so nothing depends on how they fall between samples.
+:func:`compile_integrator` makes the simulation of a part from its laws (:class:`physics.moving_part.Laws`).
+Below break-away the part is at rest. The instants of coming to rest, of break-away and of impact on a stop
+are found within a step by root bracketing, so results do not depend on where these fall between samples.
 """
 
 from __future__ import annotations
@@ -12,93 +12,94 @@ from collections.abc import Callable
 import numpy as np
 
 from labhil.compiled import inlined, merged, specialised
-from labhil.physics.bracket import Bracket, crossing, narrow
-from labhil.physics.moving_part import Course, Follows, Laws, Motion, Part, Step, Stops, stepper
+from labhil.physics.bracket import Bracket, false_position, narrow
+from labhil.physics.moving_part import Course, Follows, Laws, Motion, Part, Step, Stops, compile_step
 from labhil.signals import FloatArray, IntArray
 
-INSTANT = 1e-12
-"""Times closer than this (s) are one."""
+TIME_TOLERANCE = 1e-12
+"""Instants closer than this are one, s."""
 
-AT_ONCE = 1e6
-"""Rate times the length of a stretch above which the following quantity is simply there."""
+INSTANT_RATE = 1e6
+"""Rate times length of a stretch above which the lagging quantity takes its steady value at once."""
 
-SWIFT = 3.0
-"""Time constants of damping in the rest of a stretch from which on a part may count as creeping."""
+MIN_CREEP_TIME_CONSTANTS = 3.0
+"""Least number of damping time constants in the rest of a stretch for a part that creeps."""
 
-BALANCED = 0.1
-"""Share of itself by which the damping of a creeping part may change on its way to the balance."""
+MAX_CREEP_DAMPING_CHANGE = 0.1
+"""Largest relative change of the damping of a creeping part on its way to the balance."""
 
-FINEST = 0.02
-"""Shortest step that any law but a following quantity may ask for, as a share of the sampling period."""
+MIN_STEP_IN_PERIODS = 0.02
+"""Shortest step that any law but a lag may ask for, in sampling periods."""
 
-MOST_STEPS = 500
-"""Steps in one straight stretch of the input beyond which a simulation counts as run away.
+MAX_STEPS = 500
+"""Largest number of steps in one straight stretch of the input; a simulation that needs more is stopped.
 
-Values that no part has (a winding whose current turns a rotor over many times between two samples) would
-otherwise be followed through events without end.
+Parameters that no real part has (a current that reverses a rotor many times between two samples) would
+otherwise cause an endless sequence of events.
 """
 
-ITERATIONS = 80
+MAX_ROOT_STEPS = 80
+"""Largest number of iterations for the instant of an event."""
 
 Event = Callable[[Motion, float, float, float, float, Follows, float, Part], float]
-"""(state, side, u, rise, h, how a follows, stop, part) to a moment within h, s."""
+"""(state, side, u, rise, h, lag, stop, part) to the instant of an event within h, s."""
 
 Stage = Callable[
     [Motion, float, float, float, float, float, Follows, Stops, Part], tuple[Motion, float, float]
 ]
-"""(state, side, u, rise, h, finest, how a follows, stops, part) to new state, side and time taken."""
+"""(state, side, u, rise, h, finest, lag, stops, part) to new state, side and elapsed time."""
 
 
-def leaver(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
-    """Compile the moment when a resting part leaves towards ``side``, as it has at the end."""
-    grip = laws.grip
+def compile_break_away_time(laws: Laws[Part, Course], step: Step[Part]) -> Event[Part]:
+    """Compile the instant of break-away towards ``side`` within a step that ends broken away."""
+    pull_and_hold = laws.pull_and_hold
 
     @specialised
     def excess(s: Motion, u: float, side: float, part: Part) -> float:
-        pull, level = grip(s, u, part)
+        pull, level = pull_and_hold(s, u, part)
         return side * pull - level
 
     @specialised
-    def time_to_leave(
-        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+    def time_to_break_away(
+        s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, stop: float, part: Part
     ) -> float:
         f_low = excess(s, u, side, part)
         if f_low >= 0.0:
             return 0.0
-        f_high = excess(step(s, 0.0, u, rise, h, how, part), u + h * rise, side, part)
+        f_high = excess(step(s, 0.0, u, rise, h, lag, part), u + h * rise, side, part)
         between = Bracket(0.0, f_low, h, f_high, 0.0)
         close = 1e-14 * (abs(f_low) + abs(f_high))
-        for _ in range(ITERATIONS):
-            if between.high - between.low < INSTANT:
+        for _ in range(MAX_ROOT_STEPS):
+            if between.high - between.low < TIME_TOLERANCE:
                 break
-            middle = crossing(between)
-            f = excess(step(s, 0.0, u, rise, middle, how, part), u + middle * rise, side, part)
+            middle = false_position(between)
+            f = excess(step(s, 0.0, u, rise, middle, lag, part), u + middle * rise, side, part)
             if abs(f) <= close:
-                return min(middle + INSTANT, h)
+                return min(middle + TIME_TOLERANCE, h)
             between = narrow(between, middle, f)
         return between.high
 
-    return time_to_leave
+    return time_to_break_away
 
 
-def finder(step: Step[Part]) -> Event[Part]:
-    """Compile the moment when a part stands still, or with a finite ``stop`` meets that."""
+def compile_event_time(step: Step[Part]) -> Event[Part]:
+    """Compile the instant at which a part comes to rest, or with a finite ``stop`` reaches that stop."""
 
     @specialised
     def time_to_event(
-        s: Motion, side: float, u: float, rise: float, h: float, how: Follows, stop: float, part: Part
+        s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, stop: float, part: Part
     ) -> float:
         meets = np.isfinite(stop)
-        later = step(s, side, u, rise, h, how, part)
+        later = step(s, side, u, rise, h, lag, part)
         f_low = (stop - s.x) * side if meets else s.v * side
         f_high = (stop - later.x) * side if meets else later.v * side
         between = Bracket(0.0, f_low, h, f_high, 0.0)
         close = 1e-14 * (abs(f_low) + abs(f_high))
-        for _ in range(ITERATIONS):
-            if between.high - between.low < INSTANT or f_high == f_low:
+        for _ in range(MAX_ROOT_STEPS):
+            if between.high - between.low < TIME_TOLERANCE or f_high == f_low:
                 break
-            middle = crossing(between)
-            reached = step(s, side, u, rise, middle, how, part)
+            middle = false_position(between)
+            reached = step(s, side, u, rise, middle, lag, part)
             f = (stop - reached.x) * side if meets else reached.v * side
             if abs(f) <= close:
                 return middle
@@ -108,55 +109,55 @@ def finder(step: Step[Part]) -> Event[Part]:
     return time_to_event
 
 
-def rester(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
-    """Compile a rest of h s, or until the part is torn away."""
-    grip = laws.grip
-    time_to_leave = leaver(laws, step)
+def compile_rest(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
+    """Compile rest for h s or until break-away."""
+    pull_and_hold = laws.pull_and_hold
+    time_to_break_away = compile_break_away_time(laws, step)
 
     @merged
     def rest(
-        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, lag: Follows, stops: Stops,
         part: Part,
     ) -> tuple[Motion, float, float]:  # fmt: skip
-        later = step(s, 0.0, u, rise, h, how, part)
-        towards = break_away_side(later.x, grip(later, u + h * rise, part), stops)
+        later = step(s, 0.0, u, rise, h, lag, part)
+        towards = break_away_side(later.x, pull_and_hold(later, u + h * rise, part), stops)
         if towards == 0.0:
             return later, 0.0, h
-        taken = time_to_leave(s, towards, u, rise, h, how, np.inf, part)
-        return step(s, 0.0, u, rise, taken, how, part), towards, taken
+        taken = time_to_break_away(s, towards, u, rise, h, lag, np.inf, part)
+        return step(s, 0.0, u, rise, taken, lag, part), towards, taken
 
     return rest
 
 
-def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
-    """Compile a motion of h s, or until the part stands still or meets a stop."""
-    grip = laws.grip
-    time_to_event = finder(step)
+def compile_move(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
+    """Compile motion for h s or until the part comes to rest or reaches a stop."""
+    pull_and_hold = laws.pull_and_hold
+    time_to_event = compile_event_time(step)
 
     @merged
     def move(
-        s: Motion, side: float, u: float, rise: float, h: float, finest: float, how: Follows, stops: Stops,
+        s: Motion, side: float, u: float, rise: float, h: float, finest: float, lag: Follows, stops: Stops,
         part: Part,
     ) -> tuple[Motion, float, float]:  # fmt: skip
-        later = step(s, side, u, rise, h, how, part)
+        later = step(s, side, u, rise, h, lag, part)
         while s.v == 0.0 and later.v * side <= 0.0:
-            # what tore it away recedes within this step: look closer, and rest if that is no motion
+            # the drive recedes within this step: shorten it, and rest if the part does not move then either
             if h <= finest:
-                return step(s, 0.0, u, rise, h, how, part), 0.0, h
+                return step(s, 0.0, u, rise, h, lag, part), 0.0, h
             h *= 0.25
-            later = step(s, side, u, rise, h, how, part)
+            later = step(s, side, u, rise, h, lag, part)
         edge = stops.high if side > 0.0 else stops.low
         if later.v * side <= 0.0:
-            h = time_to_event(s, side, u, rise, h, how, np.inf, part)
-            later = step(s, side, u, rise, h, how, part)
+            h = time_to_event(s, side, u, rise, h, lag, np.inf, part)
+            later = step(s, side, u, rise, h, lag, part)
             if (edge - later.x) * side >= 0.0:
                 return Motion(later.x, 0.0, later.a), 0.0, h
         if (edge - later.x) * side >= 0.0:
             return later, side, h
-        h = time_to_event(s, side, u, rise, h, how, edge, part)
-        later = step(s, side, u, rise, h, how, part)
+        h = time_to_event(s, side, u, rise, h, lag, edge, part)
+        later = step(s, side, u, rise, h, lag, part)
         back = -stops.restitution * later.v
-        pull, _ = grip(Motion(edge, 0.0, later.a), u + h * rise, part)
+        pull, _ = pull_and_hold(Motion(edge, 0.0, later.a), u + h * rise, part)
         if back == 0.0 or 2.0 * abs(back) <= finest * pull * side:
             return Motion(edge, 0.0, later.a), 0.0, h
         return Motion(edge, back, later.a), -side, h
@@ -166,7 +167,7 @@ def mover(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
 @inlined
 def break_away_side(x: float, grip: tuple[float, float], stops: Stops) -> float:
-    """The side towards which a resting part breaks away; 0 where it holds, or leans on a stop."""
+    """Side towards which a part at rest breaks away; 0 if it holds or is against a stop."""
     pull, level = grip
     if pull > level and x < stops.high:
         return 1.0
@@ -175,46 +176,55 @@ def break_away_side(x: float, grip: tuple[float, float], stops: Stops) -> float:
     return 0.0
 
 
-def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
-    """Compile a stretch of h s on which the input is straight, through all stops and starts.
+def compile_advance(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
+    """Compile the motion over a stretch of h s with a linear input, through all events.
 
-    It gives NaN where that takes more than ``MOST_STEPS``.
+    The result is NaN where that takes more than ``MAX_STEPS`` steps.
     """
-    follow, settled, grip, pace = laws.follow, laws.settled, laws.grip, laws.pace
-    pull, damping = laws.pull, laws.damping
-    step = stepper(laws)
-    rest, move = rester(laws, step), mover(laws, step)
+    follow, steady_value, pull_and_hold, max_step = (
+        laws.follow,
+        laws.steady_value,
+        laws.pull_and_hold,
+        laws.max_step,
+    )
+    acceleration, damping = laws.acceleration, laws.damping
+    step = compile_step(laws)
+    rest, move = compile_rest(laws, step), compile_move(laws, step)
 
     @specialised
     def creep(s: Motion, side: float, u: float, remaining: float, part: Part) -> float:
         rate, bend = damping(s, side, part)
-        if rate * remaining < SWIFT:
+        if rate * remaining < MIN_CREEP_TIME_CONSTANTS:
             return 0.0
-        return rate if abs(pull(s, side, u, part)) * bend <= BALANCED * rate * rate else 0.0
+        return (
+            rate
+            if abs(acceleration(s, side, u, part)) * bend <= MAX_CREEP_DAMPING_CHANGE * rate * rate
+            else 0.0
+        )
 
     @merged
     def advance(
         s: Motion, side: float, u: float, rise: float, h: float, finest: float, stops: Stops, part: Part
     ) -> tuple[Motion, float]:
         t, steps = 0.0, 0
-        while h - t > INSTANT:
+        while h - t > TIME_TOLERANCE:
             steps += 1
-            if steps > MOST_STEPS:
+            if steps > MAX_STEPS:
                 return Motion(np.nan, np.nan, np.nan), side
             now = u + t * rise
-            how = follow(s, part)
-            if how.rate * h > AT_ONCE:
-                how = Follows(np.inf, how.gauge, how.bias, 0.0)
-                s = Motion(s.x, s.v, settled(s, now, part))
+            lag = follow(s, part)
+            if lag.rate * h > INSTANT_RATE:
+                lag = Follows(np.inf, lag.gauge, lag.bias, 0.0)
+                s = Motion(s.x, s.v, steady_value(s, now, part))
             if side == 0.0:
-                side = break_away_side(s.x, grip(s, now, part), stops)
+                side = break_away_side(s.x, pull_and_hold(s, now, part), stops)
             if side != 0.0:
-                how = Follows(how.rate, how.gauge, how.bias, creep(s, side, now, h - t, part))
-            size = min(h - t, pace(s, side, now, rise, t, how, finest, part))
+                lag = Follows(lag.rate, lag.gauge, lag.bias, creep(s, side, now, h - t, part))
+            size = min(h - t, max_step(s, side, now, rise, t, lag, finest, part))
             if side == 0.0:
-                s, side, taken = rest(s, side, now, rise, size, finest, how, stops, part)
+                s, side, taken = rest(s, side, now, rise, size, finest, lag, stops, part)
             else:
-                s, side, taken = move(s, side, now, rise, size, finest, how, stops, part)
+                s, side, taken = move(s, side, now, rise, size, finest, lag, stops, part)
             t += taken
         return s, side
 
@@ -223,7 +233,7 @@ def advancer(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, float]]:
 
 @inlined
 def stretch(node_t: FloatArray, values: FloatArray, node: int, now: float) -> tuple[float, float]:
-    """Input at ``now`` and its rise per second in the stretch before ``node`` (0: before all)."""
+    """Input at ``now`` and its slope per second in the stretch before ``node`` (0: before the first)."""
     if node == 0:
         return values[0], 0.0
     if node == node_t.size:
@@ -239,23 +249,23 @@ Run = Callable[
 ]
 """(t, node_t, values, first, last, states, stops, part, course, out) to nothing.
 
-``t`` (n,) are the times of the samples; the input is straight between ``node_t`` (m,) and its ``values``
-(m,), jumps where two nodes share a moment, and keeps its first and last value before and after. Window w
-covers the samples first[w] … last[w] − 1 and begins with states[w] = (x, v, a); ``out`` (rows of all
-windows after each other, 3) gets x, v, a. What runs away to infinity stays where it was last a number.
+``t`` (n,) are the times of the samples, s. The input is linear between the nodes ``node_t`` (m,), s, with
+``values`` (m,), jumps where two nodes have the same time, and is constant before the first and after the last
+node. Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (x, v, a); ``out`` (N, 3)
+receives x, v, a of all windows one after another. A simulation that diverges keeps its last finite state.
 """
 
 
-def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
-    """Compile the simulation of windows of a recording for a kernel of these laws, which calls it."""
-    advance, at = advancer(laws), laws.at
+def compile_integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
+    """Compile the simulation of windows of a recording by these laws, to be called from a kernel."""
+    advance, part_at = compile_advance(laws), laws.part_at
 
     @merged
     def run(
         t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
         states: FloatArray, stops: Stops, part: Part, course: Course, out: FloatArray,
     ) -> None:  # fmt: skip
-        finest = FINEST * (t[-1] - t[0]) / max(t.size - 1, 1)
+        finest = MIN_STEP_IN_PERIODS * (t[-1] - t[0]) / max(t.size - 1, 1)
         row = 0
         for w in range(first.size):
             now = t[first[w]]
@@ -267,7 +277,7 @@ def integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
                 row += 1
                 if lost or k == last[w] - 1:
                     continue
-                part_here, before = at(part, course, k), s
+                part_here, before = part_at(part, course, k), s
                 while now < t[k + 1]:
                     until = min(t[k + 1], node_t[node]) if node < node_t.size else t[k + 1]
                     if until > now:

@@ -1,7 +1,7 @@
-"""The simulation of a coordinate whose own acceleration is a table: of simulators that nobody can compile.
+"""Simulation kernels of a coordinate whose acceleration is tabulated, for simulators that cannot be compiled.
 
-Between its nodes along the way the table is a cubic spline, over velocity and input it is a polynomial (see
-``simulators.tables``, which fills it). The kernels are compiled once for all such simulators.
+The table is a cubic spline over position and a polynomial in velocity and input (``simulators.tables`` fills
+it). The kernels are compiled once for all such simulators.
 """
 
 from __future__ import annotations
@@ -11,20 +11,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled, inlined
-from labhil.physics.at_port import laws_of
-from labhil.physics.extra_force import with_extra
+from labhil.physics.at_port import compile_laws_at_port
+from labhil.physics.extra_force import with_extra_force
 from labhil.physics.moving_part import Motion, Stops
-from labhil.physics.stick_slip import integrator
+from labhil.physics.stick_slip import compile_integrator
 from labhil.signals import FloatArray, IntArray
 
 
 class Table(NamedTuple):
-    """The acceleration over position, velocity and input, SI.
+    """Acceleration over position, velocity and input, SI.
 
-    Cell k begins at ``low`` + k/``per_unit``; outside of all cells the acceleration is that of the end.
-    ``cells`` (n, 4, i, j) holds for each cell the coefficients of the cubic (falling powers of the share of
-    the cell), for each power of the input (less ``u_mid``, over ``u_half``) and of the velocity (over
-    ``v_half``). The input acts as if clipped to ``u_low`` … ``u_high``.
+    Cell k begins at ``low`` + k/``per_unit``; outside the cells the acceleration is that at the end.
+    ``cells`` (n, 4, i, j) holds for each cell the coefficients of the cubic (falling powers of the relative
+    position in the cell), for each power of the input (minus ``u_mid``, over ``u_half``) and of the velocity
+    (over ``v_half``). The input is clipped to ``u_low`` … ``u_high``.
     """
 
     low: float
@@ -39,12 +39,13 @@ class Table(NamedTuple):
 
 @inlined
 def _cubic(cells: FloatArray, k: int, i: int, j: int, s: float) -> float:
+    """Coefficient (i, j) at the relative position ``s`` in cell ``k``."""
     return ((cells[k, 0, i, j] * s + cells[k, 1, i, j]) * s + cells[k, 2, i, j]) * s + cells[k, 3, i, j]
 
 
 @inlined
 def acceleration(x: float, v: float, u: float, table: Table) -> float:
-    """Look the acceleration up."""
+    """Interpolate the acceleration."""
     cells = table.cells
     last, powers, orders = cells.shape[0], cells.shape[2], cells.shape[3]
     place = min(max((x - table.low) * table.per_unit, 0.0), float(last))
@@ -62,10 +63,10 @@ def acceleration(x: float, v: float, u: float, table: Table) -> float:
     return total
 
 
-LAWS = laws_of(acceleration)
-_run = integrator(LAWS)
-_run_pushed = integrator(with_extra(LAWS))
-_pull = LAWS.pull
+LAWS = compile_laws_at_port(acceleration)
+_run = compile_integrator(LAWS)
+_run_pushed = compile_integrator(with_extra_force(LAWS))
+_pull = LAWS.acceleration
 
 
 @compiled
@@ -82,13 +83,13 @@ def run_pushed(
     t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
     states: FloatArray, stops: Stops, part: Any, course: Any, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Simulate windows under one more force."""
+    """Simulate windows under an additional force; a part is Pushed((table, pushes), force)."""
     _run_pushed(t, node_t, values, first, last, states, stops, part, course, out)
 
 
 @compiled
 def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
-    """Accelerations (n,) of a moving part; zero where it rests."""
+    """Accelerations (n,) at positions, velocities and inputs (n,); zero where the part is at rest."""
     accelerations = np.zeros(x.size)
     for k in range(x.size):
         if v[k] != 0.0:
@@ -98,5 +99,5 @@ def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
 
 @compiled
 def look_up(x: float, v: float, u: float, table: Table) -> float:
-    """The table's acceleration, for callers from Python."""
+    """Interpolate the acceleration, to be called from Python."""
     return acceleration(x, v, u, table)

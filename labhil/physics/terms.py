@@ -1,4 +1,8 @@
-"""What a term of a white-box model is: an equation with parameters that vanish at zero."""
+"""Terms and parameters of white-box models.
+
+A :class:`Term` is one physical effect: an equation whose parameters are zero where the effect is absent.
+Friction terms are in ``physics.friction_terms``, those of actuators and sensors in ``physics.path_terms``.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,11 @@ from enum import StrEnum
 from math import pi
 
 TWO_WAVES = 4.0 * pi
-"""Radians: what has not so many within the way is not seen to repeat."""
+"""Least phase within the travel, rad, at which a force is periodic along it: two whole waves."""
 
 
 class Enters(StrEnum):
-    """Where in the chain from command to sample an effect comes in."""
+    """Where in the chain from command to sample an effect enters."""
 
     RIG = "rig"
     FORCE = "force"
@@ -23,18 +27,18 @@ class Enters(StrEnum):
     MAGNETIC = "magnetic"
     LOAD = "load"
     DIFFERENCE = "difference"
-    """Between a simulated column and a measured one: on which side it belongs is not known."""
+    """Between a simulated and a measured column; which of the two it changes is not known."""
 
 
 class CharacteristicScale(StrEnum):
-    """What in a recording the starts of a parameter are fractions of."""
+    """The quantity of a recording in units of which the starts of a parameter are given."""
 
     UNIT = "unit"
-    """Nothing: the parameter's own unit."""
+    """None: starts are in the unit of the parameter."""
     INPUT = "input"
     """The largest input."""
     INPUT_RATE = "input_rate"
-    """The fastest change of the input per second."""
+    """The fastest rate of change of the input."""
     DRIVE = "drive"
     """The largest force that the input exerts."""
     SPEED = "speed"
@@ -45,17 +49,25 @@ class CharacteristicScale(StrEnum):
 class Parameter:
     """One number to estimate.
 
-    ``scale`` is a typical size in its unit: a standard error beyond it means that the data do not
-    know this parameter. ``starts`` are the values from which a fit begins, besides zero, when the
-    term joins a model, in units of what ``of`` names in the recording at
-    hand (to the ``power``: −1 for one over a limit). ``step`` is the difference, in scales, with
-    which slopes are taken: wide where the simulation has kinks close to each other. ``shape`` marks a
-    parameter that has no meaning while its term's level is zero (Stribeck velocity): while the term
-    is absent it stays at ``scale``. ``linear`` says that the simulated outputs are affine in it, so
-    that an estimator may project it out, ``in_steps`` that they change with it in steps, so that only
-    wide differences give slopes and only a profile its interval. ``waves_over`` names the coordinate along
-    which the term repeats so often per unit (an order). ``joint`` (from 0) distinguishes the same law of
-    several joints, ``recording`` (from 1) what has a value of its own in each of several recordings.
+    Attributes:
+        name: ``term.quantity``, or a bare name for a parameter of the rig itself.
+        unit: Its unit.
+        scale: Typical size in that unit. A standard error above it means that the data do not identify it.
+        lower: Lower bound.
+        upper: Upper bound.
+        starts: Values from which a fit begins, besides zero, when the term is added to a model, in units of
+            the characteristic scale ``of`` to the ``power``.
+        of: The characteristic scale that ``starts`` are given in.
+        power: Exponent of that scale: −1 for the inverse of a limit.
+        step: Step of finite differences, in scales: wide where the simulation has many kinks.
+        shape: True for a parameter without meaning while the level of its term is zero (the Stribeck
+            velocity). While the term is absent it stays at ``scale``.
+        linear: True if the simulated outputs are affine in it, so that an estimator may project it out.
+        in_steps: True if the outputs change with it in steps: only wide differences give a derivative, and
+            only a profile gives a confidence interval.
+        waves_over: For an order (waves per unit): the coordinate along which the term is periodic.
+        joint: Joint, from 0, of a law that several joints have.
+        recording: Recording, from 1, of a value that differs between recordings.
     """
 
     name: str
@@ -76,35 +88,45 @@ class Parameter:
 
     @property
     def key(self) -> str:
-        """Its name, unique among the parameters of a model: with joint and recording, where it has them."""
+        """Unique key in a model: the name, with joint and recording where it has them."""
         return keyed(self.name, self.joint, self.recording)
 
     @property
     def term(self) -> str | None:
-        """Key of the term that it belongs to; None for a rig's own parameter."""
+        """Key of the term that it belongs to; None for a parameter of the rig itself."""
         term, dot, _ = self.name.partition(".")
         return keyed(term, self.joint) if dot else None
 
     @property
     def neutral(self) -> float:
-        """The value that it has while its term is not in the model."""
+        """Value while its term is not in the model."""
         return self.scale if self.shape else 0.0
 
     def at_bound(self, value: float) -> bool:
-        """Whether a value lies at one of the bounds, to rounding."""
+        """Whether a value lies at one of the bounds, up to rounding."""
         near = 1e-9 * self.scale
         return bool(value <= self.lower + near or value >= self.upper - near)
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One named effect.
+    """One physical effect that a model may contain.
 
-    ``needs`` are channels without which the data cannot speak of it; ``revealed_by`` is the
-    excitation that shows it; ``with_terms`` are the keys of terms that it builds on (Stribeck on
-    Coulomb): they are tried together as well as alone. ``narrow`` is the key of the term that it becomes
-    at the lower end of its shape (a Stribeck peak of no width is a mere hold), "" where there is none.
-    ``known`` are numbers of the machine that it has at their ``scale``, not to be estimated.
+    Attributes:
+        name: Its name, the same for all rigs and joints.
+        enters: Where in the chain from command to sample it enters.
+        statement: The effect in a few plain words.
+        equation: Its equation; the parameters are its symbols, in order.
+        source: Where the equation is from.
+        revealed_by: The excitation that shows it.
+        parameters: Its parameters with unit and bounds.
+        needs: Channels without which the data cannot show it.
+        with_terms: Keys of terms that it builds on (Stribeck on Coulomb): a search tries both together as
+            well as this one alone.
+        joint: Joint, from 0, of a law that several joints have.
+        narrow: Key of the term that it becomes at the lower bound of its shape parameter (a Stribeck peak of
+            zero width is static friction); "" if there is none.
+        known: Constants of the machine, used at their ``scale`` and not estimated.
     """
 
     name: str
@@ -122,28 +144,28 @@ class Term:
 
     @property
     def key(self) -> str:
-        """Its name, unique among the terms of a model: with the joint in brackets."""
+        """Unique key in a model: the name, with the joint in brackets where it has one."""
         return keyed(self.name, self.joint)
 
     @property
     def order(self) -> Parameter | None:
-        """How often it repeats along a coordinate, estimated; None where it does not."""
+        """The estimated number of waves per unit of a coordinate; None if the term is not periodic."""
         return next((p for p in self.parameters if p.waves_over), None)
 
     @property
     def repeats(self) -> Parameter | None:
-        """The same, estimated or known."""
+        """The number of waves per unit of a coordinate, estimated or known; None if not periodic."""
         return next((p for p in (*self.parameters, *self.known) if p.waves_over), None)
 
 
 def unkeyed(key: str) -> tuple[str, int | None]:
-    """Name and joint that :func:`keyed` made a key of."""
+    """Split a key into name and joint, the inverse of :func:`keyed`."""
     name, _, joint = key.removesuffix("]").partition("[")
     return (name, int(joint)) if re.fullmatch("[0-9]{1,4}", joint) else (key, None)
 
 
 def enumerated(names: Sequence[str]) -> str:
-    """Names within a sentence.
+    """Join names for a sentence, with "and" before the last.
 
     Example:
         >>> enumerated(["a"]), enumerated(["a", "b", "c"])
@@ -153,7 +175,7 @@ def enumerated(names: Sequence[str]) -> str:
 
 
 def listed(keys: Iterable[str]) -> list[str]:
-    """Keys for people: all joints of a name in one pair of brackets, ``coulomb_friction[0, 1, 2]``."""
+    """Group keys for messages: all joints of a name in one bracket, ``coulomb_friction[0, 1, 2]``."""
     joints: dict[str, list[str]] = {}
     for name, joint in map(unkeyed, keys):
         of = joints.setdefault(name, [])
@@ -162,9 +184,11 @@ def listed(keys: Iterable[str]) -> list[str]:
 
 
 def keyed(name: str, joint: int | None, recording: int | None = None) -> str:
-    """``coulomb_friction`` of joint 2 is ``coulomb_friction[2]``; what belongs to no joint keeps its name.
+    """Make the key of a name: with joint and recording, if any.
 
-    What has a value of its own in a recording names that too: ``payload.mass@1``.
+    Example:
+        >>> keyed("coulomb_friction", 2), keyed("payload.mass", None, 1)
+        ('coulomb_friction[2]', 'payload.mass@1')
     """
     key = name if joint is None else f"{name}[{joint}]"
     return key if recording is None else f"{key}@{recording}"

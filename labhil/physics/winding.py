@@ -1,8 +1,13 @@
-"""The simulation kernel of a DC motor: winding, rotor, and a rotor that can stand still.
+"""Simulation kernel of a DC motor: the current of the winding and a rotor with dry friction.
 
-U = R·i + L·di/dt + K·ω + brush drop and J·ω̇ = K·i − friction − load (equations 4.1 to 4.7 of the reference
-text). The current is solved exactly within a step, so an inductance may be as small as it likes, zero
-included. The brush drop is V_b·sgn i, straight across ±``brush_width``.
+U = R·i + L·di/dt + K·ω + V_b·sgn i
+J·ω̇ = K·i − T₀ − k·θ − a·sin(N·θ) − b·cos(N·θ) − friction
+
+with voltage U (V), current i (A), speed ω (rad/s), angle θ (rad), resistance R (Ω), inductance L (H), torque
+constant K (N·m/A), brush drop V_b (V), inertia J (kg·m²), load T₀ (N·m), stiffness k (N·m/rad) and cogging
+amplitudes a, b (N·m) of order N (1). Equations 4.1 to 4.7 of the reference text. The current is solved
+exactly within a step, so the inductance may be arbitrarily small or zero. The brush drop is linear across
+±``brush_width``.
 """
 
 from __future__ import annotations
@@ -12,21 +17,30 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra
-from labhil.physics.friction import RESOLVED, Law, damping, friction, hold, law_of, pace, scale_viscous
+from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra_force
+from labhil.physics.friction import (
+    MAX_STEP_SHARE,
+    Law,
+    break_away_force,
+    damping,
+    friction,
+    law_from_array,
+    max_friction_step,
+    scale_viscous,
+)
 from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
-from labhil.physics.stick_slip import FINEST, integrator
+from labhil.physics.stick_slip import MIN_STEP_IN_PERIODS, compile_integrator
 from labhil.signals import FloatArray, IntArray
 
-FIRST_SHARE = 0.5
-"""Share of the electrical time constant that the first step after a jump of the voltage may take."""
+MAX_FIRST_STEP_SHARE = 0.5
+"""Longest first step after a jump of the voltage, in electrical time constants."""
 
-FADES = 5.0
-"""Electrical time constants in which the allowed step grows by e, as the current settles."""
+STEP_GROWTH_TIME = 5.0
+"""Electrical time constants in which the longest step grows by e as the current settles."""
 
 
 class Motor(NamedTuple):
-    """Strengths in SI units; ``load``, ``spring`` and ``cogging`` are torques over the inertia."""
+    """Coefficients in SI units; ``load``, ``spring`` and cogging amplitudes are torques over the inertia."""
 
     inertia: float
     constant: float
@@ -42,7 +56,7 @@ class Motor(NamedTuple):
 
 
 class Rotor(NamedTuple):
-    """A motor as it is between two samples: its warm resistance, its friction."""
+    """A motor between two samples, with its warm resistance and its friction."""
 
     motor: Motor
     resistance: float
@@ -50,7 +64,7 @@ class Rotor(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What changes along a recording, (n,) each: warm over cold resistance, the same of viscous friction."""
+    """What changes along a recording, (n,) each: resistance and viscous friction, warm over cold."""
 
     warm: FloatArray
     change: FloatArray
@@ -58,7 +72,7 @@ class Course(NamedTuple):
 
 
 @inlined
-def at(r: Rotor, c: Course, k: int) -> Rotor:
+def part_at(r: Rotor, c: Course, k: int) -> Rotor:
     """The motor between samples k and k + 1."""
     cold = c.cold
     return Rotor(cold.motor, cold.resistance * c.warm[k], scale_viscous(cold.law, c.change[k]))
@@ -66,7 +80,7 @@ def at(r: Rotor, c: Course, k: int) -> Rotor:
 
 @inlined
 def follow(s: Motion, r: Rotor) -> Follows:
-    """Rate of the current, the resistance that damps it (Ω; near zero brushes add to it), their drop, V."""
+    """Lag of the current: rate (1/s), resistance (Ω; brushes add to it near zero current), brush drop (V)."""
     m = r.motor
     gauge, bias = r.resistance, 0.0
     if m.brush_drop != 0.0:
@@ -78,8 +92,8 @@ def follow(s: Motion, r: Rotor) -> Follows:
 
 
 @inlined
-def settled(s: Motion, u: float, r: Rotor) -> float:
-    """Current (A) that flows when the inductance has no say."""
+def steady_value(s: Motion, u: float, r: Rotor) -> float:
+    """Steady current without inductance, A."""
     m = r.motor
     volts = u - m.constant * s.v
     if m.brush_drop != 0.0:
@@ -91,16 +105,16 @@ def settled(s: Motion, u: float, r: Rotor) -> float:
 
 
 @inlined
-def target(s: Motion, u: float, how: Follows, r: Rotor) -> float:
+def target(s: Motion, u: float, lag: Follows, r: Rotor) -> float:
     """The current towards which the present one moves, A."""
-    if how.rate == np.inf:
-        return settled(s, u, r)
-    return (u - r.motor.constant * s.v - how.bias) / how.gauge
+    if lag.rate == np.inf:
+        return steady_value(s, u, r)
+    return (u - r.motor.constant * s.v - lag.bias) / lag.gauge
 
 
 @inlined
-def pull_of(i: float, angle: float, m: Motor) -> float:
-    """Angular acceleration by everything but friction, rad/s²."""
+def frictionless_acceleration(i: float, angle: float, m: Motor) -> float:
+    """Angular acceleration without friction, rad/s²."""
     pull = m.constant * i / m.inertia - m.load - m.spring * angle
     if m.cogging_sine != 0.0 or m.cogging_cosine != 0.0:
         turned = m.cogging_order * angle
@@ -109,72 +123,82 @@ def pull_of(i: float, angle: float, m: Motor) -> float:
 
 
 @inlined
-def load_of(i: float, m: Motor) -> float:
-    """Size of the drive, rad/s²."""
+def drive_size(i: float, m: Motor) -> float:
+    """Absolute torque of the current over the inertia, rad/s²."""
     return abs(m.constant * i) / m.inertia
 
 
 @inlined
-def pull(s: Motion, side: float, u: float, r: Rotor) -> float:
-    """Angular acceleration of a turning rotor, rad/s²."""
-    return pull_of(s.a, s.x, r.motor) - friction(s.x, s.v, side, load_of(s.a, r.motor), r.law)
+def acceleration(s: Motion, side: float, u: float, r: Rotor) -> float:
+    """Angular acceleration of a turning rotor, friction included, rad/s²."""
+    return frictionless_acceleration(s.a, s.x, r.motor) - friction(
+        s.x, s.v, side, drive_size(s.a, r.motor), r.law
+    )
 
 
 @inlined
-def grip(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
-    """Angular acceleration that a rotor at rest would have, and the largest that it withstands."""
-    return pull_of(s.a, s.x, r.motor), hold(s.x, load_of(s.a, r.motor), r.law)
+def pull_and_hold(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
+    """Angular acceleration without friction, and the one up to which a rotor at rest holds, rad/s²."""
+    return frictionless_acceleration(s.a, s.x, r.motor), break_away_force(
+        s.x, drive_size(s.a, r.motor), r.law
+    )
 
 
 @inlined
-def longest(
-    s: Motion, side: float, u: float, rise: float, since: float, how: Follows, finest: float, r: Rotor
+def max_step(
+    s: Motion, side: float, u: float, rise: float, since: float, lag: Follows, finest: float, r: Rotor
 ) -> float:
-    """The longest step, s.
+    """Longest step, s.
 
-    After a jump of the voltage the current's own decay must be resolved as far as it deviates from the course
-    that it settles on, and ever less the longer the jump is past.
+    After a jump of the voltage the decay of the current towards its slow course must be resolved, the less
+    the longer ago the jump was.
     """
     m = r.motor
-    goal = target(s, u, how, r)
+    goal = target(s, u, lag, r)
     size = np.inf
-    if m.brush_drop != 0.0 and how.rate < np.inf:
+    if m.brush_drop != 0.0 and lag.rate < np.inf:
         width = m.brush_width + 0.3 * max(abs(s.a) - m.brush_width, 0.0)
-        size = max(RESOLVED * width / (abs(how.rate * (goal - s.a)) + TINY), finest)
+        size = max(MAX_STEP_SHARE * width / (abs(lag.rate * (goal - s.a)) + TINY), finest)
     if side == 0.0:
         return size
-    turning = pull(s, side, u, r)
+    turning = acceleration(s, side, u, r)
     coupling = m.constant * m.constant / m.inertia
-    swift = min(coupling / how.gauge, np.sqrt(coupling / (m.inductance + TINY)))
-    steady = np.inf if how.creep > 0.0 else pace(s.v, turning, r.law)
-    size = min(size, max(min(steady, RESOLVED / (swift + TINY)), finest))
-    if how.rate * min(size, finest / FINEST) <= FIRST_SHARE or how.rate == np.inf:
+    swift = min(coupling / lag.gauge, np.sqrt(coupling / (m.inductance + TINY)))
+    steady = np.inf if lag.creep > 0.0 else max_friction_step(s.v, turning, r.law)
+    size = min(size, max(min(steady, MAX_STEP_SHARE / (swift + TINY)), finest))
+    if lag.rate * min(size, finest / MIN_STEP_IN_PERIODS) <= MAX_FIRST_STEP_SHARE or lag.rate == np.inf:
         return size
-    course = goal - (rise - m.constant * turning) / (how.gauge * how.rate)
+    course = goal - (rise - m.constant * turning) / (lag.gauge * lag.rate)
     deviation = max(abs(s.a - course) / (abs(s.a) + abs(goal) + TINY), 1e-12)
-    return min(size, FIRST_SHARE / how.rate * np.exp(min(since * how.rate / FADES, 50.0)) * deviation**-0.2)
+    return min(
+        size,
+        MAX_FIRST_STEP_SHARE
+        / lag.rate
+        * np.exp(min(since * lag.rate / STEP_GROWTH_TIME, 50.0))
+        * deviation**-0.2,
+    )
 
 
 @inlined
 def rotor_damping(s: Motion, side: float, r: Rotor) -> tuple[float, float]:
-    """How friction damps a turning rotor."""
+    """Damping of a turning rotor by friction."""
     return damping(s.v, side, r.law)
 
 
-LAWS = Laws(pull, target, follow, settled, grip, longest, rotor_damping, at)
-run = integrator(LAWS)
-run_pushed = integrator(with_extra(LAWS))
+LAWS = Laws(acceleration, target, follow, steady_value, pull_and_hold, max_step, rotor_damping, part_at)
+run = compile_integrator(LAWS)
+run_pushed = compile_integrator(with_extra_force(LAWS))
 
 
 @inlined
 def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: FloatArray) -> FloatArray:
-    """Angular accelerations of turning rotors at many places at once, rad/s²; zero where the rotor rests."""
+    """Angular accelerations (n,) at currents, angles, speeds (n,), rad/s²; zero where the rotor rests."""
     out = np.zeros(w.size)
-    law = law_of(f)
+    law = law_from_array(f)
     for k in range(w.size):
         if w[k] != 0.0:
-            drag = friction(angle[k], w[k], np.sign(w[k]), load_of(i[k], m), law)
-            out[k] = pull_of(i[k], angle[k], m) - drag
+            drag = friction(angle[k], w[k], np.sign(w[k]), drive_size(i[k], m), law)
+            out[k] = frictionless_acceleration(i[k], angle[k], m) - drag
     return out
 
 
@@ -192,16 +216,25 @@ def simulate(
     viscous_change: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Simulate windows of a recording; ``out`` (rows of all windows after each other, 3) gets ω, i, angle.
+    """Simulate windows of a recording.
 
-    The voltage is straight between ``node_t`` (m,) and its values ``voltage`` (m,), and keeps its last one;
-    ``warm`` (n,) is the resistance over its value when cold, ``viscous_change`` (n,) the same of viscous
-    friction. Window w covers the samples first[w] … last[w] − 1 and begins with states[w] = (ω, i, angle).
+    Args:
+        t: Times of the samples, (n,), s.
+        node_t: Times of the nodes of the voltage, (m,), s; it is linear in between.
+        voltage: Voltage at the nodes, (m,), V.
+        first: First sample of each window, (w,).
+        last: One past the last sample of each window, (w,).
+        states: Initial speed, current and angle of each window, (w, 3).
+        m: The motor.
+        f: Friction coefficients over the inertia, (10,), in the order of ``physics.friction``.
+        warm: Warm over cold resistance at each sample, (n,).
+        viscous_change: Factor on viscous friction at each sample, (n,).
+        out: Receives ω, i and angle of all windows one after another, (N, 3).
     """
     starts = np.empty_like(states)
     for w in range(first.size):
         starts[w, 0], starts[w, 1], starts[w, 2] = states[w, 2], states[w, 0], states[w, 1]
-    cold = Rotor(m, m.resistance, law_of(f))
+    cold = Rotor(m, m.resistance, law_from_array(f))
     course = Course(warm, viscous_change, cold)
     run(t, node_t, voltage, first, last, starts, NO_STOPS, cold, course, out)
     for row in range(out.shape[0]):
@@ -209,7 +242,7 @@ def simulate(
 
 
 @inlined
-def simulate_pushed(
+def simulate_with_force(
     t: FloatArray,
     node_t: FloatArray,
     voltage: FloatArray,
@@ -220,16 +253,16 @@ def simulate_pushed(
     f: FloatArray,
     warm: FloatArray,
     viscous_change: FloatArray,
-    beyond: CompiledForce,
+    extra: CompiledForce,
     along: FloatArray,
     out: FloatArray,
 ) -> None:
-    """:func:`simulate` under one more torque: ``beyond`` a curve, ``along`` (n,) a course, over inertia."""
+    """Simulate under one more torque, over the inertia: a curve ``extra`` and a course ``along`` (n,)."""
     starts = np.empty_like(states)
     for w in range(first.size):
         starts[w, 0], starts[w, 1], starts[w, 2] = states[w, 2], states[w, 0], states[w, 1]
-    cold = Rotor(m, m.resistance, law_of(f))
+    cold = Rotor(m, m.resistance, law_from_array(f))
     course = PushedCourse(Course(warm, viscous_change, cold), along)
-    run_pushed(t, node_t, voltage, first, last, starts, NO_STOPS, Pushed(cold, beyond), course, out)
+    run_pushed(t, node_t, voltage, first, last, starts, NO_STOPS, Pushed(cold, extra), course, out)
     for row in range(out.shape[0]):
         out[row, 0], out[row, 1], out[row, 2] = out[row, 1], out[row, 2], out[row, 0]

@@ -14,7 +14,7 @@ from labhil.physics.arm import ArmModel
 from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.first_estimate import LAWS
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.model import Record
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Term, keyed
@@ -196,7 +196,7 @@ class ArmFileModel(ArmModel):
         if self.first is None:
             return {}
         names = (keyed(name, link) for name, _, link in self.first.grouped.names())
-        return dict(zip(names, self.first.begun.tolist(), strict=True))
+        return dict(zip(names, self.first.prior_values.tolist(), strict=True))
 
     def constants_at(self, theta: FloatArray) -> list[float]:
         """Torque constants (n,), N·m/A, without their estimated errors."""
@@ -227,7 +227,7 @@ class ArmFileModel(ArmModel):
 
     def _reversed_joints(self, record: PreparedRecord) -> list[int]:
         """Joints whose output has the other sign than the file's rigid body."""
-        torque = self._view(record).rigid(upright(), 0.0) @ self.links.begin
+        torque = self._view(record).rigid(gravity_in_base(), 0.0) @ self.links.begin
         reversed_joints = []
         for joint in range(self.joints):
             qd = record.inputs[:, self.joints + joint]

@@ -12,7 +12,7 @@ import numpy as np
 from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.physics.arm.links import inertial_of
-from labhil.physics.arm.rigid_body import GRAVITY, PER_LINK, upright
+from labhil.physics.arm.rigid_body import GRAVITY, PER_LINK, gravity_in_base
 from labhil.physics.arm.tree import Tree
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
@@ -213,7 +213,7 @@ def _check(arm: ArmFile) -> None:
     model.opt.gravity *= GRAVITY / float(np.linalg.norm(model.opt.gravity))
     random = np.random.default_rng(0)
     turned, turning, faster = random.uniform(-1.0, 1.0, (3, TRIED, arm.tree.joints))
-    by_links = arm.tree.regressor(turned, turning, faster, upright()) @ arm.tree.begin
+    by_links = arm.tree.regressor(turned, turning, faster, gravity_in_base()) @ arm.tree.begin
     data, by_mujoco = mujoco.MjData(model), np.empty_like(by_links)
     for row, (q, qd, qdd) in enumerate(zip(turned, turning, faster, strict=True)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd

@@ -42,7 +42,7 @@ class Sizes:
         motion = (
             2.0 * np.pi * (float(np.std(record.outputs[:, 0])) / speed if place else speed / acceleration)
         )
-        horizon = min(max(PERIODS * motion, 40.0 * record.period), record.countable)
+        horizon = min(max(PERIODS * motion, 40.0 * record.period), record.max_horizon)
         return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon)
 
 

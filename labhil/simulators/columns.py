@@ -19,7 +19,7 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.kinds import RigKind, declare_kind
-from labhil.physics.driven import DrivenPath
+from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import CurveArgument, ExtraForce, MovedPart, along_positive
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric, Record, Windows
@@ -156,14 +156,14 @@ class SimulatedOutputModel:
         self.parameters = tuple(p for term in self.terms.values() for p in term.parameters)
         self.horizon = rig.metric.horizon or HORIZON
         if record is not None:
-            self.horizon = min(self.horizon, record.countable)
+            self.horizon = min(self.horizon, record.max_horizon)
         self.coordinate_units: Mapping[str, str] = {
             simulated.column: simulated.unit,
             self.rate: f"{simulated.unit}/s",
             **simulated.beside,
         }
         self.moved = (MovedPart(simulated.column, self.rate, enters=Enters.DIFFERENCE),)
-        self._values, self._path = Values(self.fixed, self.parameters), DrivenPath()
+        self._values, self._path = Values(self.fixed, self.parameters), InputPath()
 
     def with_force(self, force: ExtraForce) -> SimulatedOutputModel:
         """The same with one more difference, a curve or a course, in the unit of the output."""
@@ -186,7 +186,7 @@ class SimulatedOutputModel:
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """The output as it would be measured, (N, 1)."""
         x = self._on_the_way(theta, record, windows)
-        y = self._values.sensed(theta, record, windows, x)
+        y = self._values.apply_sensor(theta, record, windows, x)
         return (y + self._difference(record)[windows.rows])[:, None]
 
     def coordinates(
@@ -202,9 +202,9 @@ class SimulatedOutputModel:
                 if name in record.auxiliary
             },
         }
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """The simulated value behind what delays and limits it."""

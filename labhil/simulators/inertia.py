@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from labhil.physics.arm.chain import Chain
-from labhil.physics.arm.grouped import grouped
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.grouped import group_parameters
+from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.signals import FloatArray
 
 REACH = 0.1
@@ -90,7 +90,7 @@ def realise(
     Returns:
         The nearest bodies to ``begin``; those of a link that need no change are unchanged.
     """
-    groups, like_rotor = grouped(chain), _like_rotors(chain)
+    groups, like_rotor = group_parameters(chain), _like_rotors(chain)
     size, load = _sizes(begin), groups.shares @ (wanted - rest - begin)
     if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(groups.shares) @ size, 1e-12)):
         return Realised(begin, armature)
@@ -118,14 +118,14 @@ def _motion(chain: Chain) -> tuple[FloatArray, FloatArray]:
     random, n = np.random.default_rng(0), chain.joints
     q = random.uniform(-np.pi, np.pi, (MOTIONS, n))
     qd, qdd = random.normal(size=(2, MOTIONS, n))
-    columns = chain.regressor(q, qd, qdd, upright()).reshape(-1, n * PER_LINK)
+    columns = chain.regressor(q, qd, qdd, gravity_in_base()).reshape(-1, n * PER_LINK)
     return columns, (qdd[:, :, None] * np.eye(n)).reshape(-1, n)
 
 
 def _like_rotors(chain: Chain) -> FloatArray:
     """What a rotor's inertia adds to what can be estimated, (P, n); zero where it acts like nothing else."""
     columns, rotors = _motion(chain)
-    kept = columns[:, list(grouped(chain).kept)]
+    kept = columns[:, list(group_parameters(chain).kept)]
     alike = np.linalg.lstsq(kept, rotors, rcond=1e-10)[0]
     missed = np.linalg.norm(rotors - kept @ alike, axis=0) / np.linalg.norm(rotors, axis=0)
     return np.where(missed < ALIKE, alike, 0.0)
@@ -144,7 +144,7 @@ def _nearest_bodies(
     columns, _ = _motion(chain)
     torque = float(np.sqrt(np.mean((columns @ begin) ** 2)))
     # a change of what can be estimated is weighed by the torque that it makes
-    kept = columns[:, list(grouped(chain).kept)] / (EXACT * torque * np.sqrt(len(columns)))
+    kept = columns[:, list(group_parameters(chain).kept)] / (EXACT * torque * np.sqrt(len(columns)))
     r = np.linalg.qr(kept, mode="r")
     lower = np.tril_indices(4)
 

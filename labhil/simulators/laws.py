@@ -10,10 +10,10 @@ import numpy as np
 
 from labhil.compiled import specialised
 from labhil.errors import UsageError
-from labhil.physics.at_port import laws_of
-from labhil.physics.extra_force import with_extra
+from labhil.physics.at_port import compile_laws_at_port
+from labhil.physics.extra_force import with_extra_force
 from labhil.physics.moving_part import Motion, Stops
-from labhil.physics.stick_slip import integrator
+from labhil.physics.stick_slip import compile_integrator
 from labhil.signals import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -69,9 +69,13 @@ def _callable_from_python(function: Callable[..., float]) -> Callable[..., float
 def kernels_of(simulator: Simulator) -> Kernels:
     """Compile the simulation of a simulator with all laws at its ports."""
     acceleration = acceleration_of(simulator)
-    laws = laws_of(acceleration)
+    laws = compile_laws_at_port(acceleration)
     njit: Any = numba.njit
-    run, pushed, pull = integrator(laws), integrator(with_extra(laws)), laws.pull
+    run, pushed, pull = (
+        compile_integrator(laws),
+        compile_integrator(with_extra_force(laws)),
+        laws.acceleration,
+    )
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
     def outer(

@@ -13,9 +13,9 @@ import numpy as np
 from labhil.errors import RecordingError
 from labhil.physics import sliding, tabulated
 from labhil.physics.at_port import Course, Pushes
-from labhil.physics.driven import DrivenPath
+from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
-from labhil.physics.guesses import yardsticks_of
+from labhil.physics.guesses import characteristic_scales_of
 from labhil.physics.model import Metric, Record, Windows, index_of, start_values
 from labhil.physics.moving_part import Stops
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
@@ -93,7 +93,7 @@ class SimulatorModel:
         self.moved = (MovedPart(*self.state_names),)
         self.columns = [list(simulator.states).index(name) for name in simulator.outputs]
         self._velocity_column = self.columns.index(1) if 1 in self.columns else None
-        self._path = DrivenPath()
+        self._path = InputPath()
         self._remembered: dict[tuple[float, ...], LocalDynamics] = {}
         self._places = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
         self._held = Held() if simulator.stepped is None else simulator.stepped.held
@@ -142,7 +142,7 @@ class SimulatorModel:
         speeds = np.concatenate(
             [rates(recording, self._velocity_column) for recording in record.recordings()]
         )
-        self._reach = Reach.along(place, speeds, record.inputs[:, 0], record.countable, self._held.clip)
+        self._reach = Reach.along(place, speeds, record.inputs[:, 0], record.max_horizon, self._held.clip)
         self._shape = None
         self._remembered.clear()
 
@@ -231,7 +231,7 @@ class SimulatorModel:
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Measured states, (N, channels)."""
         outputs = self._trajectory(theta, record, windows, states)[:, self.columns]
-        outputs[:, 0] = self._values.sensed(theta, record, windows, outputs[:, 0])
+        outputs[:, 0] = self._values.apply_sensor(theta, record, windows, outputs[:, 0])
         return outputs
 
     def coordinates(
@@ -244,9 +244,9 @@ class SimulatorModel:
             self.state_names[1]: motion[:, 1],
             record.input_names[0]: record.inputs[windows.rows, 0],
         }
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """What acts of the input behind the way in."""
@@ -261,7 +261,7 @@ class SimulatorModel:
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """What starts are fractions of, from this recording."""
-        return yardsticks_of(record, self.sizes.force, self.sizes.speed)
+        return characteristic_scales_of(record, self.sizes.force, self.sizes.speed)
 
     @cached_property
     def _kernels(self) -> Kernels:
@@ -337,7 +337,7 @@ class SimulatorModel:
         begun = np.column_stack([states, np.zeros(len(states))])
         part, inertia = self._part(theta)
         given = (record.t, nodes, values, windows.first, windows.last, begun, Stops(*self._held.stops, 0.0))
-        beside = self._values.beside(theta, inertia, self._extra, record)
+        beside = self._values.additional_force(theta, inertia, self._extra, record)
         if beside is None:
             self._kernels.run(*given, part, Course(0.0), out)
         else:

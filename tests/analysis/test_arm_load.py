@@ -14,9 +14,9 @@ from labhil.identify.fit import Options, fit
 from labhil.identify.intervals import Intervals
 from labhil.physics.arm import ArmModel
 from labhil.physics.arm.controller_constants import controller_constants
-from labhil.physics.arm.grouped import grouped
+from labhil.physics.arm.grouped import group_parameters
 from labhil.physics.arm.links import PER_LINK, inertial_of, load_links
-from labhil.physics.arm.rigid_body import regressor, upright
+from labhil.physics.arm.rigid_body import gravity_in_base, regressor
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
@@ -82,8 +82,8 @@ def test_a_load_is_what_it_adds_to_the_grouped_parameters(tmp_path: Path) -> Non
     links = load_links(tmp_path / "links.toml")
     random = np.random.default_rng(7)
     q, qd, qdd = random.uniform(-3.0, 3.0, (3, 40, 6))
-    columns = regressor(links, q, qd, qdd, upright())
-    own = grouped(links)
+    columns = regressor(links, q, qd, qdd, gravity_in_base())
+    own = group_parameters(links)
     point = inertial_of(MASS, CENTRE)
     as_load = columns[:, :, -PER_LINK:] @ point
     as_sizes = columns[:, :, list(own.kept)] @ (own.shares[:, -PER_LINK:] @ point)

@@ -12,7 +12,7 @@ from scipy import optimize
 from labhil.errors import RecordingError, UnknownNameError
 from labhil.identify.fit import fit
 from labhil.physics.arm import ArmModel
-from labhil.physics.arm.motion import REST, PreparedRecord
+from labhil.physics.arm.motion import REST_VELOCITY, PreparedRecord
 from labhil.physics.model import Record, Windows, index_of, start_values, terms_named
 from labhil.plants.arm import ArmPlant
 from labhil.rig import parse_rig
@@ -350,7 +350,7 @@ def test_rest_is_not_judged_and_not_kept(model, bare):
     record = model.prepare(still)
     assert record.t[0] > bare.t[-1]
     judged = record.motion.judged[record.places]
-    slow = np.abs(record.inputs[:, 6:]) < REST
+    slow = np.abs(record.inputs[:, 6:]) < REST_VELOCITY
     assert slow.any()
     assert not judged[slow].any()
     theta = everything_on(model)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from labhil.errors import RigFileError
-from labhil.physics.arm.grouped import grouped
+from labhil.physics.arm.grouped import group_parameters
 from labhil.physics.arm.links import PER_LINK, UR5, inertial_of, load_links
-from labhil.physics.arm.rigid_body import GRAVITY, regressor, upright
+from labhil.physics.arm.rigid_body import GRAVITY, gravity_in_base, regressor
 
 LENGTHS = [
     (0.089159, 0.0, pi / 2),
@@ -80,7 +80,7 @@ def mujoco_torques(masses, centres, inertias, gravity, motion):
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, -0.7)], ids=["upright", "tilted"])
 def test_torques_are_mujocos(tilt):
     inertial = np.concatenate([inertial_of(*row) for row in zip(MASSES, CENTRES, INERTIAS, strict=True)])
-    motion, gravity = motions(), upright(*tilt)
+    motion, gravity = motions(), gravity_in_base(*tilt)
     expected = mujoco_torques(MASSES, CENTRES, INERTIAS, gravity, motion)
     np.testing.assert_allclose(regressor(UR5, *motion, gravity) @ inertial, expected, atol=1e-9)
 
@@ -89,14 +89,14 @@ def test_the_default_is_the_manufacturers_ur5():
     plain = [(*inertia[:3], 0.0, 0.0, 0.0) for inertia in INERTIAS]
     plain[5] = (0.00008, 0.00008, 0.00013, 0.0, 0.0, 0.0)
     motion = motions(20, seed=1)
-    expected = mujoco_torques(MASSES, CENTRES, plain, upright(), motion)
-    np.testing.assert_allclose(regressor(UR5, *motion, upright()) @ UR5.inertial, expected, atol=1e-9)
+    expected = mujoco_torques(MASSES, CENTRES, plain, gravity_in_base(), motion)
+    np.testing.assert_allclose(regressor(UR5, *motion, gravity_in_base()) @ UR5.inertial, expected, atol=1e-9)
 
 
 def test_each_column_is_the_torque_of_one_parameter():
     """Of the forearm's inertia only, at rest and turning about the base: closed forms."""
     still = np.zeros((1, 6))
-    y = regressor(UR5, still, still, still, upright())[0]
+    y = regressor(UR5, still, still, still, gravity_in_base())[0]
     mass_of_forearm, moment_of_forearm = 2 * PER_LINK, 2 * PER_LINK + 1
     # the arm lies flat along −x: a mass at the forearm's end hangs 0.81725 m out
     assert y[1, mass_of_forearm] == pytest.approx(GRAVITY * -(0.425 + 0.39225), abs=1e-12)
@@ -111,15 +111,15 @@ def test_each_column_is_the_torque_of_one_parameter():
 
 def test_gravity_of_a_tilted_base_keeps_its_size():
     for roll, pitch in [(0.0, 0.0), (0.2, 0.0), (0.0, -0.4), (1.0, 0.5)]:
-        assert np.linalg.norm(upright(roll, pitch)) == pytest.approx(GRAVITY)
-    np.testing.assert_allclose(upright(), [0.0, 0.0, -GRAVITY])
+        assert np.linalg.norm(gravity_in_base(roll, pitch)) == pytest.approx(GRAVITY)
+    np.testing.assert_allclose(gravity_in_base(), [0.0, 0.0, -GRAVITY])
 
 
 def test_thirty_six_grouped_parameters_do_what_sixty_do():
-    group = grouped(replace(UR5, inertial=None))
+    group = group_parameters(replace(UR5, inertial=None))
     assert len(group.kept) == 36
     motion = motions(200, seed=5)
-    y = regressor(UR5, *motion, upright()).reshape(-1, 60)
+    y = regressor(UR5, *motion, gravity_in_base()).reshape(-1, 60)
     values = np.linalg.lstsq(y[:, list(group.kept)], y @ UR5.inertial, rcond=None)[0]
     np.testing.assert_allclose(y @ group.embed(values), y @ UR5.inertial, atol=1e-8)
     # and the words say of each which of the sixty it stands for

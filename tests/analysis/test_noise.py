@@ -75,8 +75,8 @@ class Undamped:
 
 
 def test_a_horizon_longer_than_the_recording_is_cut_to_what_fits_twice(still):
-    assert still.countable == pytest.approx(0.4 * 29.99)
-    assert scored_horizon(Undamped(), np.array([1e3]), still) == still.countable
+    assert still.max_horizon == pytest.approx(0.4 * 29.99)
+    assert scored_horizon(Undamped(), np.array([1e3]), still) == still.max_horizon
     assert scored_horizon(Undamped(), np.array([3.0]), still) == 3.0
 
 

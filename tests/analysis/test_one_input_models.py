@@ -12,7 +12,7 @@ import pytest
 from labhil.errors import UsageError
 from labhil.physics.model import Windows, index_of, starts_of, terms_named
 from labhil.physics.rigs import model_for
-from labhil.physics.solenoid import AMPLIFIER
+from labhil.physics.solenoid import AMPLIFIER_TERMS
 from labhil.plants.rigs import effects_of
 from labhil.rig import default_rig
 
@@ -133,9 +133,9 @@ def test_scales_come_from_the_record_or_are_typical(found):
 def test_behind_a_measured_current_there_is_no_amplifier():
     """Its lag is the field's lag to the letter, its play the iron's: only one of each pair has a name."""
     model = model_for(default_rig("solenoid"))
-    assert set(AMPLIFIER).isdisjoint(model.terms)
-    assert set(AMPLIFIER) <= set(model.unobservable_terms)
-    assert set(AMPLIFIER).isdisjoint(effects_of("solenoid"))
+    assert set(AMPLIFIER_TERMS).isdisjoint(model.terms)
+    assert set(AMPLIFIER_TERMS) <= set(model.unobservable_terms)
+    assert set(AMPLIFIER_TERMS).isdisjoint(effects_of("solenoid"))
     with pytest.raises(UsageError, match=r"actuator_lag.* the current is measured"):
         terms_named(model, ["viscous_friction", "actuator_lag"])
 

@@ -213,7 +213,7 @@ def test_every_recording_is_simulated_by_its_own_model():
         outputs = model.simulate(theta, record, chosen, states)
         generalised_force, driven_by = (
             model.generalised_force(theta, along),
-            model.driven(theta, record, chosen, along),
+            model.drive_coordinates(theta, record, chosen, along),
         )
         done = 0
         for number, (each, (first, last)) in enumerate(
@@ -234,7 +234,7 @@ def test_every_recording_is_simulated_by_its_own_model():
             assert generalised_force[rows] == pytest.approx(
                 inner.generalised_force(own, here), rel=1e-9, abs=1e-12
             )
-            for name, values in inner.driven(own, each, alone, here).items():
+            for name, values in inner.drive_coordinates(own, each, alone, here).items():
                 assert driven_by[name][rows] == pytest.approx(values, rel=1e-9, abs=1e-12)
 
 

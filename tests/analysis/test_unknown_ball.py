@@ -9,7 +9,7 @@ import pytest
 
 from labhil.identify.fitted import start_theta
 from labhil.identify.windows import fit_windows
-from labhil.physics.ball_beam import ROLLS, BallBeamModel
+from labhil.physics.ball_beam import SOLID_BALL_ACCELERATION, BallBeamModel
 from labhil.physics.model import Record
 from labhil.rig import parse_rig
 
@@ -47,12 +47,18 @@ def simulated(known: list[str], values: dict[str, float]) -> np.ndarray:
 @pytest.mark.parametrize(
     ("known", "values"),
     [
-        ([], {"acceleration_per_radian": ROLLS * RATIO, "ball_radius": SIZES["ball_radius"]}),
-        (["ball_radius"], {"acceleration_per_radian": ROLLS * RATIO}),
-        (["crank_radius", "beam_length", "ball_radius"], {"acceleration_per_radian": ROLLS}),
+        (
+            [],
+            {"acceleration_per_radian": SOLID_BALL_ACCELERATION * RATIO, "ball_radius": SIZES["ball_radius"]},
+        ),
+        (["ball_radius"], {"acceleration_per_radian": SOLID_BALL_ACCELERATION * RATIO}),
+        (
+            ["crank_radius", "beam_length", "ball_radius"],
+            {"acceleration_per_radian": SOLID_BALL_ACCELERATION},
+        ),
         (
             ["ball_radius", "beam_length"],
-            {"acceleration_per_radian": ROLLS, "crank_radius": SIZES["crank_radius"]},
+            {"acceleration_per_radian": SOLID_BALL_ACCELERATION, "crank_radius": SIZES["crank_radius"]},
         ),
     ],
 )
@@ -66,8 +72,8 @@ def test_what_is_not_known_is_estimated_and_the_motion_is_the_same(known, values
 def test_a_beam_whose_linkage_is_unknown_turns_less_than_its_servo():
     model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), turning())
     gain = next(p for p in model.parameters if p.key == "acceleration_per_radian")
-    assert gain.upper == pytest.approx(ROLLS)
-    assert gain.starts[0] < 0.5 * ROLLS
+    assert gain.upper == pytest.approx(SOLID_BALL_ACCELERATION)
+    assert gain.starts[0] < 0.5 * SOLID_BALL_ACCELERATION
 
 
 def test_an_angle_that_is_the_beams_own_needs_no_linkage():

@@ -13,7 +13,7 @@ import pytest
 import labhil as lh
 from labhil.analysis.patch import KEPT
 from labhil.errors import RecordingError, RigFileError, UsageError
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.arm.tree import Tree
 from labhil.simulators.arm import ArmSimulator, arm_simulator
 from labhil.simulators.inertia import at_centre, is_body, realise
@@ -62,8 +62,8 @@ def test_torques_are_those_of_mujoco_for_any_arrangement_of_hinges(tmp_path: Pat
     model.opt.gravity *= 9.81 / np.linalg.norm(model.opt.gravity)
     motion = np.random.default_rng(3).normal(size=(3, 40, 4))
     itself = torques(model, *motion)
-    np.testing.assert_allclose(tree.torques(*motion, upright(), tree.begin), itself, atol=1e-9)
-    np.testing.assert_allclose(tree.regressor(*motion, upright()) @ tree.begin, itself, atol=1e-9)
+    np.testing.assert_allclose(tree.torques(*motion, gravity_in_base(), tree.begin), itself, atol=1e-9)
+    np.testing.assert_allclose(tree.regressor(*motion, gravity_in_base()) @ tree.begin, itself, atol=1e-9)
     assert list(tree.carrier) == [-1, 0, 0, 2]
     assert [list(tree.loaded(link)) for link in range(4)] == [[0], [0, 1], [0, 2], [0, 2, 3]]
 
@@ -197,13 +197,13 @@ def test_bodies_are_found_that_load_the_joints_as_wanted(tmp_path: Path) -> None
     lighter = tree.begin.copy()
     lighter[-PER_LINK:] *= 0.6
     motion = np.random.default_rng(5).normal(size=(3, 50, 3))
-    wanted = tree.torques(*motion, upright(), lighter)
+    wanted = tree.torques(*motion, gravity_in_base(), lighter)
     armature = np.array([0.4, 0.5, 0.2])
     own = np.zeros_like(tree.begin)
     found = realise(tree, tree.begin, lighter, own, armature)
     links = found.inertial.reshape(3, PER_LINK)
     assert all(is_body(link) for link in links)
-    loads = tree.torques(*motion, upright(), found.inertial) + motion[2] * (found.armature - armature)
+    loads = tree.torques(*motion, gravity_in_base(), found.inertial) + motion[2] * (found.armature - armature)
     assert np.max(np.abs(loads - wanted)) < 1e-3 * np.max(np.abs(wanted))
     mass, centre, _ = at_centre(links[2])
     assert mass < 1.7

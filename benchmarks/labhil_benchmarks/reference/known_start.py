@@ -95,11 +95,11 @@ class KnownStart:
         """Units of the coordinates that people name."""
         return self._model.coordinate_units
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """How the motion ``along`` is driven, each (N,)."""
-        return self._model.driven(theta, record, windows, along)
+        return self._model.drive_coordinates(theta, record, windows, along)
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Generalised force that the model exerts at these coordinates, (N,)."""

@@ -1,4 +1,4 @@
-"""The arm as it is fitted, by inverse dynamics: rigid body, joints, preparation of recordings."""
+"""Inverse dynamics of a robot arm: rigid-body model, joint laws, preparation of recordings."""
 
 from labhil.physics.arm.model import ArmModel
 

@@ -1,4 +1,7 @@
-"""The terms of an arm: those that each joint has for itself, and those of the whole arm."""
+"""Terms of a robot arm: those of each joint, and those of the whole arm.
+
+τ is a joint's torque (N·m), q its angle (rad), i the motor current (A), K the torque constant (N·m/A).
+"""
 
 from __future__ import annotations
 
@@ -13,21 +16,21 @@ from labhil.physics.model import Record
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.signals import FloatArray
 
-FRICTION = "eq. 4.64 of the reference text, its Stribeck exponent with the minus sign"
+FRICTION_SOURCE = "eq. 4.64 of the reference text, its Stribeck exponent with the minus sign"
 GEAR_RATIO = (101.0,) * JOINTS
-"""Of the harmonic drives of a UR's joints, unless the rig file says another."""
+"""Ratio of the harmonic drives of a UR's joints, unless the rig file states another."""
 
-CYCLES = 2.0
-"""Of the ripple, in a turn of a harmonic drive's wave generator: its two lobes pass a tooth."""
+RIPPLE_CYCLES = 2.0
+"""Periods of torque ripple per turn of a harmonic drive's wave generator: both of its lobes pass a tooth."""
 
-TEMPERATURES = ("joint_temperatures",)
-SHARE = 0.1
-"""Typical friction in shares of a joint's torque."""
+TEMPERATURE_CHANNELS = ("joint_temperatures",)
+FRICTION_SHARE = 0.1
+"""Typical friction over the torque of a joint."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """Typical torque N·m, current A, velocity rad/s and acceleration rad/s² of each joint, (6,) each."""
+    """Typical torque (N·m), current (A), velocity (rad/s) and acceleration (rad/s²) of each joint, (6,)."""
 
     torque: FloatArray
     current: FloatArray
@@ -36,7 +39,7 @@ class Sizes:
 
     @classmethod
     def of(cls, record: Record | None, torque_constant: FloatArray) -> Sizes:
-        """Take them from a record; those of a UR5 in brisk motion where there is none."""
+        """Take sizes from a record, or those of a UR5 in fast motion if there is none."""
         if record is None:
             torque = np.resize([15.0, 40.0, 20.0, 4.0, 4.0, 2.0], len(torque_constant))
             return cls(torque, torque / torque_constant, np.full(len(torque), 0.5), np.ones(len(torque)))
@@ -48,25 +51,33 @@ class Sizes:
 
 
 def _rms(columns: FloatArray) -> FloatArray:
+    """Root mean square of each column."""
     return np.asarray(np.sqrt(np.mean(columns**2, axis=0)))
 
 
 def catalogue(sizes: Sizes, gear_ratio: Sequence[float | None], unit: str = "A") -> dict[str, Term]:
-    """All terms by key, of joints with these ratios (n,) of their gears; outputs have this ``unit``.
+    """Make all terms of an arm.
 
-    Where a ratio is not known, neither is how often its torque repeats in a turn.
+    Args:
+        sizes: Typical sizes of the joints, for scales and starts.
+        gear_ratio: Gear ratio of each joint; None where it is not known, and with it the order of the ripple.
+        unit: Unit of the outputs.
+
+    Returns:
+        The terms by key.
     """
     terms = []
     for joint, ratio in enumerate(gear_ratio):
-        rippling = () if ratio is None else (ripple(sizes, joint, CYCLES * ratio),)
+        rippling = () if ratio is None else (ripple(sizes, joint, RIPPLE_CYCLES * ratio),)
         terms += [*friction(sizes, joint), *rippling, *drive(sizes, joint, unit)]
     return {term.key: term for term in (*terms, *whole_arm())}
 
 
-def _one(
+def _joint_term(
     name: str, joint: int, enters: Enters, words: tuple[str, str, str, str], *parameters: Parameter,
     needs: tuple[str, ...] = (), with_terms: tuple[str, ...] = (), known: tuple[Parameter, ...] = (),
 ) -> Term:  # fmt: skip
+    """The term of a joint; ``words`` are statement, equation, source and excitation."""
     statement, equation, source, revealed_by = words
     together = tuple(f"{other}[{joint}]" for other in with_terms)
     return Term(
@@ -76,12 +87,13 @@ def _one(
 
 
 def friction(sizes: Sizes, joint: int) -> tuple[Term, ...]:
-    """Friction of one joint."""
-    level = SHARE * float(sizes.torque[joint])
+    """Make the friction terms of one joint."""
+    level = FRICTION_SHARE * float(sizes.torque[joint])
     return (*_friction_of_velocity(level, float(sizes.speed[joint]), joint), *_other_friction(level, joint))
 
 
 def _linear(joint: int, name: str, unit: str, scale: float, lower: float = float("-inf")) -> Parameter:
+    """A parameter in which the outputs are linear."""
     return Parameter(name, unit, scale, lower, linear=True, joint=joint)
 
 
@@ -89,30 +101,31 @@ def _friction_of_velocity(level: float, speed: float, joint: int) -> tuple[Term,
     """Friction that depends on the velocity alone; ``level`` N·m and ``speed`` rad/s are typical."""
     slope = level / speed
     return (
-        _one("viscous_friction", joint, Enters.FORCE,
-             ("friction that grows in proportion to velocity", "τ = c·q̇", FRICTION,
+        _joint_term("viscous_friction", joint, Enters.FORCE,
+             ("friction that grows in proportion to velocity", "τ = c·q̇", FRICTION_SOURCE,
               "motion at several speeds"),
              _linear(joint, "viscous_friction.coefficient", "N·m·s/rad", slope, 0.0)),
-        _one("coulomb_friction", joint, Enters.FORCE,
-             ("dry friction: a torque of constant size against the motion", "τ = τ_c·sgn q̇", FRICTION,
+        _joint_term("coulomb_friction", joint, Enters.FORCE,
+             ("dry friction: a torque of constant size against the motion", "τ = τ_c·sgn q̇", FRICTION_SOURCE,
               "motion both ways"),
              _linear(joint, "coulomb_friction.level", "N·m", level, 0.0)),
-        _one("stribeck_friction", joint, Enters.FORCE,
+        _joint_term("stribeck_friction", joint, Enters.FORCE,
              ("dry friction that falls from its break-away value as motion sets in",
-              "τ = τ_st·exp(−|q̇|/q̇_s)·sgn q̇", FRICTION, "creeping motion and reversals"),
+              "τ = τ_st·exp(−|q̇|/q̇_s)·sgn q̇", FRICTION_SOURCE, "creeping motion and reversals"),
              Parameter("stribeck_friction.level", "N·m", level, -10 * level, 10 * level,
                        starts=(0.1 * level,), linear=True, joint=joint),
              Parameter("stribeck_friction.velocity", "rad/s", 0.1 * speed, 5e-3 * speed, 3.0 * speed,
                        starts=(0.1 * speed, 0.4 * speed), shape=True, step=1e-3, joint=joint),
              with_terms=("coulomb_friction",)),
-        _one("quadratic_viscous_friction", joint, Enters.FORCE,
-             ("friction that grows with the square of velocity", "τ = c₂·q̇·|q̇|", FRICTION, "fast motion"),
+        _joint_term("quadratic_viscous_friction", joint, Enters.FORCE,
+             ("friction that grows with the square of velocity", "τ = c₂·q̇·|q̇|", FRICTION_SOURCE,
+              "fast motion"),
              _linear(joint, "quadratic_viscous_friction.coefficient", "N·m·s²/rad²", slope / speed)),
-        _one("cubic_viscous_friction", joint, Enters.FORCE,
+        _joint_term("cubic_viscous_friction", joint, Enters.FORCE,
              ("friction that grows with the cube of velocity (falls off, where negative)", "τ = c₃·q̇³",
-              FRICTION, "fast motion"),
+              FRICTION_SOURCE, "fast motion"),
              _linear(joint, "cubic_viscous_friction.coefficient", "N·m·s³/rad³", slope / speed**2)),
-        _one("friction_asymmetry", joint, Enters.FORCE,
+        _joint_term("friction_asymmetry", joint, Enters.FORCE,
              ("friction that differs with the direction of motion", "τ = c_a·|q̇|",
               "even part of a friction curve; its constant part is the same as an offset of the current",
               "several speeds both ways"),
@@ -122,24 +135,24 @@ def _friction_of_velocity(level: float, speed: float, joint: int) -> tuple[Term,
 
 
 def _other_friction(level: float, joint: int) -> tuple[Term, ...]:
-    """Friction that depends on place, load, temperature or what came before."""
+    """Friction that depends on position, load, temperature or history."""
     return (
-        _one("position_dependent_friction", joint, Enters.FORCE,
+        _joint_term("position_dependent_friction", joint, Enters.FORCE,
              ("dry friction that changes along the way", "τ = s·q·sgn q̇", "first-order expansion of τ_c(q)",
               "the same speeds at different places"),
              _linear(joint, "position_dependent_friction.slope", "N·m/rad", level)),
-        _one("load_dependent_friction", joint, Enters.FORCE,
+        _joint_term("load_dependent_friction", joint, Enters.FORCE,
              ("dry friction that grows with the load on the gear", "τ = μ·|τ_load|·sgn q̇",
               "efficiency of the gear; τ_load is the rigid body's torque", "motion under different loads"),
-             _linear(joint, "load_dependent_friction.coefficient", "1", SHARE)),
-        _one("temperature_dependent_friction", joint, Enters.FORCE,
+             _linear(joint, "load_dependent_friction.coefficient", "1", FRICTION_SHARE)),
+        _joint_term("temperature_dependent_friction", joint, Enters.FORCE,
              ("viscous friction that falls as the joint warms",
               "c(T) = c·exp(−α·(T − T_0)), T_0 the first temperature", "viscosity of grease",
               "long runs that warm the joints"),
              Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -1.0, 1.0, starts=(0.01,),
                        joint=joint),
-             needs=TEMPERATURES, with_terms=("viscous_friction",)),
-        _one("presliding_friction", joint, Enters.FORCE,
+             needs=TEMPERATURE_CHANNELS, with_terms=("viscous_friction",)),
+        _joint_term("presliding_friction", joint, Enters.FORCE,
              ("dry friction that turns over a short way after a reversal (bristles)",
               "ds = (dq − s·|dq|)/ℓ in the place of sgn q̇", "Dahl 1968; ℓ is level over stiffness",
               "reversals"),
@@ -150,14 +163,21 @@ def _other_friction(level: float, joint: int) -> tuple[Term, ...]:
 
 
 def ripple(sizes: Sizes, joint: int, order: float) -> Term:
-    """What repeats ``order`` times in a turn of a joint."""
+    """Make the torque ripple with ``order`` periods per turn of a joint."""
     size = float(sizes.torque[joint])
     begin = (0.01 * size,)
     sine, cosine = (
-        Parameter(f"torque_ripple.{wave}", "N·m", SHARE * size, starts=begin, linear=True, joint=joint)
+        Parameter(
+            f"torque_ripple.{wave}",
+            "N·m",
+            FRICTION_SHARE * size,
+            starts=begin,
+            linear=True,
+            joint=joint,
+        )
         for wave in ("sine", "cosine")
     )
-    return _one(
+    return _joint_term(
         "torque_ripple", joint, Enters.FORCE,
         ("a torque that repeats with the angle (the gear's teeth)",
          f"τ = a·sin N·q + b·cos N·q, N = {order:g}",
@@ -169,33 +189,33 @@ def ripple(sizes: Sizes, joint: int, order: float) -> Term:
 
 
 def drive(sizes: Sizes, joint: int, unit: str) -> tuple[Term, ...]:
-    """What else is in one joint: rotor, spring of the gear, current measurement."""
+    """Make the other terms of one joint: rotor inertia, elasticity, current offset and gain."""
     torque, current = float(sizes.torque[joint]), float(sizes.current[joint])
     compliance = 2e-3 / torque
-    inertia = SHARE * torque / float(sizes.acceleration[joint])
+    inertia = FRICTION_SHARE * torque / float(sizes.acceleration[joint])
     return (
-        _one("added_inertia", joint, Enters.FORCE,
+        _joint_term("added_inertia", joint, Enters.FORCE,
              ("more (or less) inertia than the links' (the rotor, seen through the gear)", "τ = J·q̈",
               "rotor inertia times the gear ratio squared", "fast motion"),
              Parameter("added_inertia.inertia", "kg·m²", inertia, linear=True, joint=joint)),
-        _one("joint_elasticity", joint, Enters.FORCE,
+        _joint_term("joint_elasticity", joint, Enters.FORCE,
              ("a joint that gives way: the link is not where the drive is", "q_link = q − κ·τ_load",
               "spring between drive and link, to first order in κ", "fast motion under load"),
              Parameter("joint_elasticity.compliance", "rad/(N·m)", compliance, 0.0, 100.0 * compliance,
                        starts=(0.1 * compliance,), step=1e-3, joint=joint)),
-        _one("sensor_offset", joint, Enters.OUTPUT,
+        _joint_term("sensor_offset", joint, Enters.OUTPUT,
              ("an offset of the measured current", "i = τ/K + i_0",
               "standard; a constant torque is the same", "motion both ways"),
-             Parameter("sensor_offset.offset", unit, SHARE * current, linear=True, joint=joint)),
-        _one("torque_constant", joint, Enters.OUTPUT,
+             Parameter("sensor_offset.offset", unit, FRICTION_SHARE * current, linear=True, joint=joint)),
+        _joint_term("torque_constant", joint, Enters.OUTPUT,
              ("a torque constant that is not the one assumed", "i = (1 + g)·τ/K + i_0",
               "the known inertias are the reference", "large torques"),
-             Parameter("torque_constant.gain", "1", SHARE, -0.9, 10.0, joint=joint)),
+             Parameter("torque_constant.gain", "1", FRICTION_SHARE, -0.9, 10.0, joint=joint)),
     )  # fmt: skip
 
 
 def whole_arm() -> tuple[Term, ...]:
-    """What belongs to no joint."""
+    """Make the terms of the whole arm: payload, tilt of the base, clock offset."""
     return (
         Term("payload", Enters.LOAD, "a mass at the flange that the model does not know of",
              "a point m at (x, y, z) in the flange's frame joins the last link", "rigid body",
@@ -215,7 +235,7 @@ def whole_arm() -> tuple[Term, ...]:
     )  # fmt: skip
 
 
-NEVER_SEEN: Mapping[str, str] = {
+UNOBSERVABLE_TERMS: Mapping[str, str] = {
     "static_friction": "it shows only where a joint rests, and there the current may be anything it can hold",
     "constant_force": "a constant torque is the same as sensor_offset, an offset of the current",
     "time_delay": "the input is the measured motion; the other clock's is clock_offset",

@@ -1,6 +1,6 @@
-"""What the model of an arm needs to know of its rigid bodies, wherever they are described.
+"""Interface between the model of an arm and its rigid bodies.
 
-``Links`` are six Denavit-Hartenberg rows; ``Tree`` is any arrangement of hinges.
+It is implemented by ``Links`` (six Denavit-Hartenberg rows) and ``Tree`` (any arrangement of hinges).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from labhil.signals import FloatArray
 
 
 class Chain(Protocol):
-    """Rigid links, one behind each of n joints, with ten inertial parameters each."""
+    """Rigid links, one after each of n joints, with ten inertial parameters each."""
 
     @property
     def joints(self) -> int:
@@ -21,24 +21,24 @@ class Chain(Protocol):
 
     @property
     def inertial(self) -> FloatArray | None:
-        """Inertial parameters (10 n,) that are known; None where they are to be estimated."""
+        """Known inertial parameters (10 n,); None if they are estimated."""
         ...
 
     @property
     def begin(self) -> FloatArray:
-        """Inertial parameters (10 n,) from which an estimate departs; zero where nothing is known."""
+        """Prior inertial parameters (10 n,) of an estimate; zero where nothing is known."""
         ...
 
     def loaded(self, link: int) -> Sequence[int]:
-        """Joints that a link loads: those between it and the base."""
+        """Joints that a link loads: those between the base and the link."""
         ...
 
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
-        """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,) in the base."""
+        """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,), m/s²."""
         ...
 
     def torques(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
     ) -> FloatArray:
-        """Torques (m, n) of a motion at these inertial parameters (10 n,): much faster than the regressor."""
+        """Torques (m, n), N·m, of a motion at inertial parameters (10 n,); much faster than the regressor."""
         ...

@@ -1,8 +1,9 @@
-"""Torque constants as the controller of an arm has them: what current it plans for what torque.
+"""Torque constants that the controller of an arm uses, from its planned torques and currents.
 
-i*_j = (τ*_j + friction_j(q̇))/K_j + offset. The controller computes its planned current from its planned
-torque and a friction model of its own, so that both together give K where no one has measured it. It is the
-manufacturer's calibration; whether the drive has that constant is not known.
+i*_j = (τ*_j + friction_j(q̇_j))/K_j + offset, with planned current i* (A), planned torque τ* (N·m), velocity
+q̇ (rad/s) and torque constant K (N·m/A) of joint j. The controller computes its planned current by a friction
+model of its own, so a regression gives K without a measurement. This is the manufacturer's calibration, which
+the drive need not have.
 """
 
 from __future__ import annotations
@@ -12,25 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.physics.arm.grouped import memory
+from labhil.physics.arm.grouped import variance_inflation
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
-
-SLOWEST = 0.02
-"""rad/s under which the sign of a velocity is not relied upon."""
-
-FEWEST = 200
-"""Samples that have to be left of a joint."""
-
-POOREST = 0.05
-"""Relative standard error from which a constant is not known."""
-
-
-APART = 0.03
-"""Relative difference from which stated constants are not the controller's."""
-
-LEAST_INDEPENDENT = 1e-3
-"""What planned currents of a slow controller leave is that slow, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +27,19 @@ class ControllerConstants:
 
     @property
     def relative_error(self) -> float:
-        """The largest of the six."""
+        """Largest relative standard error of the joints."""
         return float(np.max(self.error / self.value))
 
 
 def controller_constants(record: Record) -> ControllerConstants | None:
-    """Constants by planned torques and currents; None where these are not recorded, or show too little."""
+    """Estimate the torque constants of the controller.
+
+    Args:
+        record: A record with the auxiliary channels target_current and target_moment.
+
+    Returns:
+        The constants; None if a channel is missing or a joint does not identify its constant.
+    """
     constants = [_of_joint(record, joint) for joint in range(record.outputs.shape[1])]
     known = [constant for constant in constants if constant is not None]
     if len(known) < len(constants):
@@ -56,14 +48,30 @@ def controller_constants(record: Record) -> ControllerConstants | None:
     return ControllerConstants(value, error)
 
 
-def notes_on(constants: ControllerConstants, stated: Sequence[float] | None, taken: bool) -> tuple[str, ...]:
-    """Notes for people on the controller's constants beside those that a rig file states."""
+def constant_notes(
+    constants: ControllerConstants,
+    stated: Sequence[float] | None,
+    taken: bool,
+    *,
+    tolerance: float = 0.03,
+) -> tuple[str, ...]:
+    """Notes for the user on the controller's constants.
+
+    Args:
+        constants: Those of the controller.
+        stated: Those of the rig file, if any.
+        taken: Whether the controller's are used.
+        tolerance: Relative difference within which stated constants agree with the controller's.
+
+    Returns:
+        Notes; none where both agree.
+    """
     listing = ", ".join(f"{v:.4g} ± {e:.2g}" for v, e in zip(constants.value, constants.error, strict=True))
     if taken:
         return (
             f"Torque constants are the controller's, from its planned torques and currents: {listing} N·m/A.",
         )
-    if stated is None or np.all(np.abs(constants.value / np.array(stated) - 1.0) < APART):
+    if stated is None or np.all(np.abs(constants.value / np.array(stated) - 1.0) < tolerance):
         return ()
     return (
         f"The controller plans with torque constants of {listing} N·m/A; [known] has others, with "
@@ -71,13 +79,31 @@ def notes_on(constants: ControllerConstants, stated: Sequence[float] | None, tak
     )
 
 
-def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:
+def _of_joint(
+    record: Record,
+    joint: int,
+    *,
+    min_velocity: float = 0.02,
+    min_samples: int = 200,
+    max_relative_error: float = 0.05,
+    min_decorrelation: float = 1e-3,
+) -> tuple[float, float] | None:
+    """Torque constant of a joint and its standard error, N·m/A; None if it is not identified.
+
+    Args:
+        record: The record.
+        joint: The joint, from 0.
+        min_velocity: Least velocity whose sign is reliable, rad/s.
+        min_samples: Least number of samples above that velocity.
+        max_relative_error: Largest relative standard error of a known constant.
+        min_decorrelation: Least 1 − ρ of the residuals, ρ their correlation at lag 1.
+    """
     planned = [record.auxiliary.get(f"{name}_{joint}") for name in ("target_current", "target_moment")]
     if planned[0] is None or planned[1] is None:
         return None
     velocity = record.inputs[:, record.input_names.index(f"actual_qd_{joint}")]
-    moving = np.abs(velocity) > SLOWEST
-    if np.count_nonzero(moving) < FEWEST:
+    moving = np.abs(velocity) > min_velocity
+    if np.count_nonzero(moving) < min_samples:
         return None
     current, torque, v = planned[0][moving], planned[1][moving], velocity[moving]
     columns = np.column_stack([torque, v, np.sign(v), v * np.abs(v), v**3, np.ones_like(v)])
@@ -91,7 +117,13 @@ def _of_joint(record: Record, joint: int) -> tuple[float, float] | None:
     residuals = current - columns @ shares
     inverse = float(shares[0] / size[0])
     variance = (
-        memory(residuals, LEAST_INDEPENDENT) * residuals.var() * np.linalg.inv(columns.T @ columns)[0, 0]
+        variance_inflation(residuals, min_decorrelation)
+        * residuals.var()
+        * np.linalg.inv(columns.T @ columns)[0, 0]
     )
     error = float(np.sqrt(variance) / size[0])
-    return (1.0 / inverse, error / inverse**2) if inverse > 0.0 and error < POOREST * inverse else None
+    return (
+        (1.0 / inverse, error / inverse**2)
+        if inverse > 0.0 and error < max_relative_error * inverse
+        else None
+    )

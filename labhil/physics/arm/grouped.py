@@ -1,10 +1,10 @@
-"""Rigid-body parameters that motion identifies where no masses are known: grouped inertial parameters.
+"""Base (grouped) inertial parameters of an arm: the combinations that motion identifies (Gautier 1990).
 
-Of an arm's inertial parameters (60 of six joints) some have no effect and some act only together (Gautier
-1990). A pivoted QR decomposition of the regressor of random motions finds a smallest set of columns that
-span all others; each kept parameter then stands for itself plus a fixed combination of those left out.
-Those that do not differ from zero in a given record are left out as well, the least significant first, as
-long as any is: they would carry noise to other motions.
+Of the inertial parameters (60 for six joints) some have no effect and some act only together. Orthogonalising
+the regressor of random motions column by column gives a smallest set of columns that span all others; each
+kept parameter stands for itself plus a fixed combination of those left out. Parameters that do not differ
+significantly from zero in a record are removed too, the least significant first: they would add noise to
+predictions of other motions.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from labhil.physics.arm.chain import Chain
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.signals import FloatArray
 
 KINDS = (
@@ -34,24 +34,18 @@ KINDS = (
 """Name, unit and symbol of a link's ten inertial parameters."""
 
 PREFERRED = (6, 5, 4, 7, 8, 9, 1, 2, 3, 0)
-"""Moments of inertia stand for a group before first moments, these before masses."""
+"""Order in which parameters represent a group: moments of inertia, first moments, mass."""
 
-POSES = 200
-SMALLEST = 1e-8
-SIGNIFICANT = 3.0
-ROUNDS = 4
-ALIKE = 1e-3
-"""A column of which this share of its length is its own is a combination of others."""
-
-FAINTEST = 1e-10
-"""Of the largest eigenvalue of the scaled normal equations; less is unknown."""
+MIN_EIGENVALUE = 1e-10
+"""Least identified eigenvalue of the scaled normal equations, near rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grouped:
-    """Columns of the regressor that stand for all: ``kept`` (P,), with each one's combination in words.
+    """Columns ``kept`` (P,) of the regressor that span all others.
 
-    ``shares`` (P, 60) are what a unit of every inertial parameter adds to each of them.
+    ``combinations`` (P,) are the combinations in words; ``shares`` (P, 60) is the contribution of a unit of
+    each inertial parameter to each grouped one.
     """
 
     kept: tuple[int, ...]
@@ -59,40 +53,52 @@ class Grouped:
     shares: FloatArray
 
     def names(self) -> list[tuple[str, str, int]]:
-        """Name, unit and link (from 0) of each."""
+        """Name, unit and link (from 0) of each grouped parameter."""
         entries = [(*KINDS[c % PER_LINK][:2], c // PER_LINK) for c in self.kept]
         return [(f"grouped_{name}", unit, link) for name, unit, link in entries]
 
     def column(self, name: str, link: int) -> int:
-        """Place among the 60 inertial parameters of one of them by name and link."""
+        """Index among the 60 inertial parameters by name and link."""
         kinds = [f"grouped_{kind}" for kind, _, _ in KINDS]
         return PER_LINK * link + kinds.index(name)
 
     def embed(self, values: FloatArray) -> FloatArray:
-        """Inertial parameters (60,) that act like these ``values`` (P,), everything else zero."""
+        """Inertial parameters (60,) equivalent to grouped ``values`` (P,), with zeros elsewhere."""
         out = np.zeros(self.shares.shape[1])
         out[list(self.kept)] = values
         return out
 
     def only(self, chosen: Sequence[int]) -> Grouped:
-        """Those at the places ``chosen``."""
+        """Select grouped parameters by index."""
         combinations = tuple(self.combinations[i] for i in chosen)
         return Grouped(tuple(self.kept[i] for i in chosen), combinations, self.shares[list(chosen)])
 
 
-def grouped(links: Chain, seed: int = 0) -> Grouped:
-    """The smallest set for upright gravity; what links farther out add goes with those nearer to the base."""
+def group_parameters(links: Chain, seed: int = 0, *, poses: int = 200, tolerance: float = 1e-8) -> Grouped:
+    """Find the grouped parameters of an arm on an upright base.
+
+    Parameters of links near the base represent those of links farther out.
+
+    Args:
+        links: The rigid bodies.
+        seed: Seed of the random motion.
+        poses: Number of random poses.
+        tolerance: Relative length of a column's independent part below which it depends on others.
+
+    Returns:
+        The grouped parameters.
+    """
     random, n = np.random.default_rng(seed), links.joints
-    q = random.uniform(-np.pi, np.pi, (POSES, n))
-    qd, qdd = random.normal(size=(2, POSES, n))
-    columns = links.regressor(q, qd, 3.0 * qdd, upright()).reshape(-1, n * PER_LINK)
+    q = random.uniform(-np.pi, np.pi, (poses, n))
+    qd, qdd = random.normal(size=(2, poses, n))
+    columns = links.regressor(q, qd, 3.0 * qdd, gravity_in_base()).reshape(-1, n * PER_LINK)
     kept: list[int] = []
     basis = np.empty((len(columns), 0))
     for c in (PER_LINK * link + c for link in range(n) for c in PREFERRED):
         rest = columns[:, c] - basis @ (basis.T @ columns[:, c])
         rest -= basis @ (basis.T @ rest)
         size = float(np.linalg.norm(rest))
-        if size > SMALLEST * max(float(np.linalg.norm(columns[:, c])), 1.0):
+        if size > tolerance * max(float(np.linalg.norm(columns[:, c])), 1.0):
             kept.append(c)
             basis = np.column_stack([basis, rest / size])
     kept.sort()
@@ -101,7 +107,7 @@ def grouped(links: Chain, seed: int = 0) -> Grouped:
 
 
 def _combination(kept: int, shares: FloatArray) -> str:
-    """In words: the parameter itself and, with factors, those that act only together with it."""
+    """Combination in words: the parameter and, with factors, those that act only together with it."""
     text = _symbol(kept)
     for c in np.flatnonzero(np.abs(shares) > 1e-6):
         if c == kept:
@@ -113,14 +119,15 @@ def _combination(kept: int, shares: FloatArray) -> str:
 
 
 def _symbol(c: int) -> str:
+    """Symbol of an inertial parameter with its link."""
     return f"{KINDS[c % PER_LINK][2]}_{c // PER_LINK}"
 
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """Least squares of currents on columns, joint by joint.
+    """Normal equations of the least squares of currents on columns, joint by joint.
 
-    ``gram`` XᵀX (6, P, P), ``moment`` Xᵀy (6, P), ``power`` yᵀy (6,), ``count`` of samples (6,).
+    ``gram`` is XᵀX (6, P, P), ``moment`` Xᵀy (6, P), ``power`` yᵀy (6,) and ``count`` the samples (6,).
     """
 
     gram: FloatArray
@@ -130,7 +137,7 @@ class NormalEquations:
 
     @classmethod
     def of(cls, columns: FloatArray, measured: FloatArray, judged: np.ndarray) -> NormalEquations:
-        """From columns (n, 6, P), currents (n, 6) and flags (n, 6) of the samples that count."""
+        """Compute them from columns (n, 6, P), currents (n, 6) and flags (n, 6) of the samples that count."""
         x = columns * judged[:, :, None]
         y = measured * judged
         return cls(
@@ -140,22 +147,30 @@ class NormalEquations:
             judged.sum(axis=0).astype(np.float64),
         )
 
-    def solve(self, chosen: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Values and covariance of the chosen columns, each joint weighted by its own residuals' spread.
+    def solve(self, chosen: Sequence[int], *, iterations: int = 4) -> tuple[FloatArray, FloatArray]:
+        """Solve for the chosen columns by iteratively reweighted least squares.
 
-        What the data do not know at all comes out as zero with a huge variance.
+        Joints are weighted by the inverse variance of their residuals. Directions that the data do not
+        identify get zero with a very large variance.
+
+        Args:
+            chosen: Columns.
+            iterations: Iterations of the weights.
+
+        Returns:
+            Values (p,) and covariance (p, p).
         """
         at = np.ix_(range(len(self.gram)), chosen, chosen)
         count = np.maximum(self.count, 1.0)
         variances = np.maximum(self.power / count, 1e-12)
-        for _ in range(ROUNDS):
+        for _ in range(iterations):
             gram = np.einsum("jpq,j->pq", self.gram[at], 1.0 / variances)
             moment = np.einsum("jp,j->p", self.moment[:, chosen], 1.0 / variances)
             size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
             strength, directions = np.linalg.eigh(gram / np.outer(size, size))
-            known = strength > FAINTEST
+            known = strength > MIN_EIGENVALUE
             inverse = (directions / np.where(known, strength, np.inf)) @ directions.T
-            unknown = (directions * np.where(known, 0.0, 1.0 / FAINTEST)) @ directions.T
+            unknown = (directions * np.where(known, 0.0, 1.0 / MIN_EIGENVALUE)) @ directions.T
             values = inverse @ (moment / size) / size
             covariance = (inverse + unknown) / np.outer(size, size)
             explained = 2.0 * self.moment[:, chosen] @ values - np.einsum(
@@ -165,44 +180,63 @@ class NormalEquations:
         return values, covariance
 
 
-def independent(equations: NormalEquations, candidates: int) -> list[int]:
-    """Columns of which none is a combination of the others in these data: the first ``candidates`` in order.
+def select_independent(
+    equations: NormalEquations, candidates: int, *, min_own_share: float = 1e-3
+) -> list[int]:
+    """Select linearly independent columns among the first ``candidates``, in order; keep all others.
 
-    All columns beyond those are kept. Where few joints move, many parameters act alike; those nearer to
-    the base then stand for the others.
+    Where few joints move, many parameters are collinear; those nearer to the base are kept.
+
+    Args:
+        equations: The normal equations.
+        candidates: Number of columns that may be dropped.
+        min_own_share: Least length of a column's independent part over its length.
+
+    Returns:
+        The selected columns, sorted.
     """
     gram = np.einsum("jpq,j->pq", equations.gram, 1.0 / np.maximum(equations.power, 1e-12))
     size = np.sqrt(np.where(np.diag(gram) > 0.0, np.diag(gram), 1.0))
     gram = gram / np.outer(size, size)
     chosen = list(range(candidates, len(gram)))
     for c in range(candidates):
-        shares = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, c], rcond=FAINTEST)[0]
-        if gram[c, c] - gram[c, chosen] @ shares > ALIKE**2:
+        shares = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, c], rcond=MIN_EIGENVALUE)[0]
+        if gram[c, c] - gram[c, chosen] @ shares > min_own_share**2:
             chosen.append(c)
     return sorted(chosen)
 
 
-def significant(equations: NormalEquations, candidates: int, memory: float) -> list[int]:
-    """Which of the first ``candidates`` columns differ from zero in these data.
+def select_significant(
+    equations: NormalEquations, candidates: int, inflation: float, *, min_t_ratio: float = 3.0
+) -> list[int]:
+    """Select the columns among the first ``candidates`` that differ significantly from zero.
 
-    Of those that act alike one is left; then the least significant is taken out as long as it is under
-    ``SIGNIFICANT`` standard errors. Variances are ``memory`` times those of white residuals.
+    Collinear columns are dropped first; then the least significant one is removed repeatedly.
+
+    Args:
+        equations: The normal equations.
+        candidates: Number of columns that may be dropped.
+        inflation: Variances over those of white residuals (:func:`variance_inflation`).
+        min_t_ratio: Least value over standard error of a column that is kept.
+
+    Returns:
+        The selected candidates.
     """
-    chosen = independent(equations, candidates)
+    chosen = select_independent(equations, candidates)
     while True:
         values, covariance = equations.solve(chosen)
-        ratio = np.abs(values) / np.sqrt(memory * np.maximum(np.diag(covariance), 1e-300))
+        ratio = np.abs(values) / np.sqrt(inflation * np.maximum(np.diag(covariance), 1e-300))
         removable = [i for i, c in enumerate(chosen) if c < candidates]
         weakest = min(removable, key=lambda i: ratio[i], default=None)
-        if weakest is None or ratio[weakest] > SIGNIFICANT:
+        if weakest is None or ratio[weakest] > min_t_ratio:
             return [chosen[i] for i in removable]
         del chosen[weakest]
 
 
-def memory(residuals: FloatArray, least: float = 0.05) -> float:
-    """By how much variances grow because residuals (n, …) remember their neighbours (first-order process).
+def variance_inflation(residuals: FloatArray, least: float = 0.05) -> float:
+    """Variance inflation (1 + ρ)/(1 − ρ) by residuals (n, …) of correlation ρ at lag 1 (AR(1) process).
 
-    No more than the residuals of a process whose correlation is 1 − ``least``.
+    1 − ρ is taken as ``least`` at least.
     """
     power = float(np.sum(residuals**2))
     rho = float(np.sum(residuals[1:] * residuals[:-1])) / max(power, 1e-300)

@@ -1,9 +1,9 @@
-"""What the joints add to the rigid body's torque, as columns that parameters multiply.
+"""Joint torques beside the rigid body (friction, ripple, inertia) as columns that parameters multiply.
 
-Every column is computed at the full rate of the motion, passes the filter of the currents and is then
-read at the rows of a record. Dry friction points along a direction s of size one: sgn q̇, or, with a
-presliding length ℓ, the bristles' ds = (dq − s·|dq|)/ℓ (Dahl 1968), which after a reversal turn over a way
-of about ℓ and hold what they had while the joint rests.
+A column is computed at the full sampling rate, passes the filter of the currents and is then read at the rows
+of a record. Dry friction acts along a direction s from −1 to 1: sgn q̇, or, with a presliding length ℓ (rad),
+ds = (dq − s·|dq|)/ℓ (Dahl 1968), which after a reversal changes its sign over a way of about ℓ and keeps its
+value while the joint is at rest.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class JointMotion:
-    """Angle rad, velocity rad/s, acceleration rad/s², K above the reference, direction; (n,) each.
+    """Motion of one joint, (n,) each, and the value of the shape parameter of a law.
 
-    ``shape`` is what its law depends on in another way than in proportion: the value of ``shaped_by``.
+    ``q`` rad, ``qd`` rad/s, ``qdd`` rad/s², ``warmer`` K above the reference temperature, ``direction`` of
+    dry friction from −1 to 1. ``shape`` is the value of ``Law.shaped_by``, in which the law is not linear.
     """
 
     q: FloatArray
@@ -35,7 +36,7 @@ class JointMotion:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """Torque per unit of one linear parameter, (n,); ``dry`` laws depend on the direction of friction."""
+    """Torque (n,) per unit of a linear parameter; ``dry`` laws depend on the direction of dry friction."""
 
     column: Callable[[JointMotion], FloatArray]
     shaped_by: str | None = None
@@ -63,24 +64,34 @@ BUILT_IN: Mapping[str, Law] = {
 
 
 def laws() -> Mapping[str, Law]:
-    """All laws of a joint by their linear parameter, those of one's own behind labhil's."""
+    """All laws of a joint by linear parameter: built-in laws, then user-defined ones."""
     return {**BUILT_IN, **{law.coefficient: _of_speed(law) for law in friction_law.laws()}}
 
 
 def _of_speed(law: friction_law.FrictionLaw) -> Law:
+    """Convert a user-defined friction law."""
     return Law(lambda m: m.direction * law.values(np.abs(m.qd), m.shape), law.shaped_by, dry=True)
 
 
 def directions(q: FloatArray, qd: FloatArray, length: float) -> FloatArray:
-    """Direction (n,) from −1 to 1 of dry friction against a motion (n,); ``length`` rad of its bristles."""
+    """Direction of dry friction along a motion.
+
+    Args:
+        q: Angles, (n,), rad.
+        qd: Velocities, (n,), rad/s.
+        length: Presliding length, rad; 0 for the sign of the velocity.
+
+    Returns:
+        Direction from −1 to 1, (n,).
+    """
     out = np.empty(len(q))
-    turn(np.ascontiguousarray(q), np.ascontiguousarray(qd), length, out)
+    fill_directions(np.ascontiguousarray(q), np.ascontiguousarray(qd), length, out)
     return out
 
 
 @inlined
-def turn(q: FloatArray, qd: FloatArray, length: float, out: FloatArray) -> None:
-    """Fill ``out`` (n,); see :func:`directions`."""
+def fill_directions(q: FloatArray, qd: FloatArray, length: float, out: FloatArray) -> None:
+    """Fill ``out`` (n,) with :func:`directions`."""
     s = np.sign(qd[0])
     for n in range(len(q)):
         if length <= 0.0:

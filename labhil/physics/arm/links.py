@@ -1,4 +1,4 @@
-"""What the model knows of an arm's links: standard Denavit-Hartenberg rows and, where known, their inertia.
+"""Links of an arm as standard Denavit-Hartenberg rows (1955), with their inertia where it is known.
 
 Frame i is fixed to link i at its far end; joint i (from 1) turns about z of frame i − 1, so that
 T = Rot_z(q)·Trans_z(d)·Trans_x(a)·Rot_x(alpha) leads from frame i − 1 to frame i (eq. 4.20 of the
@@ -28,7 +28,7 @@ Moment = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class JointRow(BaseModel):
-    """One ``[[joint]]``: ``d`` and ``a`` m, ``alpha`` rad; the link behind it: kg, m, kg·m² at its centre."""
+    """One ``[[joint]]``: ``d``, ``a`` (m), ``alpha`` (rad), and mass, centre, inertia of its link (SI)."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,7 +51,7 @@ class JointRow(BaseModel):
 
 
 class LinksFile(BaseModel):
-    """A whole table of links."""
+    """A file of links."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -73,7 +73,7 @@ class LinksFile(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """Geometry ``d``, ``a`` m, ``alpha`` rad (6,) each, and ``inertial`` (60,) SI, None where not known."""
+    """Geometry ``d``, ``a`` (m), ``alpha`` (rad), (6,) each, and ``inertial`` (60,), None if not known."""
 
     d: FloatArray
     a: FloatArray
@@ -87,7 +87,7 @@ class Links:
 
     @property
     def begin(self) -> FloatArray:
-        """Nothing is known of masses that are to be estimated."""
+        """Prior inertial parameters of an estimate: zero."""
         return np.zeros(JOINTS * PER_LINK)
 
     def loaded(self, link: int) -> Sequence[int]:
@@ -106,7 +106,7 @@ class Links:
 
     @classmethod
     def of(cls, rows: tuple[JointRow, ...]) -> Links:
-        """Take six rows, in order from the base."""
+        """Make links of six rows, in order from the base."""
         known = [inertial_of(row.mass, row.centre, row.inertia) for row in rows if row.mass is not None
                  and row.centre is not None and row.inertia is not None]  # fmt: skip
         return cls(
@@ -120,7 +120,16 @@ class Links:
 def inertial_of(
     mass: float, centre: tuple[float, ...], inertia: tuple[float, ...] = (0.0,) * 6
 ) -> FloatArray:
-    """m, m·c and the inertia about the frame's origin (10,) from those at the centre (Steiner)."""
+    """Inertial parameters about the frame's origin from those at the centre of mass (Steiner's theorem).
+
+    Args:
+        mass: Mass m, kg.
+        centre: Centre of mass c in the frame, (3,), m.
+        inertia: xx, yy, zz, xy, xz, yz about the centre of mass, kg·m².
+
+    Returns:
+        m, m·c and the inertia about the origin, (10,).
+    """
     x, y, z = centre
     xx, yy, zz, xy, xz, yz = inertia
     return np.array(
@@ -140,7 +149,11 @@ def inertial_of(
 
 
 def load_links(path: Path) -> Links:
-    """Read a table of links; RigFileError names the file, the joint's field and what was expected."""
+    """Read a file of links.
+
+    Raises:
+        RigFileError: The file is not readable or not valid; the message names the field.
+    """
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:
@@ -149,7 +162,7 @@ def load_links(path: Path) -> Links:
 
 
 def links_of(text: str, source: str) -> Links:
-    """Read the text of a table of links, which stands in ``source``; raises as :func:`load_links`."""
+    """Read links from the text of a file named ``source``; raises as :func:`load_links`."""
     try:
         data: dict[str, Any] = parse_toml(text)
     except DocumentError as error:

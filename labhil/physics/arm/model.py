@@ -1,7 +1,8 @@
-"""The arm as it is fitted: currents of six joints by inverse dynamics.
+"""White-box model of a six-jointed robot arm by inverse dynamics: measured motion in, motor currents out.
 
-i_j = (1 + g_j)·τ_j(t − T_d)/K_j + i_0j, with τ = Y(q, q̇, q̈; gravity)·π + friction and other joint laws.
-Equations 4.19 to 4.64 of the reference text, with a recursion in the place of its symbolic matrices.
+i_j = (1 + g_j)·τ_j(t − T_d)/K_j + i_0j, τ = Y(q, q̇, q̈; gravity)·π + friction and other joint laws; current
+i (A), torque τ (N·m), torque constant K (N·m/A) and its error g, clock offset T_d (s), inertial parameters π.
+Equations 4.19 to 4.64 of the reference text, with a recursion instead of its symbolic matrices.
 """
 
 from __future__ import annotations
@@ -12,23 +13,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labhil.errors import UnknownNameError
-from labhil.physics.arm.catalogue import GEAR_RATIO, NEVER_SEEN, Sizes, catalogue
+from labhil.physics.arm.catalogue import GEAR_RATIO, UNOBSERVABLE_TERMS, Sizes, catalogue
 from labhil.physics.arm.chain import Chain
-from labhil.physics.arm.controller_constants import controller_constants, notes_on
+from labhil.physics.arm.controller_constants import constant_notes, controller_constants
 from labhil.physics.arm.first_estimate import LAWS as FIRST_LAWS
-from labhil.physics.arm.first_estimate import FirstEstimate, best_of, first_estimate
-from labhil.physics.arm.grouped import grouped
+from labhil.physics.arm.first_estimate import FirstEstimate, combine_estimates, first_estimate
+from labhil.physics.arm.grouped import group_parameters
 from labhil.physics.arm.joint_laws import JointMotion, directions, laws
 from labhil.physics.arm.links import UR5, inertial_of, links_of
-from labhil.physics.arm.motion import (
-    Motion,
-    PreparedRecord,
-    cut_off_of,
-    prepare_record,
-    temperatures,
-)
-from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, own_parameters
-from labhil.physics.arm.rigid_body import PER_LINK, upright
+from labhil.physics.arm.motion import Motion, PreparedRecord, cut_off_of, prepare_record, temperatures
+from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, arm_parameters
+from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.arm.view import RecordViews, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.model import Metric, Record, Windows, index_of
@@ -36,26 +31,26 @@ from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
-LOAD = "load_dependent_friction.coefficient"
+LOAD_FRICTION = "load_dependent_friction.coefficient"
 OFFSET = "sensor_offset.offset"
 GAIN = "torque_constant.gain"
 COMPLIANCE = "joint_elasticity.compliance"
-LENGTH = "presliding_friction.length"
+PRESLIDING_LENGTH = "presliding_friction.length"
 WHOLE_ARM = ("payload", "base_tilt", "clock_offset")
-KEPT = 8
-"""Records of which motion and regressors are kept, for each recording that is fitted."""
+CACHED_RECORDS = 8
+"""Records whose motion and regressors are cached, for each recording that is fitted."""
 
-LAST = slice(-PER_LINK, None)
+LAST_LINK = slice(-PER_LINK, None)
 
 
 class ArmModel:
-    """The white-box model of one six-jointed arm (satisfies ``physics.model.Model``).
+    """White-box model of one six-jointed arm (implements ``physics.model.Model``).
 
-    Driven by ``actual_q`` and ``actual_qd``; gives the six currents. The rig file's ``links`` (default: the
-    manufacturer's UR5) give lengths and, where known, inertia; where that is absent, grouped inertial
-    parameters are estimated. Without ``torque_constant`` that is estimated too, against the known inertia;
-    with neither known it is the controller's, where its planned torques and currents are recorded
-    (``arm.controller_constants``), else a common factor of both remains free, and the statistics say so.
+    Inputs are ``actual_q`` and ``actual_qd``, outputs the six currents. The rig file's ``links`` (the UR5 of
+    the manufacturer by default) give lengths and, if known, inertia; else grouped inertial parameters are
+    estimated. Without ``torque_constant`` that is estimated too, relative to a known inertia. With neither,
+    it is the controller's if planned torques and currents are recorded (``arm.controller_constants``); else a
+    common factor of both is not identifiable, as the statistics show.
     """
 
     kind = "ur5"
@@ -80,13 +75,14 @@ class ArmModel:
         self.joints = self.links.joints
         stated = self._stated_constants(rig)
         self.controller = None if record is None else controller_constants(record)
-        # known masses are the better reference: then the constants are estimated
+        # known masses are the better reference, so constants are then estimated
         taken = self.controller if stated is None and self.links.inertial is None else None
         known = stated if taken is None else taken.value.tolist()
         if known is None:
             self.links = self._reference()
         self.scale_error = 0.0 if taken is None else taken.relative_error
-        self.notes = () if self.controller is None else notes_on(self.controller, stated, taken is not None)
+        constants = self.controller
+        self.notes = () if constants is None else constant_notes(constants, stated, taken is not None)
         self._constant = np.full(self.joints, TYPICAL_CONSTANT) if known is None else np.array(known)
         self.fixed = {} if known is None else {keyed("torque_constant", j): k for j, k in enumerate(known)}
         self.cut_off = rig.metric.cut_off or cut_off_of(record)
@@ -98,18 +94,18 @@ class ArmModel:
         )
         warm = None if record is None else temperatures(record)
         self._temperature = np.zeros(self.joints) if warm is None else warm.mean(axis=0)
-        size = KEPT * (1 if record is None else len(record.begins))
+        size = CACHED_RECORDS * (1 if record is None else len(record.begins))
         self._views = RecordViews(self._temperature, size)
         self.first = self._first(record)
         everything = catalogue(sizes, self._gear_ratio(rig), self.output_unit)
         self._known = {p.key: p.scale for term in everything.values() for p in term.known}
-        self.unobservable_terms = dict(NEVER_SEEN) | self._absent(
+        self.unobservable_terms = dict(UNOBSERVABLE_TERMS) | self._absent(
             everything, record is None or warm is not None
         )
         self.terms: Mapping[str, Term] = {
             k: t for k, t in everything.items() if k not in self.unobservable_terms
         }
-        own = own_parameters(self.joints, self.first, known=bool(self.fixed))
+        own = arm_parameters(self.joints, self.first, known=bool(self.fixed))
         self.parameters = own + tuple(p for term in self.terms.values() for p in term.parameters)
         self._index, self._laws = index_of(self.parameters), laws()
         self._six = {name: self._places(name) for name in {p.name for p in self.parameters}}
@@ -120,15 +116,15 @@ class ArmModel:
         return UR5 if table is None else links_of(table.text(), table.source)
 
     def _reference(self) -> Chain:
-        """The rigid bodies where the torque constants are not known."""
+        """The rigid bodies if the torque constants are not known."""
         return self.links
 
     def _stated_constants(self, rig: RigFile) -> list[float] | None:
-        """Torque constants that are known."""
+        """Torque constants of the rig file, N·m/A."""
         return rig.known_numbers("torque_constant")
 
     def _gear_ratio(self, rig: RigFile) -> Sequence[float | None]:
-        """Ratios of the joints' gears; None where one is not known."""
+        """Gear ratio of each joint; None where it is not known."""
         return rig.known_numbers("gear_ratio") or GEAR_RATIO
 
     def _absent(self, everything: Mapping[str, Term], warm: bool) -> dict[str, str]:
@@ -143,22 +139,22 @@ class ArmModel:
         return reasons
 
     def _first(self, record: Record | None) -> FirstEstimate | None:
-        """What a record says of the inertia before anything is fitted; None where the links' is known."""
+        """First estimate of the inertia; None if that of the links is known."""
         if self.links.inertial is not None:
             return None
         if record is None:
-            group = grouped(self.links)
+            group = group_parameters(self.links)
             begin = self.links.begin
             return FirstEstimate(group, group.shares @ begin, np.ones(len(group.kept)), begin)
         estimates = [
             first_estimate(self.links, ready, self._view(ready), self._constant, self.first_laws)
             for ready in map(self.prepare, record.recordings())
         ]
-        return estimates[0] if len(estimates) == 1 else best_of(self.links, estimates)
+        return estimates[0] if len(estimates) == 1 else combine_estimates(self.links, estimates)
 
     @property
     def combinations(self) -> Mapping[str, str]:
-        """What each grouped inertial parameter stands for, by key (links count from 0)."""
+        """Combination that each grouped inertial parameter stands for, by key (links count from 0)."""
         if self.first is None:
             return {}
         names = [keyed(name, link) for name, _, link in self.first.grouped.names()]
@@ -166,7 +162,7 @@ class ArmModel:
 
     @property
     def blocks(self) -> Mapping[str, tuple[int, ...]]:
-        """Which joints' currents each parameter touches, by key."""
+        """Joints whose currents depend on each parameter, by key."""
         joints = {}
         for p in self.parameters:
             alone = p.joint is not None and not p.name.startswith("grouped_") and p.name != COMPLIANCE
@@ -174,47 +170,47 @@ class ArmModel:
         return joints
 
     def _reach(self, parameter: Parameter) -> tuple[int, ...]:
-        """Joints whose currents a parameter of the rigid body or of the whole arm touches."""
+        """Joints whose currents depend on a parameter of the rigid body or of the whole arm."""
         link = None if parameter.name == COMPLIANCE else parameter.joint
         return tuple(range(self.joints) if link is None else self.links.loaded(link))
 
     def sizes_of_load(self, mass: float, centre: Sequence[float]) -> dict[str, float]:
-        """What a point ``mass`` (kg) at ``centre`` (m, flange's frame) adds to the inertial parameters.
+        """Change of the grouped parameters by a point ``mass`` (kg) at ``centre`` (m, flange's frame).
 
-        By key; nothing where these are known and so are no parameters.
+        By key; empty if the inertia is known and so has no parameters.
         """
         if self.first is None:
             return {}
         group = self.first.grouped
-        added = group.shares[:, LAST] @ inertial_of(mass, tuple(centre))
+        added = group.shares[:, LAST_LINK] @ inertial_of(mass, tuple(centre))
         return {keyed(n, link): float(a) for (n, _, link), a in zip(group.names(), added, strict=True)}
 
     def with_force(self, force: ExtraForce) -> ArmModel:
-        """The same arm under one more torque on one joint, N·m, beside those that it is under."""
+        """Copy of the arm with a further additional torque on one joint, N·m."""
         other = copy.copy(self)
         other._forces = (*self._forces, force)
         return other
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Has no part in inverse dynamics; the gap before held-out data, s."""
+        """Gap before held-out data, s; inverse dynamics has no scored horizon."""
         return self.horizon
 
     def prepare(self, record: Record) -> PreparedRecord:
-        """Filter and thin out, see ``physics.arm.motion``; RecordingError when nothing moves."""
+        """Filter and thin out (``physics.arm.motion``); RecordingError if there is too little motion."""
         return record if isinstance(record, PreparedRecord) else prepare_record(record, self.cut_off)
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """There are none: (w, 0)."""
+        """Inverse dynamics has no states: (w, 0)."""
         return np.empty((len(windows), 0))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Currents of six joints in A, (N, 6); the measured one where a joint rests, which is not judged."""
+        """Compute the currents of six joints, (N, 6), A; the measured one where a joint rests."""
         current = self._gain(theta) * self._torques(theta, record) + self._of_joints(theta, OFFSET)
         _, motion, rows = self._motion(record)
         return np.where(motion.judged[rows], current, record.outputs)[windows.rows]
 
     def regressor(self, theta: FloatArray, record: Record, free_keys: Sequence[str]) -> FloatArray:
-        """Exact slopes of :meth:`simulate` over a whole record by linear parameters, (N·6, P), A per unit.
+        """Exact derivatives of :meth:`simulate` over a whole record by linear parameters, (N·6, P), A.
 
         Raises UnknownNameError for a key that is not a linear parameter of this model.
         """
@@ -241,31 +237,29 @@ class ArmModel:
             "joint_temperatures": motion.temperature[at],
         }
         along = {f"{name}_{j}": values[:, j] for name, values in columns.items() for j in range(self.joints)}
-        return {**along, **self.driven(theta, record, windows, along)}
+        return {**along, **self.drive_coordinates(theta, record, windows, along)}
 
-    def driven(
+    def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The rigid body's torque on each joint, N·m."""
+        """Rigid-body torque of each joint, (N,), N·m."""
         load = self._rigid(theta, record)[windows.rows]
         return {f"load_{j}": load[:, j] for j in range(self.joints)}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Torque of each joint's drive at these coordinates in N·m, (N, 6), dry friction by sgn q̇."""
-        return np.column_stack([self._effort(theta, coordinates, joint) for joint in range(self.joints)])
+        """Torque of each drive at these coordinates, (N, 6), N·m, with dry friction along sgn q̇."""
+        return np.column_stack([self._torque_at(theta, coordinates, joint) for joint in range(self.joints)])
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """Starts are in units of their own: joints differ in size."""
+        """All 1: joints differ in size, so starts are in the units of the parameters."""
         return dict.fromkeys(CharacteristicScale, 1.0)
 
-    # What follows reads values out of theta and puts columns together.
-
     def _places(self, name: str) -> np.ndarray:
-        """Where the parameter stands in theta for each joint (6,); −1 where a joint has none."""
+        """Index of a parameter in theta for each joint (6,); −1 where a joint has none."""
         return np.array([self._index.get(keyed(name, joint), -1) for joint in range(self.joints)])
 
     def _of_joints(self, theta: FloatArray, name: str) -> FloatArray:
-        """A parameter's values (6,); zero where a joint has none."""
+        """Values of a parameter (6,); zero where a joint has none."""
         places = self._six.get(name)
         return np.zeros(self.joints) if places is None else np.where(places >= 0, theta[places], 0.0)
 
@@ -278,13 +272,13 @@ class ArmModel:
         return np.asarray((1.0 + self._of_joints(theta, GAIN)) / constant)
 
     def _gravity(self, theta: FloatArray) -> FloatArray:
-        return upright(self._number(theta, "base_tilt.roll"), self._number(theta, "base_tilt.pitch"))
+        return gravity_in_base(self._number(theta, "base_tilt.roll"), self._number(theta, "base_tilt.pitch"))
 
     def _payload(self, theta: FloatArray) -> FloatArray:
-        """Inertial parameters (60,) that the payload adds."""
+        """Inertial parameters (60,) of the payload."""
         out = np.zeros(self.joints * PER_LINK)
         centre = tuple(self._number(theta, f"payload.centre_{axis}") for axis in "xyz")
-        out[LAST] = inertial_of(self._number(theta, "payload.mass"), centre)
+        out[LAST_LINK] = inertial_of(self._number(theta, "payload.mass"), centre)
         return out
 
     def _inertial(self, theta: FloatArray) -> FloatArray:
@@ -296,7 +290,7 @@ class ArmModel:
         return self.first.inertial(values) + self._payload(theta)
 
     def _load_inertial(self, theta: FloatArray) -> FloatArray:
-        """Inertial parameters (60,) of the load on the gears: the known ones or the first estimate's."""
+        """Inertial parameters (60,) for the load on the gears: known ones or the first estimate."""
         known = self.links.inertial
         if known is None:
             assert self.first is not None
@@ -320,7 +314,7 @@ class ArmModel:
         return view.elastic_regressor(compliance, self._load_inertial(theta), gravity, delay)
 
     def _rigid(self, theta: FloatArray, record: Record) -> FloatArray:
-        """Torques of the rigid body (n, 6), N·m; remembered, since most of a fit is about friction."""
+        """Torques of the rigid body (n, 6), N·m; cached, since most steps of a fit change friction only."""
         inertial, compliance = self._inertial(theta), self._of_joints(theta, COMPLIANCE)
         key = (
             inertial.tobytes(), self._gravity(theta).tobytes(), compliance.tobytes(), self._delay(theta)
@@ -335,30 +329,30 @@ class ArmModel:
         return view.elastic_torques(compliance, self._load_inertial(theta), gravity, delay, inertial)
 
     def _torques(self, theta: FloatArray, record: Record) -> FloatArray:
-        """Torques of the drives (n, 6), N·m."""
+        """Torques of the drives (n, 6), N·m: rigid body, joint laws, additional forces."""
         view = self._view(record)
         torques = self._rigid(theta, record).copy()
         for name in self._laws:
             for joint, level in enumerate(self._of_joints(theta, name)):
                 if level:
                     torques[:, joint] += level * self._law(theta, view, joint, name)
-        for joint, share in enumerate(self._of_joints(theta, LOAD)):
+        for joint, share in enumerate(self._of_joints(theta, LOAD_FRICTION)):
             if share:
                 torques[:, joint] += share * self._load(theta, view, joint)
-        lengths, delay = self._of_joints(theta, LENGTH), self._delay(theta)
+        lengths, delay = self._of_joints(theta, PRESLIDING_LENGTH), self._delay(theta)
         for force in self._forces:
             assert force.joint is not None
             torques[:, force.joint] -= view.push(force, float(lengths[force.joint]), delay)
         return torques
 
     def _law(self, theta: FloatArray, view: View, joint: int, name: str) -> FloatArray:
-        length = float(self._of_joints(theta, LENGTH)[joint])
+        length = float(self._of_joints(theta, PRESLIDING_LENGTH)[joint])
         return view.law(
             joint, name, self._laws[name], self._shape(theta, joint, name), length, self._delay(theta)
         )
 
     def _shape(self, theta: FloatArray, joint: int, name: str) -> float:
-        """What a law depends on in another way than in proportion: known, estimated, or nothing."""
+        """Value of a law's shape parameter, known or estimated; 0 if it has none."""
         shaped_by = self._laws[name].shaped_by
         if shaped_by is None:
             return 0.0
@@ -366,17 +360,17 @@ class ArmModel:
         return float(self._of_joints(theta, shaped_by)[joint]) if known is None else known
 
     def _load(self, theta: FloatArray, view: View, joint: int) -> FloatArray:
-        length = float(self._of_joints(theta, LENGTH)[joint])
+        length = float(self._of_joints(theta, PRESLIDING_LENGTH)[joint])
         inertial, gravity = self._load_inertial(theta), self._gravity(theta)
         return view.load(joint, length, inertial, gravity, self._delay(theta))
 
     def _slope(self, theta: FloatArray, record: Record, parameter: Parameter, out: FloatArray) -> None:
-        """Fill ``out`` (n, 6) with A per unit of one linear parameter."""
+        """Fill ``out`` (n, 6) with the derivative by one linear parameter, A per unit."""
         view, gain, joint = self._view(record), self._gain(theta), parameter.joint
         assert joint is not None
         if parameter.name == OFFSET:
             out[:, joint] = 1.0
-        elif parameter.name == LOAD:
+        elif parameter.name == LOAD_FRICTION:
             out[:, joint] = gain[joint] * self._load(theta, view, joint)
         elif parameter.name in self._laws:
             out[:, joint] = gain[joint] * self._law(theta, view, joint, parameter.name)
@@ -385,11 +379,11 @@ class ArmModel:
             column = self.first.grouped.column(parameter.name, joint)
             out[:] = gain * self._rigid_regressor(theta, record)[:, :, column]
 
-    def _effort(self, theta: FloatArray, coordinates: Mapping[str, FloatArray], joint: int) -> FloatArray:
+    def _torque_at(self, theta: FloatArray, coordinates: Mapping[str, FloatArray], joint: int) -> FloatArray:
         q, qd = coordinates[f"actual_q_{joint}"], coordinates[f"actual_qd_{joint}"]
         load, s = coordinates[f"load_{joint}"], directions(q, qd, 0.0)
         warmer = coordinates[f"joint_temperatures_{joint}"] - self._temperature[joint]
-        torque = load + self._of_joints(theta, LOAD)[joint] * np.abs(load) * s
+        torque = load + self._of_joints(theta, LOAD_FRICTION)[joint] * np.abs(load) * s
         for name, law in self._laws.items():
             level = self._of_joints(theta, name)[joint]
             if level:

@@ -1,4 +1,4 @@
-"""What of an arm itself is to be estimated: torque constants, and what its joints carry."""
+"""Parameters of an arm itself: torque constants and grouped inertial parameters."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from labhil.physics.arm.first_estimate import FirstEstimate
 from labhil.physics.terms import Parameter
 
 TYPICAL_CONSTANT = 11.0
-"""N·m/A with the gear ratio: about 0.11 N·m/A at the motor times 101."""
+"""Typical torque constant behind the gear, N·m/A: about 0.11 at the motor times 101."""
 
 
-def own_parameters(joints: int, first: FirstEstimate | None, *, known: bool) -> tuple[Parameter, ...]:
-    """Torque constants unless they are ``known``, and grouped inertial parameters where there are any."""
+def arm_parameters(joints: int, first: FirstEstimate | None, *, known: bool) -> tuple[Parameter, ...]:
+    """Make the parameters: torque constants unless ``known``, and grouped inertial parameters if any."""
     constants = () if known else tuple(
         Parameter("torque_constant", "N·m/A", TYPICAL_CONSTANT, 0.01, 1e3, starts=(TYPICAL_CONSTANT,),
                   joint=joint)

@@ -1,9 +1,9 @@
-"""Torques of the rigid arm, linear in its links' inertial parameters: τ = Y(q, q̇, q̈; g)·π.
+"""Inverse dynamics of a rigid arm, linear in the inertial parameters of its links: τ = Y(q, q̇, q̈; g)·π.
 
-Newton's and Euler's equations of each link about the origin of its own frame, carried down to the base
-(Atkeson, An and Hollerbach 1986). π holds ten numbers a link: m, m·c_x, m·c_y, m·c_z, I_xx, I_yy, I_zz,
-I_xy, I_xz, I_yz, the inertia about the origin of the link's frame. Nothing is differentiated: products
-of inertia and Coriolis terms come out of the recursion.
+τ are joint torques (N·m), Y is the regressor, q, q̇, q̈ is the motion (rad, rad/s, rad/s²), g gravity (m/s²).
+π holds ten numbers per link: m, m·c_x, m·c_y, m·c_z (kg, kg·m), I_xx, I_yy, I_zz, I_xy, I_xz, I_yz (kg·m²),
+about the origin of the link's frame. The recursion applies Newton's and Euler's equations to each link and
+propagates wrenches to the base (Atkeson, An and Hollerbach 1986).
 """
 
 from __future__ import annotations
@@ -20,14 +20,22 @@ if TYPE_CHECKING:
     from labhil.physics.arm.links import Links
 
 PER_LINK = 10
-"""Inertial parameters of a link: m, m·c (x y z), inertia about the frame's origin (xx yy zz xy xz yz)."""
+"""Number of inertial parameters of a link."""
 
 GRAVITY = 9.81
 """m/s²."""
 
 
-def upright(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
-    """Gravity (3,) m/s² in the frame of a base that is rolled about x, then pitched about the floor's y."""
+def gravity_in_base(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
+    """Gravity in the frame of the base.
+
+    Args:
+        roll: Rotation of the base about x, rad.
+        pitch: Rotation about the y axis of the floor, after the roll, rad.
+
+    Returns:
+        Gravity, (3,), m/s².
+    """
     level = GRAVITY * np.cos(pitch)
     return np.array([GRAVITY * np.sin(pitch), -level * np.sin(roll), -level * np.cos(roll)])
 
@@ -35,17 +43,40 @@ def upright(roll: float = 0.0, pitch: float = 0.0) -> FloatArray:
 def regressor(
     links: Links, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray
 ) -> FloatArray:
-    """Y (n, 6, 60) of a motion (n, 6) in rad, rad/s, rad/s²; ``gravity`` (3,) m/s² in the base's frame."""
+    """Regressor Y of a motion.
+
+    Args:
+        links: The links.
+        q: Angles, (n, 6), rad.
+        qd: Velocities, (n, 6), rad/s.
+        qdd: Accelerations, (n, 6), rad/s².
+        gravity: Gravity in the frame of the base, (3,), m/s².
+
+    Returns:
+        Torque per inertial parameter, (n, 6, 60).
+    """
     out = np.zeros((len(q), JOINTS, JOINTS * PER_LINK))
     q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
-    columns_of_links(links.d, links.a, links.alpha, q, qd, qdd, gravity, out)
+    regressor_of_links(links.d, links.a, links.alpha, q, qd, qdd, gravity, out)
     return out
 
 
 def torques(
     links: Links, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
 ) -> FloatArray:
-    """The same times ``inertial`` (60,), without making Y: (n, 6), N·m."""
+    """Torques Y·π of a motion without computing Y.
+
+    Args:
+        links: The links.
+        q: Angles, (n, 6), rad.
+        qd: Velocities, (n, 6), rad/s.
+        qdd: Accelerations, (n, 6), rad/s².
+        gravity: Gravity in the frame of the base, (3,), m/s².
+        inertial: Inertial parameters π, (60,), SI.
+
+    Returns:
+        Torques, (n, 6), N·m.
+    """
     out = np.zeros((len(q), JOINTS))
     q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
     pi = np.ascontiguousarray(inertial)
@@ -65,7 +96,7 @@ def torques_of_links(
     inertial: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (n, 6); see :func:`torques`."""
+    """Fill ``out`` (n, 6) with :func:`torques`."""
     rotation = np.empty((6, 3, 3))
     step = np.empty((6, 3))
     w, dw, acc = np.empty(3), np.empty(3), np.empty(3)
@@ -80,7 +111,7 @@ def torques_of_links(
             _place(d[i], a[i], alpha[i], step[i])
             _next(rotation[i], step[i], qd[n, i], qdd[n, i], w, dw, acc)
             newton_euler(w, dw, acc, wrench)
-            weighted(wrench, inertial, i, loads[i])
+            wrench_at(wrench, inertial, i, loads[i])
         total[:, 0] = 0.0
         for j in range(5, -1, -1):
             for k in range(6):
@@ -90,8 +121,8 @@ def torques_of_links(
 
 
 @inlined
-def weighted(wrench: FloatArray, inertial: FloatArray, link: int, out: FloatArray) -> None:
-    """``out`` (6,): force and moment of a link at its inertial parameters."""
+def wrench_at(wrench: FloatArray, inertial: FloatArray, link: int, out: FloatArray) -> None:
+    """Fill ``out`` (6,) with force and moment of a link at its inertial parameters."""
     for k in range(6):
         out[k] = 0.0
         for c in range(PER_LINK):
@@ -99,7 +130,7 @@ def weighted(wrench: FloatArray, inertial: FloatArray, link: int, out: FloatArra
 
 
 @inlined
-def columns_of_links(
+def regressor_of_links(
     d: FloatArray,
     a: FloatArray,
     alpha: FloatArray,
@@ -109,7 +140,7 @@ def columns_of_links(
     gravity: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (n, 6, 60), zero before; see :func:`regressor`."""
+    """Fill ``out`` (n, 6, 60), initially zero, with :func:`regressor`."""
     rotation = np.empty((6, 3, 3))
     step = np.empty((6, 3))
     w, dw, acc = np.empty(3), np.empty(3), np.empty(3)
@@ -132,7 +163,7 @@ def columns_of_links(
 
 @inlined
 def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
-    """Rotation of frame i as seen from frame i − 1."""
+    """Rotation matrix from frame i to frame i − 1."""
     cq, sq, ca, sa = np.cos(q), np.sin(q), np.cos(alpha), np.sin(alpha)
     rotation[0, 0], rotation[0, 1], rotation[0, 2] = cq, -sq * ca, sq * sa
     rotation[1, 0], rotation[1, 1], rotation[1, 2] = sq, cq * ca, -cq * sa
@@ -141,7 +172,7 @@ def _turn(q: float, alpha: float, rotation: FloatArray) -> None:
 
 @inlined
 def _place(d: float, a: float, alpha: float, step: FloatArray) -> None:
-    """Origin of frame i as seen from frame i − 1, in frame i."""
+    """Vector from the origin of frame i − 1 to that of frame i, in frame i."""
     step[0], step[1], step[2] = a, d * np.sin(alpha), d * np.cos(alpha)
 
 
@@ -149,7 +180,7 @@ def _place(d: float, a: float, alpha: float, step: FloatArray) -> None:
 def _next(
     r: FloatArray, p: FloatArray, qd: float, qdd: float, w: FloatArray, dw: FloatArray, acc: FloatArray
 ) -> None:
-    """From frame i − 1 to frame i, in place: angular velocity and acceleration, the origin's acceleration."""
+    """Propagate angular velocity, angular and linear acceleration from frame i − 1 to frame i, in place."""
     x, y, z = dw[0] + w[1] * qd, dw[1] - w[0] * qd, dw[2] + qdd
     u, v, s = w[0], w[1], w[2] + qd
     f, g, h = acc[0], acc[1], acc[2]
@@ -166,7 +197,7 @@ def _next(
 
 @inlined
 def newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatArray) -> None:
-    """Force (rows 0–2) and moment about the frame's origin (rows 3–5) by each of the ten parameters."""
+    """Force (rows 0–2) and moment about the frame's origin (rows 3–5) per inertial parameter."""
     wx, wy, wz = w[0], w[1], w[2]
     bx, by, bz = dw[0], dw[1], dw[2]
     wrench[:] = 0.0
@@ -188,9 +219,9 @@ def newton_euler(w: FloatArray, dw: FloatArray, acc: FloatArray, wrench: FloatAr
 
 @inlined
 def _carry(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
-    """Turn forces and moments about the origin of frame j into those about the origin of frame j − 1.
+    """Transform forces and moments from the origin of frame j to that of frame j − 1.
 
-    Row 5 is then the moment about that frame's z axis, which is the axis of joint j.
+    Row 5 is then the moment about the z axis of frame j − 1, the axis of joint j.
     """
     for c in range(wrench.shape[1]):
         f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]

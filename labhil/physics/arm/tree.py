@@ -1,8 +1,8 @@
-"""Rigid bodies on hinges in any arrangement, linear in their inertial parameters: τ = Y(q, q̇, q̈; g)·π.
+"""Inverse dynamics of a tree of rigid bodies on hinges, linear in inertial parameters: τ = Y(q, q̇, q̈; g)·π.
 
-Frame i is fixed to link i, with its origin on the axis of joint i. At q_i = 0 it is turned by ``turn[i]``
-and moved by ``offset[i]`` from the frame of the link that carries it (−1: the base); joint i then turns it
-about ``axis[i]``. The equations are those of ``physics.arm.rigid_body``, which has the order of π.
+Frame i is fixed to link i, with its origin on the axis of joint i. At q_i = 0 it is rotated by ``turn[i]``
+and displaced by ``offset[i]`` from the frame of its parent link ``carrier[i]`` (−1: the base); joint i then
+rotates it about ``axis[i]``. Equations, symbols and the order of π are those of ``physics.arm.rigid_body``.
 """
 
 from __future__ import annotations
@@ -13,16 +13,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.compiled import inlined
-from labhil.physics.arm.rigid_body import PER_LINK, newton_euler, weighted
+from labhil.physics.arm.rigid_body import PER_LINK, newton_euler, wrench_at
 from labhil.signals import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
-    """``carrier`` (n,); ``turn`` (n, 3, 3); ``offset`` m and ``axis`` (n, 3); inertial parameters (10 n,).
+    """A tree of rigid bodies (implements ``physics.arm.chain.Chain``).
 
-    ``begin`` are what a file says of the inertial parameters; ``inertial`` the same where they are taken for
-    known, else None (satisfies ``physics.arm.chain.Chain``).
+    Attributes:
+        carrier: Parent link of each link, (n,); −1 is the base.
+        turn: Rotation of each frame in that of its parent at angle zero, (n, 3, 3).
+        offset: Origin of each frame in that of its parent, (n, 3), m.
+        axis: Unit vector of each joint's axis in its frame, (n, 3).
+        begin: Inertial parameters of the description, (10 n,), SI.
+        inertial: The same if they count as known, else None.
     """
 
     carrier: IntArray
@@ -39,11 +44,11 @@ class Tree:
 
     @property
     def on_base(self) -> list[int]:
-        """Joints that the base carries."""
+        """Joints whose parent is the base."""
         return [j for j, carrier in enumerate(self.carrier) if carrier < 0]
 
     def loaded(self, link: int) -> Sequence[int]:
-        """Joints between a link and the base."""
+        """Joints between the base and a link."""
         path = []
         while link >= 0:
             path.append(link)
@@ -51,17 +56,17 @@ class Tree:
         return sorted(path)
 
     def regressor(self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray) -> FloatArray:
-        """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,) in the base."""
+        """Torque per inertial parameter (m, n, 10 n) of a motion (m, n); ``gravity`` (3,), m/s²."""
         n = self.joints
         out = np.zeros((len(q), n, n * PER_LINK))
         q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
-        columns_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, out)
+        regressor_of_tree(self.carrier, self.turn, self.offset, self.axis, q, qd, qdd, gravity, out)
         return out
 
     def torques(
         self, q: FloatArray, qd: FloatArray, qdd: FloatArray, gravity: FloatArray, inertial: FloatArray
     ) -> FloatArray:
-        """Torques (m, n) of a motion at these inertial parameters (10 n,)."""
+        """Torques (m, n), N·m, of a motion at inertial parameters (10 n,)."""
         out = np.zeros((len(q), self.joints))
         q, qd, qdd = np.ascontiguousarray(q), np.ascontiguousarray(qd), np.ascontiguousarray(qdd)
         pi = np.ascontiguousarray(inertial)
@@ -82,7 +87,7 @@ def torques_of_tree(
     inertial: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (m, n); carriers come before what they carry."""
+    """Fill ``out`` (m, n) with torques; parents come before their children."""
     joints = carrier.size
     rotation, moving = np.empty((joints, 3, 3)), np.empty((joints, 3, 3))
     wrench, loads, load = np.empty((6, PER_LINK)), np.empty((joints, 6)), np.empty((6, 1))
@@ -92,7 +97,7 @@ def torques_of_tree(
             carry(carrier[i], moving, gravity, rotation[i], offset[i], moving[i])
             add_hinge(axis[i], qd[m, i], qdd[m, i], moving[i])
             newton_euler(moving[i, 0], moving[i, 1], moving[i, 2], wrench)
-            weighted(wrench, inertial, i, loads[i])
+            wrench_at(wrench, inertial, i, loads[i])
         for i in range(joints - 1, -1, -1):
             out[m, i] = axis[i, 0] * loads[i, 3] + axis[i, 1] * loads[i, 4] + axis[i, 2] * loads[i, 5]
             if carrier[i] >= 0:
@@ -104,7 +109,7 @@ def torques_of_tree(
 
 
 @inlined
-def columns_of_tree(
+def regressor_of_tree(
     carrier: IntArray,
     turn: FloatArray,
     offset: FloatArray,
@@ -115,7 +120,7 @@ def columns_of_tree(
     gravity: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (m, n, 10 n), zero before; see :class:`Tree`."""
+    """Fill ``out`` (m, n, 10 n), initially zero, with the regressor."""
     joints = carrier.size
     rotation = np.empty((joints, 3, 3))
     moving = np.empty((joints, 3, 3))
@@ -158,7 +163,7 @@ def carry(
     p: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Rows of ``out``: angular velocity, angular acceleration, acceleration of the origin; of the carrier."""
+    """Propagate angular velocity, angular and linear acceleration (rows of ``out``) from the parent."""
     wx, wy, wz, bx, by, bz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ax, ay, az = -gravity[0], -gravity[1], -gravity[2]
     if carrier >= 0:
@@ -179,7 +184,7 @@ def carry(
 
 @inlined
 def add_hinge(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
-    """Add the joint's own turning, in place."""
+    """Add the rotation of the joint to a motion, in place."""
     x, y, z = axis[0], axis[1], axis[2]
     wx, wy, wz = of[0, 0], of[0, 1], of[0, 2]
     of[1, 0] += qdd * x + qd * (wy * z - wz * y)
@@ -190,7 +195,7 @@ def add_hinge(axis: FloatArray, qd: float, qdd: float, of: FloatArray) -> None:
 
 @inlined
 def hand_down(r: FloatArray, p: FloatArray, wrench: FloatArray) -> None:
-    """Turn forces and moments about a link's origin into those about its carrier's."""
+    """Transform forces and moments from the origin of a link to that of its parent."""
     for c in range(wrench.shape[1]):
         f, g, h = wrench[0, c], wrench[1, c], wrench[2, c]
         x, y, z = wrench[3, c], wrench[4, c], wrench[5, c]

@@ -1,4 +1,4 @@
-"""What a model looks up again and again for one record: regressors and columns of joint laws at its rows."""
+"""Caches of regressors and of columns of joint laws at the rows of a record."""
 
 from __future__ import annotations
 
@@ -16,15 +16,20 @@ from labhil.physics.extra_force import CurveArgument, ExtraForce, along_positive
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
-LAWS_REMEMBERED = 15 * JOINTS
-FORCES_REMEMBERED = 2 * JOINTS
-NEIGHBOURS = 6
+LAW_CACHE_SIZE = 15 * JOINTS
+"""Columns of joint laws that are kept: 15 for each joint."""
+
+FORCE_CACHE_SIZE = 2 * JOINTS
+"""Columns of additional forces that are kept: 2 for each joint."""
+
+INTERPOLATION_POINTS = 6
+"""Samples of an interpolating polynomial."""
 
 Value = TypeVar("Value")
 
 
-class Remembered(Generic[Value]):
-    """The last few results of something that takes long; safe for several threads."""
+class Cache(Generic[Value]):
+    """The last ``size`` results of an expensive computation; thread-safe."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -32,7 +37,7 @@ class Remembered(Generic[Value]):
         self._lock = Lock()
 
     def of(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """What is known under ``key``, or what ``make`` makes."""
+        """Return the result under ``key``; compute it by ``make`` if it is not cached."""
         value = self._known.get(key)
         if value is None:
             value = make()
@@ -43,21 +48,21 @@ class Remembered(Generic[Value]):
         return value
 
     def forget(self, key: Hashable) -> None:
-        """Make it anew the next time."""
+        """Remove the result under ``key``."""
         with self._lock:
             self._known.pop(key, None)
 
 
 class RecordViews:
-    """The motions behind the last few records and their views; ``reference`` as of :class:`View`."""
+    """Cache of motions and views of the last ``size`` records; ``reference`` as in :class:`View`."""
 
     def __init__(self, reference: FloatArray, size: int) -> None:
         self._reference = reference
-        self._motions: Remembered[tuple[FloatArray, Motion, np.ndarray]] = Remembered(size)
-        self._views: Remembered[View] = Remembered(size)
+        self._motions: Cache[tuple[FloatArray, Motion, np.ndarray]] = Cache(size)
+        self._views: Cache[View] = Cache(size)
 
     def motion(self, record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
-        """The record's inputs, the motion behind them and the places of its rows there."""
+        """The inputs of a record, their motion, and the positions of the record's rows in it."""
         # records of the same inputs share their motion: a bootstrap replaces outputs only
         key = id(record.inputs)
         entry = self._motions.of(key, lambda: _motion_of(record))
@@ -67,7 +72,7 @@ class RecordViews:
         return entry
 
     def of(self, links: Chain, record: Record) -> View:
-        """The view of a record's motion with these rigid bodies."""
+        """The view of the motion of a record for these rigid bodies."""
         inputs, motion, rows = self.motion(record)
         view = self._views.of(id(inputs), lambda: View(links, motion, rows, self._reference))
         if view.rows is not rows:
@@ -77,63 +82,64 @@ class RecordViews:
 
 
 def _motion_of(record: Record) -> tuple[FloatArray, Motion, np.ndarray]:
+    """Inputs, motion and row positions of a record, prepared or not."""
     if isinstance(record, PreparedRecord) and record.motion is not None:
         return record.inputs, record.motion, record.places
     return record.inputs, unfiltered_motion(record), np.arange(len(record))
 
 
-class Between:
-    """Places (n,) between the samples of an even raster of m, read by Lagrange's polynomials.
+class LagrangeInterpolation:
+    """Lagrange interpolation at places (n,) between m evenly spaced samples.
 
-    Six neighbours: a sine of ten samples per cycle comes out within 0.03 %.
+    With six points, a sine of ten samples per period is interpolated within 0.03 %.
     """
 
     def __init__(self, places: FloatArray, m: int) -> None:
-        first = np.clip(np.floor(places).astype(np.int64) - 2, 0, m - NEIGHBOURS)
+        first = np.clip(np.floor(places).astype(np.int64) - 2, 0, m - INTERPOLATION_POINTS)
         x = places - first
-        self._near = first[:, None] + np.arange(NEIGHBOURS)
-        self._weights = np.ones((len(places), NEIGHBOURS))
-        for i in range(NEIGHBOURS):
-            for j in range(NEIGHBOURS):
+        self._near = first[:, None] + np.arange(INTERPOLATION_POINTS)
+        self._weights = np.ones((len(places), INTERPOLATION_POINTS))
+        for i in range(INTERPOLATION_POINTS):
+            for j in range(INTERPOLATION_POINTS):
                 if j != i:
                     self._weights[:, i] *= (x - j) / (i - j)
 
     def read(self, columns: FloatArray) -> FloatArray:
-        """Columns (m, …) at the places, (n, …)."""
+        """Interpolate columns (m, …) at the places, (n, …)."""
         return np.asarray(np.einsum("ni,ni...->n...", self._weights, columns[self._near]))
 
 
 class View:
-    """One motion seen at the rows (n,) of a record, or ``delay`` s before them.
+    """Torques of one motion at the rows (n,) of a record, or ``delay`` seconds before them, cached.
 
-    ``reference`` (6,) °C are the temperatures at which viscous friction is stated.
+    ``reference`` (6,), °C, are the temperatures at which viscous friction has its stated value.
     """
 
     def __init__(self, links: Chain, motion: Motion, rows: np.ndarray, reference: FloatArray) -> None:
         self.links = links
         self.motion = motion
         self.rows = rows
-        self.torques: Remembered[FloatArray] = Remembered(8)
+        self.torques: Cache[FloatArray] = Cache(8)
         self._reference = reference
-        self._between: Remembered[Between] = Remembered(4)
-        self._laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
-        self._whole_laws: Remembered[FloatArray] = Remembered(LAWS_REMEMBERED)
-        self._regressors: Remembered[FloatArray] = Remembered(4)
-        self._elastic: Remembered[FloatArray] = Remembered(4)
-        self._loads: Remembered[FloatArray] = Remembered(4)
-        self._pushed: Remembered[FloatArray] = Remembered(FORCES_REMEMBERED)
+        self._between: Cache[LagrangeInterpolation] = Cache(4)
+        self._laws: Cache[FloatArray] = Cache(LAW_CACHE_SIZE)
+        self._whole_laws: Cache[FloatArray] = Cache(LAW_CACHE_SIZE)
+        self._regressors: Cache[FloatArray] = Cache(4)
+        self._elastic: Cache[FloatArray] = Cache(4)
+        self._loads: Cache[FloatArray] = Cache(4)
+        self._pushed: Cache[FloatArray] = Cache(FORCE_CACHE_SIZE)
 
     def at_rows(self, columns: FloatArray, delay: float) -> FloatArray:
-        """Columns (m, …) of the whole motion at the rows, (n, …)."""
+        """Interpolate columns (m, …) of the motion at the rows, (n, …)."""
         if delay == 0.0:
             return np.ascontiguousarray(columns[self.rows])
         return self._between.of(delay, lambda: self._delayed_places(delay, len(columns))).read(columns)
 
-    def _delayed_places(self, delay: float, m: int) -> Between:
-        return Between(np.clip(self.rows - delay / self.motion.period, 0.0, m - 1.0), m)
+    def _delayed_places(self, delay: float, m: int) -> LagrangeInterpolation:
+        return LagrangeInterpolation(np.clip(self.rows - delay / self.motion.period, 0.0, m - 1.0), m)
 
     def rigid(self, gravity: FloatArray, delay: float) -> FloatArray:
-        """Regressor (n, 6, 60) of the rigid body, torque per inertial parameter."""
+        """Regressor of the rigid body, torque per inertial parameter, (n, 6, 60)."""
 
         def compute() -> FloatArray:
             m = self.motion
@@ -142,7 +148,7 @@ class View:
         return self._regressors.of((gravity.tobytes(), delay), compute)
 
     def straight_torques(self, gravity: FloatArray, delay: float, inertial: FloatArray) -> FloatArray:
-        """Torques (n, 6) of the rigid body at these inertial parameters (60,)."""
+        """Torques (n, 6), N·m, of the rigid body with stiff joints at inertial parameters (60,)."""
         m = self.motion
         return self.links.torques(*self._at((m.q, m.qd, m.qdd), delay), gravity, inertial)
 
@@ -153,7 +159,7 @@ class View:
         return q, qd, qdd
 
     def law(self, joint: int, name: str, law: Law, shape: float, length: float, delay: float) -> FloatArray:
-        """Torque (n,) per unit of one linear parameter of a joint; ``length`` rad of its bristles."""
+        """Torque (n,) per unit of a linear parameter of a joint; ``length`` is the presliding length, rad."""
         key = (joint, name, shape if law.shaped_by else 0.0, length if law.dry else 0.0)
 
         def compute() -> FloatArray:
@@ -174,7 +180,7 @@ class View:
         return directions(self.motion.q[:, joint], self.motion.qd[:, joint], length)
 
     def push(self, force: ExtraForce, length: float, delay: float) -> FloatArray:
-        """Torque (n,) of one more force on its joint; ``length`` rad of bristles where it is dry friction."""
+        """Torque (n,), N·m, of an additional force on its joint; ``length`` is the presliding length, rad."""
         grid, values = force.grid.tobytes(), force.values.tobytes()
         key = (force.joint, force.of, force.acts, grid, values, length, delay)
         return self._pushed.of(
@@ -182,7 +188,7 @@ class View:
         )
 
     def _force(self, force: ExtraForce, length: float) -> FloatArray:
-        """Of the whole motion, (m,)."""
+        """Torque of an additional force along the whole motion, (m,)."""
         assert force.joint is not None
         m, (name, _, number) = self.motion, force.of.rpartition("_")
         along = (m.q if name == "actual_q" else m.qd)[:, int(number)]
@@ -193,7 +199,7 @@ class View:
     def load(
         self, joint: int, length: float, inertial: FloatArray, gravity: FloatArray, delay: float
     ) -> FloatArray:
-        """|τ_load|·s of one joint (n,): the rigid body's torque along the direction of dry friction."""
+        """|τ_load|·s of one joint (n,), N·m: rigid-body torque along the direction s of dry friction."""
         key = (joint, length, inertial.tobytes(), gravity.tobytes())
 
         def compute() -> FloatArray:
@@ -208,7 +214,7 @@ class View:
     def elastic_regressor(
         self, compliance: FloatArray, inertial: FloatArray, gravity: FloatArray, delay: float
     ) -> FloatArray:
-        """Regressor (n, 6, 60) where links hang ``compliance`` (6,) rad/(N·m) times their load behind."""
+        """Regressor (n, 6, 60) with elastic joints: links lag by ``compliance`` (6,) rad/(N·m) times load."""
 
         def compute() -> FloatArray:
             return self.links.regressor(*self._elastic_motion(compliance, inertial, gravity, delay), gravity)
@@ -223,14 +229,14 @@ class View:
         delay: float,
         inertial: FloatArray,
     ) -> FloatArray:
-        """Torques (n, 6) of such links at ``inertial`` (60,); ``loading`` (60,) is what bends them."""
+        """Torques (n, 6) with elastic joints at ``inertial`` (60,); ``loading`` (60,) gives the load."""
         motion = self._elastic_motion(compliance, loading, gravity, delay)
         return self.links.torques(*motion, gravity, inertial)
 
     def _elastic_motion(
         self, compliance: FloatArray, inertial: FloatArray, gravity: FloatArray, delay: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Motion of the links at the rows."""
+        """Motion of the links behind elastic joints at the rows."""
         m = self.motion
         behind = m.slowly(compliance * self._whole(inertial, gravity))
         slower = np.gradient(behind, m.t, axis=0)
@@ -238,7 +244,7 @@ class View:
         return self._at((m.q - behind, m.qd - slower, m.qdd - slope), delay)
 
     def _whole(self, inertial: FloatArray, gravity: FloatArray) -> FloatArray:
-        """Rigid torques (m, 6) of the whole motion."""
+        """Rigid-body torques (m, 6) of the whole motion."""
 
         def compute() -> FloatArray:
             m = self.motion
