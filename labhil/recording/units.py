@@ -99,7 +99,7 @@ def unit_in_name(name: str) -> tuple[str, Unit] | None:
 
 
 def without_unit(name: str) -> str:
-    """The name of a column without the unit that it states: ``time`` for ``time [ms]`` and for ``time_ms``."""
+    """The name of a column without the unit that it states: ``time`` for ``time [ms]`` and ``time_ms``."""
     plain = name.strip()
     match = _IN_BRACKETS.match(plain) or _BEHIND.match(plain)
     return match["name"] if match and match["name"] and unit_in_name(plain) else name
