@@ -67,7 +67,7 @@ class FitTask:
         lengths: lengths of the windows in s, ascending.
         sigma: (channels,), noise of the channels.
         begin: (P,), parameters to start from, in SI units.
-        fresh: keys of terms that start at each of their own start values instead.
+        new_terms: keys of terms that start at each of their own start values instead.
         options: estimator, seed and progress.
         restarts: restarts of a global search.
     """
@@ -78,7 +78,7 @@ class FitTask:
     lengths: Sequence[float]
     sigma: FloatArray
     begin: FloatArray
-    fresh: Sequence[str]
+    new_terms: Sequence[str]
     options: Options
     restarts: RestartOptions = RestartOptions()
 
@@ -129,7 +129,7 @@ def fit_on_growing_windows(task: FitTask) -> tuple[list[Fitted], bool]:
         longer: list[Fitted] = []
         try:
             fit_by_continuation(
-                model, record, terms, lengths[1:], task.sigma, start=first.theta, fresh=(), reached=longer
+                model, record, terms, lengths[1:], task.sigma, start=first.theta, new_terms=(), reached=longer
             )
         finally:
             fits += longer
@@ -141,8 +141,8 @@ def fit_on_growing_windows(task: FitTask) -> tuple[list[Fitted], bool]:
         accept()
         if not fits:
             start = task.begin if early.theta is None else early.theta
-            new = early.theta is None and bool(task.fresh)
-            fits.append(fit_briefly(model, record, terms, lengths[0], task.sigma, start, fresh=new))
+            new = early.theta is None and bool(task.new_terms)
+            fits.append(fit_briefly(model, record, terms, lengths[0], task.sigma, start, from_own_starts=new))
         return fits, False
     return fits, True
 
@@ -188,7 +188,14 @@ def _fit_shortest_windows(task: FitTask) -> Fitted:
     tolerance = INTERMEDIATE_TOLERANCE if len(task.lengths) > 1 else TOLERANCE
     if estimator == "nlse":
         return fit_terms(
-            model, record, terms, shortest, sigma, start=task.begin, new_terms=task.fresh, tolerance=tolerance
+            model,
+            record,
+            terms,
+            shortest,
+            sigma,
+            start=task.begin,
+            new_terms=task.new_terms,
+            tolerance=tolerance,
         )
     windows = fit_windows(record, longest if model.fading_memory else shortest)
     problem = Problem(model, record, windows, free_parameter_indices(model, terms), task.begin, sigma)
@@ -196,7 +203,7 @@ def _fit_shortest_windows(task: FitTask) -> Fitted:
     fit_from = partial(fit_terms, model, record, terms, shortest, sigma, shapes=False, tolerance=tolerance)
     scout = _search_and_scout(problem, fit_from, task)
     if estimator == DEFAULT and scout.noise >= task.restarts.explained_in_noise:
-        unsearched = fit_from(start=task.begin, new_terms=task.fresh, max_scout_cost=scout.solution.cost)
+        unsearched = fit_from(start=task.begin, new_terms=task.new_terms, max_scout_cost=scout.solution.cost)
         if unsearched.solution.cost < scout.solution.cost:
             return unsearched
     searched = fit_from(start=scout.theta, states=scout.solution.point.states, new_terms=())

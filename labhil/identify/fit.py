@@ -120,7 +120,7 @@ class Fit:
         by_window: estimates on windows of other lengths.
         sigma: (channels,), noise of the channels.
         residuals: (N, channels), residuals on the fitted windows in units of noise.
-        left: RMSE of each channel on the fitted windows.
+        channel_errors: RMSE of each channel on the fitted windows.
         criterion: what was minimised.
         fitted: the fit itself.
         intervals: method of the confidence intervals.
@@ -146,7 +146,7 @@ class Fit:
     by_window: list[WindowEstimate]
     sigma: FloatArray
     residuals: FloatArray
-    left: tuple[FittedChannel, ...]
+    channel_errors: tuple[FittedChannel, ...]
     criterion: Metric
     fitted: Fitted
     intervals: Intervals
@@ -206,9 +206,9 @@ def fit(
     else:
         keys = tuple(term.key for term in terms_named(model, terms))
         lengths = [options.window] if options.window else window_lengths(model, record)
-        fresh = () if start else keys
+        new_terms = () if start else keys
         fits, complete = fit_on_growing_windows(
-            FitTask(model, record, keys, lengths, noise_of(record), begin, fresh, options)
+            FitTask(model, record, keys, lengths, noise_of(record), begin, new_terms, options)
         )
     try:
         if complete:
@@ -267,7 +267,7 @@ def _comparable_windows(by_window: Sequence[WindowEstimate], chosen: int) -> lis
     return [estimate for estimate in others if not some_explained or estimate.residual <= EXPLAINED_TO]
 
 
-def _channels_of(fitted: Fitted) -> tuple[FittedChannel, ...]:
+def _channel_errors(fitted: Fitted) -> tuple[FittedChannel, ...]:
     """RMSE of each channel on the fitted windows."""
     problem = fitted.problem
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma)) * problem.sigma
@@ -307,7 +307,7 @@ def _assemble(
         by_window=by_window,
         sigma=problem.sigma,
         residuals=residuals,
-        left=_channels_of(fitted),
+        channel_errors=_channel_errors(fitted),
         criterion=problem.model.metric,
         fitted=fitted,
         adequacy=adequacy,

@@ -196,8 +196,8 @@ def fit_terms(
     estimated = free_parameter_indices(model, terms, held)
     free = estimated if shapes else estimated[[not model.parameters[i].shape for i in estimated]]
     if starts is None:
-        fresh = terms_named(model, terms if new_terms is None else new_terms)
-        starts = starts_of(model, fresh, record) if fresh else [{}]
+        starting = terms_named(model, terms if new_terms is None else new_terms)
+        starts = starts_of(model, starting, record) if starting else [{}]
     places = index_of(model.parameters)
     problems = []
     for values in starts:
@@ -289,7 +289,7 @@ def fit_by_continuation(
     sigma: FloatArray,
     *,
     start: FloatArray,
-    fresh: Sequence[str],
+    new_terms: Sequence[str],
     held: Collection[str] = (),
     reached: list[Fitted] | None = None,
 ) -> list[Fitted]:
@@ -303,7 +303,7 @@ def fit_by_continuation(
     Args:
         lengths: lengths of the windows in s, ascending.
         start: (P,), parameters to start from.
-        fresh: terms that start at each of their own start values on the first windows.
+        new_terms: terms that start at each of their own start values on the first windows.
         held: keys of parameters to hold fixed.
         reached: an empty list that is filled with the fits; it holds the finished ones when the fit is ended
             early.
@@ -321,7 +321,7 @@ def fit_by_continuation(
             terms,
             length,
             sigma,
-            new_terms=() if fits else fresh,
+            new_terms=() if fits else new_terms,
             held=held,
             tolerance=INTERMEDIATE_TOLERANCE if k + 1 < len(lengths) else TOLERANCE,
         )
@@ -354,7 +354,7 @@ def fit_briefly(
     sigma: FloatArray,
     start: FloatArray,
     *,
-    fresh: bool,
+    from_own_starts: bool,
     iterations: int = 5,
 ) -> Fitted:
     """Fit by a few iterations from one start, for the result of a fit that is ended early.
@@ -362,10 +362,10 @@ def fit_briefly(
     The first arguments are those of `fit_terms`.
 
     Args:
-        fresh: terms start at the first of their own start values, not at ``start``.
+        from_own_starts: terms start at the first of their own start values, not at ``start``.
         iterations: number of iterations; five take a second or two and lower the cost far below its start.
     """
-    new = terms_named(model, terms) if fresh else ()
+    new = terms_named(model, terms) if from_own_starts else ()
     starts = starts_of(model, new, record)[:1] if new else [{}]
     return fit_terms(
         model,

@@ -81,7 +81,7 @@ def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tu
     data = Data(model, record, test, noise_of(record), noise_of(test), window, begin)
     lengths = [0.5 * window, window, 2.0 * window]
     return data, fit_by_continuation(
-        model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms
+        model, record, list(terms), lengths, data.sigma, start=begin, new_terms=terms
     )[-1]
 
 

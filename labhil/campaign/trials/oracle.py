@@ -107,13 +107,13 @@ class Oracle:
         model, search, sigma, begin = self.model, self.search, self.sigma, start_theta(self.model, known)
         if not self._states:
             return [
-                fit_by_continuation(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[
-                    -1
-                ]
+                fit_by_continuation(
+                    model, search, terms, [search.longest], sigma, start=begin, new_terms=fresh
+                )[-1]
             ]
         # windows are there for the sake of their initial states
         lengths = [share * self.horizon for share in RUNGS]
-        climbed = fit_by_continuation(model, search, terms, lengths, sigma, start=begin, fresh=fresh)[-1]
+        climbed = fit_by_continuation(model, search, terms, lengths, sigma, start=begin, new_terms=fresh)[-1]
         states = estimate_states_at(
             model, begin, search, climbed.problem.windows, sigma, thorough=True
         ).states
