@@ -33,8 +33,8 @@ would make it enormous. Rounding leaves 1e-7 and less; of other responses a few 
 
 
 @dataclass(frozen=True, slots=True)
-class StepOptions:
-    """Steps of the finite differences; the values are heuristics.
+class ResponseOptions:
+    """Options of the finite differences and of the curves' priors; the values are heuristics.
 
     Attributes:
         target_rms_in_noise: RMS of the response that a step aims at, in noise levels.
@@ -160,7 +160,7 @@ def compute_responses(
     absent: Sequence[str] | None = None,
     curves: Sequence[CurveResponse] = (),
     *,
-    options: StepOptions | None = None,
+    options: ResponseOptions | None = None,
 ) -> Responses:
     """Simulate the responses of all terms at a fit, and take their inner products.
 
@@ -171,12 +171,12 @@ def compute_responses(
         correlation: (c,), first-order autocorrelation of the noise of each output.
         absent: keys of the terms that may be added; None for all that the model has.
         curves: forces over one coordinate each, which may be added too.
-        options: steps of the finite differences; None for the defaults.
+        options: options of the finite differences; None for the defaults.
 
     Returns:
         The responses of all terms that the data can show.
     """
-    options = options or StepOptions()
+    options = options or ResponseOptions()
     problem, solution = fitted.problem, fitted.solution
     lin = linearise_to_flatter_side(problem, solution)
     owners = [problem.model.parameters[i].term for i in problem.free]
@@ -211,7 +211,7 @@ def compute_responses(
 
 
 def _all_absent_variants(
-    model: Model, fitted: Fitted, lin: Linearised, absent: Sequence[str], options: StepOptions
+    model: Model, fitted: Fitted, lin: Linearised, absent: Sequence[str], options: ResponseOptions
 ) -> list[_UnplacedVariant]:
     """All variants of the terms that the fit lacks, in the order of the terms."""
     # a term that is periodic along a coordinate takes hundreds of simulations; the others run in parallel
@@ -254,7 +254,7 @@ def _in_order(placed: Mapping[str, Sequence[Variant]]) -> list[Variant]:
 
 
 def _with_smoothness(
-    problem: Problem, variant: _UnplacedVariant, options: StepOptions
+    problem: Problem, variant: _UnplacedVariant, options: ResponseOptions
 ) -> list[_UnplacedVariant]:
     """The variant of a named term as it is, that of a curve once for each smoothness."""
     model = problem.model
@@ -264,7 +264,7 @@ def _with_smoothness(
 
 
 def _curve_variants(
-    variant: _UnplacedVariant, roughness: FloatArray, options: StepOptions
+    variant: _UnplacedVariant, roughness: FloatArray, options: ResponseOptions
 ) -> list[_UnplacedVariant]:
     """A variant of a curve for each smoothness of the prior."""
     count = len(variant.columns)
@@ -297,7 +297,7 @@ def _present_variant(problem: Problem, fitted: Fitted, lin: Linearised, term: st
 
 
 def _absent_variants(
-    fitted: Fitted, lin: Linearised, options: StepOptions, term: str
+    fitted: Fitted, lin: Linearised, options: ResponseOptions, term: str
 ) -> list[_UnplacedVariant]:
     """Variants of a term that the fit lacks: one for each set of its shapes, two where it has a threshold."""
     described = terms_named(fitted.problem.model, [term])[0]
@@ -330,7 +330,7 @@ def _columns_of_size(
     at: Mapping[str, float],
     parameter: Parameter,
     step: float,
-    options: StepOptions,
+    options: ResponseOptions,
 ) -> list[_Response]:
     """Responses to steps of one parameter that change the residuals by about the noise level.
 
@@ -363,7 +363,7 @@ def _columns_of_size(
 
 
 def _search_step(
-    respond: Callable[[float], tuple[float, FloatArray]], step: float, upper: float, options: StepOptions
+    respond: Callable[[float], tuple[float, FloatArray]], step: float, upper: float, options: ResponseOptions
 ) -> dict[float, tuple[float, FloatArray]]:
     """Steps that changed the residuals, with the RMS of the response and the response per unit."""
     target, larger = options.target_rms_in_noise, options.larger_rms_in_noise
@@ -391,7 +391,7 @@ def _search_step(
     return tried
 
 
-def _is_proportional(tried: Mapping[float, tuple[float, FloatArray]], options: StepOptions) -> bool:
+def _is_proportional(tried: Mapping[float, tuple[float, FloatArray]], options: ResponseOptions) -> bool:
     """Whether responses near the noise level are proportional to their steps; True for a single one."""
     per_unit = [rms / size for size, (rms, _) in tried.items() if rms < 4.0 * options.larger_rms_in_noise]
     return len(per_unit) < 2 or max(per_unit) / min(per_unit) < 1.0 + options.proportional_tolerance

@@ -102,7 +102,7 @@ def _with_estimated_noise(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]
 def _with_force_curve(
     data: Data,
     result: SearchResult,
-    longest: float,
+    longest_window: float,
     correlation: FloatArray,
     progress: Progress,
     *,
@@ -113,17 +113,17 @@ def _with_force_curve(
     Args:
         data: the data of the search.
         result: its result.
-        longest: length in s of the windows of the last stage.
+        longest_window: length in s of the windows of the last stage.
         correlation: (c,), autocorrelation of the noise.
         progress: is called with a line of text.
-        window_in_horizons: length of the windows in scored window_horizons; on longer ones responses are
+        window_in_horizons: length of the windows in scored horizons; on longer ones responses are
             rarely linear enough.
     """
     model = data.model
     if not isinstance(model, AcceptsExtraForce) or model.metric is Metric.INVERSE_DYNAMICS:
         return result
-    progress("a force over each coordinate in turn, instead of what is named and beside it")
-    shorter = replace(data, window=min(window_in_horizons * model.horizon, longest))
+    progress("a force over each coordinate in turn, next to the named terms or instead of them")
+    shorter = replace(data, window=min(window_in_horizons * model.horizon, longest_window))
     curve = CurveSearch(shorter, result.baseline.terms, correlation).run(on_windows(shorter, result.final))
     if curve is None:
         return result
@@ -133,11 +133,13 @@ def _with_force_curve(
     steps = tuple(step for step in result.missing if step.terms[0] in curve.beside.terms)
     # structures without a curve are far less probable, and no alternatives
     return replace(
-        result.ending(_refit_without_places(shorter, curve.beside), steps), curve=curve, alternatives=()
+        result.ending(_refit_without_position_state(shorter, curve.beside), steps),
+        curve=curve,
+        alternatives=(),
     )
 
 
-def _refit_without_places(data: Data, beside: Fitted) -> Fitted:
+def _refit_without_position_state(data: Data, beside: Fitted) -> Fitted:
     """Refit the terms next to a curve with the search's own model, without a state for the position."""
     if len(beside.problem.model.state_names) == len(data.model.state_names):
         return beside
