@@ -49,46 +49,46 @@ def _noise_as_left(data: Any, fitted: Any) -> tuple[Any, Any]:
     return data, np.zeros(len(data.sigma))
 
 
-VARIANTS: dict[str, tuple[search.Options, tuple[Part, ...]]] = {
-    AS_IT_IS: (search.Options(), ()),
+VARIANTS: dict[str, tuple[search.SearchOptions, tuple[Part, ...]]] = {
+    AS_IT_IS: (search.SearchOptions(), ()),
     "no disturbance in the likelihood": (
-        search.Options(),
+        search.SearchOptions(),
         ((responses.Disturbance, "grid", staticmethod(_undisturbed)),),
     ),
     "noise as differences of samples, white": (
-        search.Options(),
-        ((stages, "_in_noise_beside", _noise_as_left),),
+        search.SearchOptions(),
+        ((stages, "_with_estimated_noise", _noise_as_left),),
     ),
     "rounding as independent noise": (
-        search.Options(),
+        search.SearchOptions(),
         ((Problem, "effective_fraction", property(lambda problem: np.ones(len(problem.owner)))),),
     ),
     "only where a disturbance is possible": (
-        search.Options(),
+        search.SearchOptions(),
         (
             (search, "EVIDENCES", (beam.with_disturbance,)),
             (beam, "EVIDENCES", (beam.with_disturbance,)),
         ),
     ),
-    "no look at smaller sets": (search.Options(climbed=0), ()),
-    "no relevance at the end": (search.Options(relevance=0.0), ()),
-    "every step gone on from": (search.Options(step=-np.inf), ()),
-    "any number of terms compared at once": (search.Options(few=99), ()),
+    "no look at smaller sets": (search.SearchOptions(max_terms_for_subsets=0), ()),
+    "no relevance at the end": (search.SearchOptions(min_relevance=0.0), ()),
+    "every step gone on from": (search.SearchOptions(min_step_relevance=-np.inf), ()),
+    "any number of terms compared at once": (search.SearchOptions(max_added_terms=99), ()),
     "shapes not begun anew": (
-        search.Options(),
+        search.SearchOptions(),
         ((search.StructureSearch, "_refit_shapes", lambda self, state, structure: None),),
     ),
     "held-out data not asked": (
-        search.Options(),
+        search.SearchOptions(),
         (
             (stages, "validate_claims", lambda stage, result: result),
             (stages, "predicts_better", lambda before, after: True),
         ),
     ),
-    "short windows only": (search.Options(horizons=(0.375,)), ()),
+    "short windows only": (search.SearchOptions(window_horizons=(0.375,)), ()),
     "no curves": (
-        search.Options(),
-        ((stages, "_with_curve", lambda data, result, *rest: result),),
+        search.SearchOptions(),
+        ((stages, "_with_force_curve", lambda data, result, *rest: result),),
     ),
 }
 """Each with its options, and what stands in the place of what: of an object, an attribute, by another."""
@@ -115,7 +115,9 @@ def without(parts: tuple[Part, ...]) -> Iterator[None]:
         yield
 
 
-def run_search(folder: Path, name: str, baseline: tuple[str, ...], options: search.Options) -> SearchResult:
+def run_search(
+    folder: Path, name: str, baseline: tuple[str, ...], options: search.SearchOptions
+) -> SearchResult:
     """What the search finds in one trial."""
     material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
     data = data_of(material.model, material.train, material.test)

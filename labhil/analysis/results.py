@@ -75,7 +75,7 @@ def fit_json(
             },
             "intervals": {"method": fit.intervals.value, "simultaneous": fit.simultaneous},
             "criterion": fit.criterion.value,
-            "left": [asdict(channel) for channel in fit.left],
+            "left": [asdict(channel) for channel in fit.channel_errors],
             "window": fit.window,
             "by_window": [asdict(rung) for rung in fit.by_window],
             "compared": list(fit.compared),

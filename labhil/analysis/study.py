@@ -19,7 +19,7 @@ from labhil.diagnose.diagnosis import diagnose
 from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.identify.fit import Fit, Options, fit
 from labhil.identify.further_channels import suggest_measurements
-from labhil.identify.windows import FEWEST_IN_WINDOW
+from labhil.identify.windows import FEWEST_SAMPLES_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
 from labhil.physics.several import for_every_recording
@@ -71,12 +71,13 @@ def fit_study(
     """
     material.refuse_holes()
     require_motion(material.recordings[0][0].path, material.train, material.model.metric)
-    shortest = FEWEST_IN_WINDOW * material.train.period
+    shortest = FEWEST_SAMPLES_IN_WINDOW * material.train.period
     settings = options or Options()
     if settings.window is not None and not 0.99 * shortest <= settings.window < float("inf"):
         raise OptionError(
             "window",
-            f": expected at least {shortest:.3g} s ({FEWEST_IN_WINDOW} samples), found {settings.window:g}",
+            f": expected at least {shortest:.3g} s ({FEWEST_SAMPLES_IN_WINDOW} samples), "
+            f"found {settings.window:g}",
         )
     model = under_kept_curve(material.model, start)
     chosen = terms

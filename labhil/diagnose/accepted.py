@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labhil.errors import ModelFileError
-from labhil.identify.fitted import free_of, start_theta
+from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.statistics import Estimate
 from labhil.physics.model import Model
 from labhil.physics.terms import Parameter, keyed
@@ -50,7 +50,7 @@ class Accepted:
                 raise ModelFileError(
                     f"{self.name}: parameters: expected parameters of {model.kind}, found {key!r}"
                 )
-        for i in free_of(model, self.terms):
+        for i in free_parameter_indices(model, self.terms):
             key = model.parameters[i].key
             if key not in self.values:
                 raise ModelFileError(

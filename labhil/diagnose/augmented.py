@@ -17,7 +17,7 @@ from labhil.diagnose.begin import fit_baseline, with_coloured_noise
 from labhil.diagnose.judge import Data, is_far_likelier
 from labhil.diagnose.refit import on_windows
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.diagnose.structures.enumerate import RELEVANCE, relevance
+from labhil.diagnose.structures.enumerate import MIN_RELEVANCE, relevance
 from labhil.identify.fitted import Fitted
 from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.score import Score, score
@@ -94,7 +94,7 @@ def leave_more(rms: FloatArray) -> bool:
         rms: (2, c) left of searched and held-out data, in units of the noise.
     """
     each = np.eye(rms.shape[1], dtype=bool)
-    return max(relevance(rms[1] ** 2, rms[0] ** 2, one) for one in each) >= RELEVANCE
+    return max(relevance(rms[1] ** 2, rms[0] ** 2, one) for one in each) >= MIN_RELEVANCE
 
 
 def split_held_out(data: Data) -> tuple[Record, Record] | None:

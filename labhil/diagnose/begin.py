@@ -40,7 +40,7 @@ def baseline_of(data: Data, terms: Sequence[str]) -> tuple[Data, Fitted, bool]:
         accept()
     if base is None:
         window, begin = data.window, data.begin
-        base = fit_briefly(data.model, data.search, terms, window, data.sigma, begin, fresh=True)
+        base = fit_briefly(data.model, data.search, terms, window, data.sigma, begin, from_own_starts=True)
     return data, base, True
 
 
@@ -49,7 +49,7 @@ def fit_baseline(data: Data, terms: Sequence[str]) -> Fitted:
     lengths = [FIRST_WINDOW_IN_HORIZONS * data.model.horizon, data.window]
     model, record, sigma, begin = data.model, data.search, data.sigma, data.begin
     return fit_by_continuation(
-        model, record, terms, lengths, sigma, start=begin, fresh=terms, held=data.held
+        model, record, terms, lengths, sigma, start=begin, new_terms=terms, held=data.held
     )[-1]
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.diagnose.structures.enumerate import KNOWN_NOISE
-from labhil.diagnose.structures.responses import STANDS_FOR
+from labhil.diagnose.structures.enumerate import NOISE_RMS_TOLERANCE
+from labhil.diagnose.structures.responses import REPRODUCIBLE_SHARE
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import index_of
 from labhil.physics.terms import Parameter, Term
@@ -74,7 +74,7 @@ def discrepancy_shifts(absent: AbsentEffects, known: Collection[str] = ()) -> di
     """
     fitted = absent.fitted
     problem, residuals = fitted.problem, fitted.solution.residuals
-    energy = float(residuals @ residuals) - KNOWN_NOISE**2 * fitted.dof
+    energy = float(residuals @ residuals) - NOISE_RMS_TOLERANCE**2 * fitted.dof
     keys = list(fitted.estimates)
     free = [place for place, key in enumerate(keys) if key not in known]
     if energy <= 0.0 or not free:
@@ -87,7 +87,7 @@ def discrepancy_shifts(absent: AbsentEffects, known: Collection[str] = ()) -> di
         shift = inverse @ effect.response
         orthogonal = effect.response - slopes @ shift
         power = float(orthogonal @ orthogonal)
-        if power <= STANDS_FOR * float(effect.response @ effect.response) or power <= 0.0:
+        if power <= REPRODUCIBLE_SHARE * float(effect.response @ effect.response) or power <= 0.0:
             continue
         likeness = float(orthogonal @ residuals) ** 2 / power
         moved += likeness * shift**2 * (energy / power)

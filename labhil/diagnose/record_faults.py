@@ -8,7 +8,7 @@ from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
 from labhil.diagnose.lag import partings
 from labhil.diagnose.lead import lead_of
 from labhil.identify.sampling import scattering_statement
-from labhil.identify.windows import HOLE
+from labhil.identify.windows import MIN_HOLE_IN_PERIODS
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
@@ -53,7 +53,7 @@ def gaps(record: Record) -> list[Fault]:
     missing = step[holes] - usual
     longest = holes[np.argmax(missing)]
     total, samples = percent(float(missing.sum() / duration)), round(missing.sum() / usual)
-    share = _bridged(record, missing, step[holes] > HOLE * usual) / duration
+    share = _bridged(record, missing, step[holes] > MIN_HOLE_IN_PERIODS * usual) / duration
     times = tuple((float(record.t[i]), float(record.t[i + 1])) for i in holes)
     return [
         Fault(

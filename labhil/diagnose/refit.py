@@ -9,8 +9,8 @@ import numpy as np
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.problem import Problem
-from labhil.identify.waves import starts_beside
-from labhil.identify.window_states import FIRST_GROWN, grow_states
+from labhil.identify.waves import starts_for_added_terms
+from labhil.identify.window_states import FIRST_SECTION_IN_HORIZONS, grow_states
 from labhil.identify.windows import fit_windows
 from labhil.physics.model import Model
 
@@ -32,7 +32,7 @@ def refit(
         data.sigma,
         start=with_only(data.model, current.theta, terms),
         states=current.solution.point.states,
-        starts=starts_beside(current, fresh) if fresh else [{}],
+        starts=starts_for_added_terms(current, fresh) if fresh else [{}],
         iterations=25,
         thorough=thorough,
         held=data.held,
@@ -47,7 +47,7 @@ def on_windows(data: Data, fitted: Fitted) -> Fitted:
         return fitted
     windows = fit_windows(data.search, data.window)
     problem = Problem(old.model, data.search, windows, old.free, fitted.theta, data.sigma)
-    states = grow_states(problem, fitted.solution.point.z, FIRST_GROWN * data.model.horizon)
+    states = grow_states(problem, fitted.solution.point.z, FIRST_SECTION_IN_HORIZONS * data.model.horizon)
     return fit_terms(
         data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
         states=states, iterations=25, tolerance=1e-4, held=data.held,

@@ -17,9 +17,9 @@ from labhil.diagnose import contradiction
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
 from labhil.identify.adequacy import NOISE_FLOOR_FACTOR, Adequacy, adequacy_of
-from labhil.identify.fitted import Fitted, covariances, free_of
+from labhil.identify.continuation import WINDOW_IN_HORIZONS
+from labhil.identify.fitted import Fitted, covariances, free_parameter_indices
 from labhil.identify.identifiability import undetermined_directions
-from labhil.identify.ladder import WINDOW_IN_HORIZONS
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
@@ -170,7 +170,7 @@ def _fit(
 ) -> Fitted:
     """Least squares from ``theta``; one parameter of a direction that the data do not know stays there."""
     windows = fit_windows(record, length)
-    free = free_of(model, accepted.terms)
+    free = free_parameter_indices(model, accepted.terms)
     problem = Problem(model, record, windows, free, theta, sigma)
     z = problem.start().z
     states = estimate_states(problem, z, thorough=False).states

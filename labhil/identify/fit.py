@@ -1,4 +1,8 @@
-"""From a record to a fitted, tested model."""
+"""Fit of a model to a record, with uncertainties, residual tests, and scores on training and test data.
+
+`fit` is the entry point. Fits on windows of increasing length are in continuation.py, the table of estimates
+in table.py.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,17 @@ from labhil.ending import EndedEarly, accept
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.adequacy import MAX_EXPLAINED_RATIO, Adequacy, adequacy_of
+from labhil.identify.continuation import (
+    FitTask,
+    fit_inverse_dynamics,
+    fit_on_growing_windows,
+    trusted_fit_index,
+    window_lengths,
+)
 from labhil.identify.estimators import DEFAULT
-from labhil.identify.fitted import Fitted, covariances, start_theta, trusted_rung
+from labhil.identify.fitted import Fitted, covariances, start_theta
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
-from labhil.identify.ladder import climb, regress, window_lengths
 from labhil.identify.sampling import hold_shifts, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.table import ParameterTable, table_of, widen
@@ -29,7 +39,14 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class WindowEstimate:
-    """A fit on windows of ``window`` s in figures: residual RMS in noise units, values and their errors."""
+    """Estimates on windows of one length.
+
+    Attributes:
+        window: length of the windows in s.
+        residual: RMS of the residuals in units of noise.
+        values: estimates by key, in SI units.
+        std_errors: their robust standard errors.
+    """
 
     window: float
     residual: float
@@ -39,12 +56,17 @@ class WindowEstimate:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How a fit is made.
+    """Options of a fit.
 
-    ``window`` (s) is the length of the fitted windows; by default one of a ladder, see
-    ``fitted.trusted_rung``. ``intervals`` is the method for them; ``simultaneous`` ones hold for all
-    parameters together. ``estimator`` is one of ``estimators.ESTIMATORS``, ``seed`` that of its draws.
-    ``criterion`` is what is made small; scores are by the model's own metric whatever it is.
+    Attributes:
+        window: length of the fitted windows in s; by default the longest trusted one, see
+            `continuation.trusted_fit_index`.
+        intervals: method of the confidence intervals.
+        simultaneous: intervals hold for all parameters together.
+        estimator: one of ``estimators.ESTIMATORS``.
+        seed: seed of the estimator's random numbers.
+        progress: is called with a line of text before each step.
+        criterion: what is minimised, by default the model's own metric; scores are always by the latter.
     """
 
     window: float | None = None
@@ -57,7 +79,17 @@ class Options:
 
 
 def criterion_named(name: str | None) -> Metric | None:
-    """The metric of that name, None for none; UnknownNameError lists those that exist."""
+    """Look up a criterion by its name.
+
+    Args:
+        name: name of a metric, or None.
+
+    Returns:
+        The metric, None for None.
+
+    Raises:
+        UnknownNameError: There is no such metric.
+    """
     if name is not None and name not in set(Metric):
         raise UnknownNameError("criterion", name, [metric.value for metric in Metric])
     return None if name is None else Metric(name)
@@ -65,7 +97,7 @@ def criterion_named(name: str | None) -> Metric | None:
 
 @dataclass(frozen=True, slots=True)
 class FittedChannel:
-    """What the fitted windows leave of one channel: RMSE in its unit, open loop from each one's own state."""
+    """Simulation error of one channel on the fitted windows: RMSE in the channel's unit."""
 
     channel: str
     joint: int | None
@@ -75,12 +107,34 @@ class FittedChannel:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A fitted model with its statistics; ``covariance`` (P, P) is the robust one, in SI units.
+    """A fitted model with its statistics.
 
-    ``residuals`` (N, channels) are those of the fitted windows, in units of noise; ``left`` is their size.
-    ``criterion`` is what was made small. ``adequacy`` says whether it explains the data; where it does not,
-    errors and covariance hold how far the estimates are from those on ``compared`` windows (s), and
-    ``sampling`` says whether the sampling may be why. ``complete`` is False where it was ended early.
+    Attributes:
+        terms: keys of the fitted terms.
+        estimates: estimates of all free parameters with intervals.
+        covariance: (P, P), robust covariance of the estimates, in SI units. For an inadequate model it
+            includes the differences to the estimates on the ``compared`` windows.
+        identifiability: which parameters the data determine.
+        theta: (M,), all parameters of the model, in SI units.
+        window: length of the fitted windows in s.
+        by_window: estimates on windows of other lengths.
+        sigma: (channels,), noise of the channels.
+        residuals: (N, channels), residuals on the fitted windows in units of noise.
+        channel_errors: RMSE of each channel on the fitted windows.
+        criterion: what was minimised.
+        fitted: the fit itself.
+        intervals: method of the confidence intervals.
+        simultaneous: intervals hold for all parameters together.
+        train: score on the training data.
+        test: score on the test data, if there are any.
+        adequacy: whether the model explains the data.
+        ljung_box_p: p value of the test that the residuals are white.
+        input_crosscorrelation_p: p value of the test that residuals and inputs are uncorrelated.
+        evaluations: number of simulations.
+        converged: whether the fit converged.
+        complete: False where the fit was ended early.
+        sampling: notes on the sampling, as a possible reason of inadequacy.
+        compared: lengths in s of other windows whose estimates should agree with these.
     """
 
     terms: tuple[str, ...]
@@ -92,7 +146,7 @@ class Fit:
     by_window: list[WindowEstimate]
     sigma: FloatArray
     residuals: FloatArray
-    left: tuple[FittedChannel, ...]
+    channel_errors: tuple[FittedChannel, ...]
     criterion: Metric
     fitted: Fitted
     intervals: Intervals
@@ -118,65 +172,78 @@ def fit(
     start: Mapping[str, float] | None = None,
     options: Options | None = None,
 ) -> Fit:
-    """Fit a model with these terms to a record, test it, and judge how far to believe it.
+    """Fit a model with these terms to a record, and evaluate it on training and test data.
 
-    ``start`` are values by parameter key to begin at; records are ``model.prepare``d ones. UsageError where
-    the rig has no such criterion.
+    Args:
+        model: the model with all its terms.
+        record: training data, prepared by ``model.prepare``.
+        terms: keys or names of the terms to fit.
+        test: test data, prepared likewise.
+        start: values by parameter key to start from, in SI units.
+        options: options of the fit; None for the defaults.
+
+    Returns:
+        The fitted model with its statistics.
+
+    Raises:
+        UsageError: The rig does not support the selected criterion.
     """
-    how = options or Options()
+    options = options or Options()
     record = with_noise_scales(model, record)
     test = None if test is None else with_noise_scales(model, test)
     begin = start_theta(model, start)
-    if how.criterion is Metric.WINDOWED_SIMULATION and not model.state_names:
+    if options.criterion is Metric.WINDOWED_SIMULATION and not model.state_names:
         raise UsageError(f"{model.kind} has no states to simulate; its criterion is {model.metric}")
-    if Metric.INVERSE_DYNAMICS in (model.metric, how.criterion):
+    if Metric.INVERSE_DYNAMICS in (model.metric, options.criterion):
         inverse = by_inverse_dynamics(model)
         keys = tuple(term.key for term in terms_named(inverse, terms))
         prepared = inverse.prepare(record)
         try:
-            (rungs, lengths), complete = regress(inverse, prepared, keys, begin), True
-        except EndedEarly:  # linear: no way there is shorter
+            (fits, lengths), complete = fit_inverse_dynamics(inverse, prepared, keys, begin), True
+        except EndedEarly:  # a linear fit has no shorter version: repeat it
             accept()
-            (rungs, lengths), complete = regress(inverse, prepared, keys, begin), False
+            (fits, lengths), complete = fit_inverse_dynamics(inverse, prepared, keys, begin), False
     else:
         keys = tuple(term.key for term in terms_named(model, terms))
-        lengths = [how.window] if how.window else window_lengths(model, record)
-        rungs, complete = climb(
-            model, record, keys, lengths, noise_of(record), begin, () if start else keys, how
+        lengths = [options.window] if options.window else window_lengths(model, record)
+        new_terms = () if start else keys
+        fits, complete = fit_on_growing_windows(
+            FitTask(model, record, keys, lengths, noise_of(record), begin, new_terms, options)
         )
     try:
         if complete:
-            return _evaluate(model, rungs, lengths, record, test, how)
+            return _evaluate(model, fits, lengths, record, test, options)
     except EndedEarly:
         accept()
-    quick = replace(how, intervals=Intervals.WALD)
-    return replace(_evaluate(model, rungs, lengths, record, test, quick), complete=False)
+    quick = replace(options, intervals=Intervals.WALD)
+    return replace(_evaluate(model, fits, lengths, record, test, quick), complete=False)
 
 
 def _evaluate(
     model: Model,
-    rungs: Sequence[Fitted],
+    fits: Sequence[Fitted],
     lengths: Sequence[float],
     record: Record,
     test: Record | None,
-    how: Options,
+    options: Options,
 ) -> Fit:
-    """Statistics and scores of the fits on these ``lengths`` of windows (s); fewer where it ended early."""
-    chosen = trusted_rung(rungs, lengths, model.horizon)
-    how.progress(f"statistics and scores, intervals by {how.intervals}")
-    by_window = [_window_estimate(r, length) for r, length in zip(rungs, lengths, strict=False)]
-    table = table_of(rungs[chosen], how.intervals, how.simultaneous)
-    scores = tuple(_score_with_forces(model, rungs[chosen].theta, r) for r in (record, test) if r is not None)
-    return _assemble(scores, rungs, chosen, by_window, table, how)
+    """Statistics and scores of the fits on windows of these ``lengths`` (s), or on the first few of them."""
+    chosen = trusted_fit_index(fits, lengths, model.horizon)
+    options.progress(f"statistics and scores, intervals by {options.intervals}")
+    by_window = [_window_estimate(r, length) for r, length in zip(fits, lengths, strict=False)]
+    table = table_of(fits[chosen], options.intervals, options.simultaneous)
+    scores = tuple(_score_with_forces(model, fits[chosen].theta, r) for r in (record, test) if r is not None)
+    return _assemble(scores, fits, chosen, by_window, table, options)
 
 
 def _score_with_forces(model: Model, theta: FloatArray, record: Record) -> Score:
-    """By the model's own metric, with what stands beside it."""
+    """Score by the model's own metric, with the scores of forces that belong to it."""
     sigma = noise_of(record)
     return with_forces(score(model, theta, record, sigma), model, theta, record, sigma)
 
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
+    """Estimates and robust standard errors of a fit on windows of ``length`` s."""
     robust, _, _ = covariances(fitted)
     names = [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
@@ -190,18 +257,18 @@ def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
 
 
 def _comparable_windows(by_window: Sequence[WindowEstimate], chosen: int) -> list[WindowEstimate]:
-    """Fits on other windows that should agree with the chosen one, were the model complete.
+    """Estimates on other windows that would agree with the chosen ones if the model were complete.
 
-    Where some windows, mostly the shortest, fit to the noise, only those that do: longer ones are biased by
-    what disturbs the plant, which is no fault of the estimate on short ones. Else all.
+    Where the residuals on some windows, mostly the shortest, are noise, these are only such windows: process
+    noise biases longer ones. Else these are all other windows.
     """
-    disturbed = min(rung.residual for rung in by_window) <= MAX_EXPLAINED_RATIO
-    others = [rung for k, rung in enumerate(by_window) if k != chosen]
-    return [rung for rung in others if not disturbed or rung.residual <= MAX_EXPLAINED_RATIO]
+    some_explained = min(estimate.residual for estimate in by_window) <= MAX_EXPLAINED_RATIO
+    others = [estimate for k, estimate in enumerate(by_window) if k != chosen]
+    return [estimate for estimate in others if not some_explained or estimate.residual <= MAX_EXPLAINED_RATIO]
 
 
-def _channels_of(fitted: Fitted) -> tuple[FittedChannel, ...]:
-    """What the fitted windows leave of each channel."""
+def _channel_errors(fitted: Fitted) -> tuple[FittedChannel, ...]:
+    """RMSE of each channel on the fitted windows."""
     problem = fitted.problem
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma)) * problem.sigma
     rmse = np.sqrt(np.mean(residuals**2, axis=0)).tolist()
@@ -211,14 +278,14 @@ def _channels_of(fitted: Fitted) -> tuple[FittedChannel, ...]:
 
 def _assemble(
     scores: Sequence[Score],
-    rungs: Sequence[Fitted],
+    fits: Sequence[Fitted],
     chosen: int,
     by_window: list[WindowEstimate],
     table: ParameterTable,
-    how: Options,
+    options: Options,
 ) -> Fit:
-    """The fit on the chosen windows; ``scores`` are those on the data of the fit and, if any, on others."""
-    fitted = rungs[chosen]
+    """Assemble the result of the chosen fit; ``scores`` are those on training data and, if any, test data."""
+    fitted = fits[chosen]
     problem = fitted.problem
     parameters = [problem.model.parameters[i] for i in problem.free]
     residuals = fitted.solution.residuals.reshape(-1, len(problem.sigma))
@@ -227,7 +294,8 @@ def _assemble(
     adequacy = adequacy_of(scores)
     others = [] if adequacy.explained else _comparable_windows(by_window, chosen)
     if not adequacy.explained:
-        values_of, errors_of = [rung.values for rung in others], [rung.std_errors for rung in others]
+        values_of = [estimate.values for estimate in others]
+        errors_of = [estimate.std_errors for estimate in others]
         table = widen(table, parameters, values_of, errors_of, hold_shifts(fitted))
     return Fit(
         terms=fitted.terms,
@@ -239,20 +307,20 @@ def _assemble(
         by_window=by_window,
         sigma=problem.sigma,
         residuals=residuals,
-        left=_channels_of(fitted),
+        channel_errors=_channel_errors(fitted),
         criterion=problem.model.metric,
         fitted=fitted,
         adequacy=adequacy,
-        intervals=how.intervals,
-        simultaneous=how.simultaneous,
+        intervals=options.intervals,
+        simultaneous=options.simultaneous,
         train=scores[0],
         test=scores[1] if len(scores) > 1 else None,
         ljung_box_p=statistics.smallest_p_value(lambda r, _: statistics.whiteness(r), residuals, begins),
         input_crosscorrelation_p=statistics.smallest_p_value(
             lambda r, rows: statistics.input_crosscorrelation(r, inputs[rows]), residuals, begins
         ),
-        evaluations=sum(rung.problem.evaluations for rung in rungs),
+        evaluations=sum(fitted.problem.evaluations for fitted in fits),
         converged=fitted.solution.converged,
         sampling=sampling_notes(fitted, explained=adequacy.explained),
-        compared=tuple(rung.window for rung in others),
+        compared=tuple(estimate.window for estimate in others),
     )

@@ -17,7 +17,7 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.rounding import Rounding
 from labhil.identify.window_products import without_states
 from labhil.identify.window_states import estimate_states_at
-from labhil.identify.windows import ScoredWindows, all_of, noise_at, scored_windows
+from labhil.identify.windows import ScoredWindows, noise_at, scored_windows, whole_recordings
 from labhil.physics.drive_balance import HasInverseDynamics
 from labhil.physics.model import Metric, Model, Record
 from labhil.signals import FloatArray, IntArray
@@ -192,7 +192,7 @@ def score(
         RecordingError: The record is too short.
     """
     if model.metric is Metric.INVERSE_DYNAMICS:
-        windows = all_of(record)
+        windows = whole_recordings(record)
     elif windows is None:
         windows = scored_windows(record, horizon or scored_horizon(model, theta, record))
     no_parameters = np.empty(0, dtype=np.int64)

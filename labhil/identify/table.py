@@ -21,7 +21,7 @@ from labhil.identify.intervals import (
     simultaneous_quantile,
 )
 from labhil.identify.problem import Point
-from labhil.identify.shapes import POORLY_KNOWN
+from labhil.identify.shapes import POORLY_KNOWN_RELATIVE_ERROR
 from labhil.identify.statistics import inverse_information
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
@@ -277,4 +277,4 @@ def _is_curved(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) 
     shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
     has_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
     is_positive = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)
-    return has_shape | (is_positive & (errors > POORLY_KNOWN * np.abs(fitted.theta[free])))
+    return has_shape | (is_positive & (errors > POORLY_KNOWN_RELATIVE_ERROR * np.abs(fitted.theta[free])))

@@ -1,7 +1,8 @@
-"""At which orders (waves along a coordinate) the fit of a force that repeats along the way may begin.
+"""Start values for a periodic force (cogging torque, for example) by a scan over its spatial order.
 
-The cost has a valley at every other multiple of one over the distance travelled, so no ladder of starts finds
-the right one: what the two waves of an order would explain is projected for every order before any refit.
+The cost has a local minimum at every other multiple of one over the distance travelled, so a few starts miss
+the right one. The scan computes for every order, by linear least squares on the residuals of a fit, how much
+of them the sine and cosine of this order would explain. Fits begin at the best orders.
 """
 
 from __future__ import annotations
@@ -20,40 +21,50 @@ from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray
 
-TURN = 2.0
-"""Radians by which the phase at the far end of the way changes from one order that is tried to the next."""
-
-SLOW = 0.5
-"""Share of the samples that have to show an order: its phase turns by less than half a wave in between."""
-
-STEPS = 5.0
-"""Steps of its converter that a wave of a reading must span: rounding repeats with the step and is none."""
-
-MOST = 150
-"""Orders that are tried at most, the lowest ones."""
-
-FEW = 5.0
-"""Times that the way is longer than what windows see of it, from which they have phases of their own."""
-
-PROPOSED = 3
-"""Orders at which fits begin."""
-
-SMALL = 0.1
-"""Size of the waves that are tried, in their scales."""
-
 Starts = list[dict[str, float]]
 
-_known: WeakKeyDictionary[Problem, dict[str, Starts]] = WeakKeyDictionary()
-"""Starts by term of each fit: a search needs the same ones beside each rival and in each pair."""
+_cached_starts: WeakKeyDictionary[Problem, dict[str, Starts]] = WeakKeyDictionary()
+"""Starts by term of each fitted problem: a search needs them with each rival and in each pair of terms."""
 
 
-def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
-    """Sets of values by key from which a fit may begin that has an absent group of terms as well.
+@dataclass(frozen=True, slots=True)
+class OrderScanOptions:
+    """Options of a scan over orders.
 
-    An order begins where it promises most beside the fit, with its waves as large as they promise.
+    Attributes:
+        phase_step_in_rad: change of the phase at the far end of the travel from one order to the next.
+        sampled_share: share of the moving samples between which the phase of the highest order turns by less
+            than half a wave.
+        min_wave_in_steps: smallest length of a wave in steps of the coordinate's converter: rounding repeats
+            with the step and looks like a force.
+        max_orders: largest number of orders in a scan, the lowest ones.
+        max_travel_in_spans: travel over the median span of a window from which each window has its own phase
+            in a first scan.
+        proposed: number of orders at which fits begin.
+        amplitude_in_scales: amplitude of the simulated waves, in scales of their parameters.
+    """
+
+    phase_step_in_rad: float = 2.0
+    sampled_share: float = 0.5
+    min_wave_in_steps: float = 5.0
+    max_orders: int = 150
+    max_travel_in_spans: float = 5.0
+    proposed: int = 3
+    amplitude_in_scales: float = 0.1
+
+
+def starts_for_added_terms(fitted: Fitted, added: Sequence[str]) -> Starts:
+    """Start values for a refit with further terms, periodic terms at the orders that explain most.
+
+    Args:
+        fitted: a fit without these terms.
+        added: keys of the terms to add.
+
+    Returns:
+        Sets of values by parameter key.
     """
     model = fitted.problem.model
-    terms = terms_named(model, group)
+    terms = terms_named(model, added)
     sets = starts_of(model, terms, fitted.problem.record)
     for term in terms:
         if term.order is not None and model.state_names:
@@ -62,115 +73,150 @@ def starts_beside(fitted: Fitted, group: Sequence[str]) -> Starts:
     return [dict(items) for items in dict.fromkeys(tuple(values.items()) for values in sets)]
 
 
-def orders_instead(fitted: Fitted, order: Parameter) -> FloatArray:
-    """Orders that promise most for a fitted term that has one, whatever the fit took it for; best first."""
+def scan_orders(fitted: Fitted, order: Parameter) -> FloatArray:
+    """Orders of a fitted periodic term that explain most of the residuals without it.
+
+    Args:
+        fitted: a fit with the term.
+        order: the parameter that is the term's order.
+
+    Returns:
+        Orders, the best one first.
+    """
     problem, point = fitted.problem, fitted.solution.point
     term = problem.model.terms[order.term or ""]
     places = index_of(problem.model.parameters)
     theta = fitted.theta.copy()
     theta[[places[p.key] for p in term.parameters if p is not order]] = 0.0
-    bare = Point(theta[problem.free] / problem.scale, point.states)
-    residuals = problem.residuals(bare)
-    without = replace(fitted, theta=theta, solution=replace(fitted.solution, point=bare, residuals=residuals))
-    return np.array([values[order.key] for values in _scan(without, term, order)])
+    neutral_point = Point(theta[problem.free] / problem.scale, point.states)
+    residuals = problem.residuals(neutral_point)
+    fit_without_term = replace(
+        fitted, theta=theta, solution=replace(fitted.solution, point=neutral_point, residuals=residuals)
+    )
+    return np.array([values[order.key] for values in _scan(fit_without_term, term, order)])
 
 
 def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
-    """Values of a term's parameters, at the orders that promise most beside a fit without it, best first."""
-    known = _known.setdefault(fitted.problem, {})
-    if term.key not in known:
-        known[term.key] = _scan(fitted, term, order)
-    return known[term.key]
+    """Start values of a periodic term at the orders that explain most of a fit's residuals.
+
+    Args:
+        fitted: a fit without the term.
+        term: the periodic term.
+        order: its parameter that is the order.
+
+    Returns:
+        Values by key for each proposed order, the best one first; cached for each fit.
+    """
+    cached = _cached_starts.setdefault(fitted.problem, {})
+    if term.key not in cached:
+        cached[term.key] = _scan(fitted, term, order)
+    return cached[term.key]
 
 
 def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
+    """Scan all orders of a term."""
     problem = fitted.problem
     along = problem.model.coordinates(
         fitted.theta, problem.record, problem.windows, fitted.solution.point.states
     )
     waves = [p for p in term.parameters if p is not order]
-    scan = Scan(ProjectedResiduals.of(fitted), order, waves, along[order.waves_over])
+    scan = OrderScan(ProjectedResiduals.of(fitted), order, waves, along[order.waves_over])
     keys = [p.key for p in waves]
     return [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
 
 
 @dataclass(frozen=True, slots=True)
-class Scan:
-    """What waves of any order would explain of what a fit leaves; ``way`` (N,) is the coordinate along it."""
+class OrderScan:
+    """A scan over the orders of a periodic force.
+
+    Attributes:
+        unexplained: residuals of a fit without the force.
+        order: the order's parameter.
+        waves: parameters of the sine and the cosine.
+        coordinate: (N,), the coordinate that the force depends on.
+        options: options of the scan.
+    """
 
     unexplained: ProjectedResiduals
     order: Parameter
     waves: list[Parameter]
-    way: FloatArray
+    coordinate: FloatArray
+    options: OrderScanOptions = OrderScanOptions()
 
     def best(self) -> list[tuple[float, list[float]]]:
-        """The orders that promise most, best first, each with the sizes of its waves.
+        """Find the orders that explain most.
 
-        Where windows see but a small part of the way, each has a phase of its own at first, and orders beside
-        the best ones are tried again with one phase for all.
+        Where a window spans only a small part of the travel, a first scan on a coarse grid gives each window
+        its own phase. Orders around its peaks are then scanned on a fine grid with one phase for all.
+
+        Returns:
+            Orders with the amplitudes of their waves, the best one first.
         """
-        together, apart = TURN / max(float(np.ptp(self.way)), 1e-12), TURN / self._span()
-        if apart < FEW * together:
-            return self._peaks(self._order_grid(together), one_phase=True)
-        peaks = [k for k, _ in self._peaks(self._order_grid(apart), one_phase=False)]
-        orders = [np.r_[k, np.arange(max(k - apart, self._lowest()), k + apart, together)] for k in peaks]
+        turn = self.options.phase_step_in_rad
+        fine, coarse = turn / max(float(np.ptp(self.coordinate)), 1e-12), turn / self._span()
+        if coarse < self.options.max_travel_in_spans * fine:
+            return self._peaks(self._order_grid(fine), one_phase=True)
+        peaks = [k for k, _ in self._peaks(self._order_grid(coarse), one_phase=False)]
+        orders = [np.r_[k, np.arange(max(k - coarse, self._lowest()), k + coarse, fine)] for k in peaks]
         return self._peaks(np.unique(np.concatenate([[], *orders])), one_phase=True)
 
     def _order_grid(self, step: float) -> FloatArray:
-        """Orders a step apart, as far up as samples show them."""
+        """Orders in steps of ``step``, up to the highest one that the samples resolve."""
         windows = self.unexplained.fitted.problem.windows
-        steps = np.abs(np.diff(self.way))[np.diff(windows.owner) == 0]
+        steps = np.abs(np.diff(self.coordinate))[np.diff(windows.owner) == 0]
         if not steps.any():
             return np.empty(0)
-        high = min(np.pi / float(np.quantile(steps[steps > 0.0], SLOW)), self._finest())
+        moving = float(np.quantile(steps[steps > 0.0], self.options.sampled_share))
+        high = min(np.pi / moving, self._highest())
         low = self._lowest()
-        return np.arange(low, min(self.order.upper, high, low + MOST * step), step)
+        return np.arange(low, min(self.order.upper, high, low + self.options.max_orders * step), step)
 
     def _lowest(self) -> float:
-        """The lowest order of which the way has two waves."""
-        return max(self.order.lower, TWO_WAVES / max(float(np.ptp(self.way)), 1e-12))
+        """The lowest order with two waves in the travel."""
+        return max(self.order.lower, TWO_WAVES / max(float(np.ptp(self.coordinate)), 1e-12))
 
-    def _finest(self) -> float:
-        """The order whose waves span as few steps of the reading of this coordinate as may be."""
+    def _highest(self) -> float:
+        """The highest order whose waves are long enough in steps of the coordinate's converter."""
         record = self.unexplained.fitted.problem.record
         read = [j for j, name in enumerate(record.output_names) if name == self.order.waves_over]
         steps = [converter_step(record.outputs[:, j]) for j in read]
-        return 2.0 * np.pi / (STEPS * max(*steps, 1e-300)) if steps else np.inf
+        return 2.0 * np.pi / (self.options.min_wave_in_steps * max(*steps, 1e-300)) if steps else np.inf
 
     def _span(self) -> float:
-        """The way that a window sees, the median."""
+        """Median span of the coordinate in a window."""
         problem = self.unexplained.fitted.problem
         edges = problem.edges // len(problem.sigma)
-        spans = np.maximum.reduceat(self.way, edges) - np.minimum.reduceat(self.way, edges)
+        spans = np.maximum.reduceat(self.coordinate, edges) - np.minimum.reduceat(self.coordinate, edges)
         return max(float(np.median(spans)), 1e-12)
 
     def _peaks(self, orders: FloatArray, *, one_phase: bool) -> list[tuple[float, list[float]]]:
-        """The highest local maxima among orders in turn, highest first, with the sizes of their waves."""
-        promises = [self._promise(float(k), one_phase=one_phase) for k in orders]
-        promised = np.array([-np.inf, *(promise for promise, _ in promises), -np.inf])
-        peaks = np.flatnonzero((promised[1:-1] >= promised[:-2]) & (promised[1:-1] > promised[2:]))
-        highest = peaks[np.argsort(-promised[1:-1][peaks])][:PROPOSED]
-        return [(float(orders[i]), promises[i][1]) for i in highest]
+        """The highest local maxima over ascending orders, highest first, with amplitudes of the waves."""
+        fits = [self._fit_order(float(k), one_phase=one_phase) for k in orders]
+        explained = np.array([-np.inf, *(squares for squares, _ in fits), -np.inf])
+        peaks = np.flatnonzero((explained[1:-1] >= explained[:-2]) & (explained[1:-1] > explained[2:]))
+        highest = peaks[np.argsort(-explained[1:-1][peaks])][: self.options.proposed]
+        return [(float(orders[i]), fits[i][1]) for i in highest]
 
-    def _promise(self, order: float, *, one_phase: bool) -> tuple[float, list[float]]:
-        """What of the squares the waves of one order explain, and their sizes."""
+    def _fit_order(self, order: float, *, one_phase: bool) -> tuple[float, list[float]]:
+        """Sum of squares that the waves of one order explain, and their amplitudes."""
         unexplained, problem = self.unexplained, self.unexplained.fitted.problem
+        small = self.options.amplitude_in_scales
         places = index_of(problem.model.parameters)
         columns = []
         for wave in self.waves:
             theta = unexplained.fitted.theta.copy()
             theta[places[self.order.key]] = order
-            theta[places[wave.key]] = SMALL * wave.scale
+            theta[places[wave.key]] = small * wave.scale
             columns.append(unexplained.residual_change(theta))
         both = np.column_stack(columns)
         if one_phase:
             both = unexplained.project_out_all(both)
-            gram, pull = (both.T @ both)[None], (both.T @ unexplained.target)[None]
+            gram, gradient = (both.T @ both)[None], (both.T @ unexplained.target)[None]
         else:
             both = unexplained.project_out_states(both)
             gram = problem.products(both, both)
-            pull = problem.products(both, unexplained.target[:, None])[:, :, 0]
+            gradient = problem.products(both, unexplained.target[:, None])[:, :, 0]
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
-        sizes = np.linalg.solve(gram, pull[:, :, None])[:, :, 0]
-        explained = float(np.sum(sizes * pull))
-        return explained, (-SMALL * sizes[0] * [wave.scale for wave in self.waves]).tolist()
+        sizes = np.linalg.solve(gram, gradient[:, :, None])[:, :, 0]
+        explained = float(np.sum(sizes * gradient))
+        return explained, (-small * sizes[0] * [wave.scale for wave in self.waves]).tolist()

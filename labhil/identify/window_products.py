@@ -1,7 +1,7 @@
-"""Inner products of columns within each window, and columns without what windows' own states explain.
+"""Compiled kernels of least squares with one initial state per window: inner products and projections.
 
-A fit takes them thousands of times, of some ten thousand rows and a few columns: one pass over the rows, with
-nothing allocated beside the result.
+A fit calls them thousands of times, with some ten thousand rows and a few columns. They pass once over the
+rows and allocate only the result. The solver that uses them is in problem.py and least_squares.py.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from labhil.signals import FloatArray, IntArray
 
 
 def window_products(left: FloatArray, right: FloatArray, edges: IntArray) -> FloatArray:
-    """Sum products of columns within each window.
+    """Take inner products of columns within each window.
 
     Args:
         left: (N, S).
         right: (N, K).
-        edges: (W,) first rows of the windows, which follow each other.
+        edges: (W,), first rows of the consecutive windows.
 
     Returns:
         Σ left[n, s]·right[n, k] over the rows of each window, (W, S, K).
@@ -36,13 +36,13 @@ def window_products(left: FloatArray, right: FloatArray, edges: IntArray) -> Flo
 def without_states(
     columns: FloatArray, by_states: FloatArray, share: FloatArray, edges: IntArray
 ) -> FloatArray:
-    """Take out of columns what each window's own states explain.
+    """Subtract the contribution of each window's initial state from columns.
 
     Args:
         columns: (N, K).
-        by_states: (N, S) slopes by the state that a row's window begins with.
-        share: (W, S, K) of each window's states.
-        edges: (W,) first rows of the windows, which follow each other.
+        by_states: (N, S), slopes by the initial state of the row's window.
+        share: (W, S, K), coefficients of each window's state.
+        edges: (W,), first rows of the consecutive windows.
 
     Returns:
         columns[n, k] − Σ by_states[n, s]·share[w, s, k] with the window w of row n, (N, K).

@@ -1,6 +1,8 @@
-"""The states that windows begin with, found for each window by itself while the parameters are held.
+"""Estimation of the initial state of every window, with the parameters held fixed.
 
-Each window has a damping of its own, so that one at a stop or a reversal does not hold back all the others.
+All windows are solved at once by Levenberg and Marquardt's method, each with its own damping, so that a
+window at an end stop or a reversal does not slow down the others. Parameters are estimated in
+least_squares.py.
 """
 
 from __future__ import annotations
@@ -13,53 +15,36 @@ from labhil.identify.problem import Point, Problem
 from labhil.physics.model import Model, Record, Windows
 from labhil.signals import FloatArray, IntArray
 
-POLISH = 1
-"""Steps that each window takes by itself after a step of the parameters."""
+ANGLE_SUFFIX = "_angle"
+"""Suffix of the names of states that are periodic in one turn."""
 
-OUTLYING = 2.0
-"""Windows that cost this many times the median are looked at again."""
-
-MORE_THAN_NOISE = 1.44
-"""Squared residuals, in those of noise, from which a window of a few hundred samples leaves more."""
-
-OTHER_VELOCITIES = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8)
-"""Where they begin anew, in scales of the state beside the measured velocity."""
-
-ANGLE, ANGLES = "_angle", 16
-"""How the name of a state ends that repeats after a turn, and where it begins anew, evenly over that."""
-
-TRIALS = 12
-"""States that are tried anew in every window when a fit settles."""
-
-FIRST_GROWN = 0.375
-"""Scored horizons of a long window on which its initial state is found first."""
-
-NEAR, FAR = 0.05, 0.5
-"""How far from the best so far they begin, in scales of the state: two thirds near, one third far."""
+FIRST_SECTION_IN_HORIZONS = 0.375
+"""Length of the first section of a long window on which its initial state is estimated, in scored horizons;
+a heuristic."""
 
 
 @dataclass(frozen=True, slots=True)
 class States:
-    """A state of every window, (W, S), with the residuals (N·c,) that it leaves; parameters held."""
+    """An initial state of every window (W, S), and the residuals (N·c,) of the simulation from there."""
 
     states: FloatArray
     residuals: FloatArray
 
     @property
     def cost(self) -> float:
-        """Sum of squares."""
+        """Sum of squared residuals."""
         return float(self.residuals @ self.residuals)
 
     def costs(self, problem: Problem) -> FloatArray:
-        """Sums of squares, (W,)."""
+        """Sums of squared residuals of the windows, (W,)."""
         return problem.per_window(self.residuals**2)
 
     def or_better(self, problem: Problem, other: States) -> States:
-        """The other where it costs less, window by window."""
+        """Take the other estimate in the windows where its cost is lower."""
         return self.choose(problem, other.costs(problem) < self.costs(problem), other)
 
     def choose(self, problem: Problem, which: np.ndarray, other: States) -> States:
-        """The other in the windows ``which`` (W,)."""
+        """Take the other estimate in the windows where ``which`` (W,) is true."""
         return States(
             np.where(which[:, None], other.states, self.states),
             np.where(which[problem.owner], other.residuals, self.residuals),
@@ -67,35 +52,73 @@ class States:
 
 
 def evaluate(problem: Problem, z: FloatArray, states: FloatArray) -> States:
-    """These states with what they leave."""
+    """Simulate from initial states (W, S) at the scaled parameters ``z`` (P,)."""
     return States(states, problem.residuals(Point(z, states)))
 
 
-def refine(problem: Problem, z: FloatArray, first: States, second: States) -> States:
-    """Begin each window at the better of both states, and improve it by itself."""
+def refine(problem: Problem, z: FloatArray, first: States, second: States, *, iterations: int = 1) -> States:
+    """Take the better of two estimates in every window, and improve it by a few iterations.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        first: an estimate.
+        second: another one.
+        iterations: iterations of each window; one is enough after a step of the parameters.
+    """
     if not problem.model.state_names:
         return first
-    return _improve_states(problem, z, first.or_better(problem, second), POLISH)
+    return _improve_states(problem, z, first.or_better(problem, second), iterations)
 
 
 def search_states(
-    problem: Problem, z: FloatArray, states: FloatArray, random: np.random.Generator, trials: int = TRIALS
+    problem: Problem,
+    z: FloatArray,
+    states: FloatArray,
+    random: np.random.Generator,
+    trials: int = 12,
+    *,
+    near_in_scales: float = 0.05,
+    far_in_scales: float = 0.5,
 ) -> FloatArray:
-    """Every window's best initial state among many local minima near it, (W, S); parameters held."""
+    """Search the initial state of every window from random starts near the best one so far.
+
+    Two thirds of the starts are near, one third far; the values are heuristics.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        states: (W, S), states to begin with.
+        random: source of the starts.
+        trials: number of starts.
+        near_in_scales: standard deviation of the near starts, in scales of the states.
+        far_in_scales: standard deviation of the far starts, in scales of the states.
+
+    Returns:
+        The best initial states (W, S).
+    """
     best = evaluate(problem, z, states)
     for k in range(trials if states.shape[1] else 0):
         centre = problem.guess if k % 2 else best.states
-        reach = (FAR if k % 3 == 0 else NEAR) * problem.model.state_scale
-        begin = centre + random.standard_normal(states.shape) * reach
+        spread = (far_in_scales if k % 3 == 0 else near_in_scales) * problem.model.state_scale
+        begin = centre + random.standard_normal(states.shape) * spread
         best = best.or_better(problem, _improve_states(problem, z, evaluate(problem, z, begin), 4))
     return best.states
 
 
 def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iterations: int = 8) -> FloatArray:
-    """Find each window's initial state by itself with the parameters held at ``z``, (W, S).
+    """Estimate the initial state of each window from a guess.
 
-    Rest is one hypothesis: where a window is explained about as well by a body that is not moving,
-    its velocity is zero.
+    A second estimate has zero velocities. It is taken where the Bayesian information criterion prefers it.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        states: (W, S), states to begin with.
+        iterations: iterations of Levenberg and Marquardt's method.
+
+    Returns:
+        Initial states (W, S).
     """
     if not states.shape[1]:
         return states
@@ -104,15 +127,23 @@ def fit_states(problem: Problem, z: FloatArray, states: FloatArray, *, iteration
     resting = evaluate(problem, z, np.where(moving, 0.0, states))
     at_rest = _improve_states(problem, z, resting, iterations, ~moving)
     allowance = np.sum(moving) * np.log(_rows_of_windows(problem))
-    rest = at_rest.costs(problem) <= free.costs(problem) + allowance
-    return free.choose(problem, rest, at_rest).states
+    is_resting = at_rest.costs(problem) <= free.costs(problem) + allowance
+    return free.choose(problem, is_resting, at_rest).states
 
 
 def grow_states(problem: Problem, z: FloatArray, shortest: float) -> FloatArray:
-    """Find each window's initial state on its begin, then on more and more of it, (W, S).
+    """Estimate the initial state of each window on its first seconds, then on longer and longer sections.
 
-    A state that is guessed from a few samples leads a long simulation far from the data, into one of many
-    local minima; one that fits the first ``shortest`` seconds is near enough for four times as many.
+    From a state that is guessed from a few samples a long simulation leaves the data, and the fit ends in one
+    of many local minima. A state that fits a section is a good start for a section four times as long.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        shortest: length of the first section in s.
+
+    Returns:
+        Initial states (W, S).
     """
     windows, record = problem.windows, problem.record
     rows = _rows_of_windows(problem) // record.outputs.shape[1]
@@ -127,31 +158,51 @@ def grow_states(problem: Problem, z: FloatArray, shortest: float) -> FloatArray:
 
 
 def _velocities(problem: Problem) -> np.ndarray:
+    """Whether a state is a velocity, (S,)."""
     return np.array([name.endswith("_velocity") for name in problem.model.state_names], dtype=bool)
 
 
 def _rows_of_windows(problem: Problem) -> IntArray:
+    """Number of residuals of each window, (W,)."""
     return np.diff(np.r_[problem.edges, len(problem.owner)])
 
 
-def rescue_states(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """Give windows that fit far worse than most a fresh start from other velocities.
+def rescue_states(problem: Problem, z: FloatArray, estimate: States, *, outlier_ratio: float = 2.0) -> States:
+    """Restart outlying windows from other velocities.
 
-    Near a stop the state has several local minima, and one window in a wrong one can bend all
-    parameters.
+    Near an end stop the cost has several local minima in the state, and one window in a wrong one can bias
+    all parameters.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        estimate: the estimate so far.
+        outlier_ratio: mean squared residual over the median of the windows, from which a window is an
+            outlier.
     """
     costs = estimate.costs(problem) / _rows_of_windows(problem)
-    return _from_other_velocities(problem, z, estimate, np.flatnonzero(costs > OUTLYING * np.median(costs)))
+    outliers = np.flatnonzero(costs > outlier_ratio * np.median(costs))
+    return _from_other_velocities(problem, z, estimate, outliers)
 
 
-def _from_other_velocities(problem: Problem, z: FloatArray, estimate: States, which: IntArray) -> States:
-    """The better, in some windows, of the estimate and what other velocities lead to."""
+def _from_other_velocities(
+    problem: Problem,
+    z: FloatArray,
+    estimate: States,
+    which: IntArray,
+    *,
+    offsets_in_scales: tuple[float, ...] = (-0.8, -0.4, -0.2, 0.2, 0.4, 0.8),
+) -> States:
+    """The better, in some windows, of the estimate and those from other velocities.
+
+    ``offsets_in_scales`` are added to the guessed velocities, in scales of the states.
+    """
     moving = _velocities(problem)
     if not len(which) or not moving.any():
         return estimate
     part = problem.select_windows(which)
     best = _of_windows(problem, estimate, which)
-    for offset in OTHER_VELOCITIES:
+    for offset in offsets_in_scales:
         begin = part.guess + offset * problem.model.state_scale * moving
         best = best.or_better(part, _improve_states(part, z, evaluate(part, z, begin), 6))
     return _with_windows(problem, estimate, which, best)
@@ -178,36 +229,51 @@ def estimate_states_at(
     *,
     thorough: bool = False,
 ) -> States:
-    """A model held at ``theta`` on windows of a record, each beginning in the state that fits it best.
+    """Estimate the initial states of windows for a model with known parameters.
 
-    A ``thorough`` search looks again at windows that leave more than noise, all of them if need be.
+    Args:
+        model: the model.
+        theta: (P,), all parameters in SI units, held fixed.
+        record: the data.
+        windows: W windows of the record.
+        sigma: (channels,), noise of the channels.
+        thorough: search further in windows whose residuals exceed the noise.
+
+    Returns:
+        Initial states and residuals.
     """
     problem = Problem(model, record, windows, np.empty(0, dtype=np.int64), theta, sigma)
     return estimate_states(problem, np.empty(0), thorough=thorough)
 
 
 def estimate_states(problem: Problem, z: FloatArray, *, thorough: bool = True) -> States:
-    """Every window's best initial state from its guess on, with the parameters held.
+    """Estimate the initial state of every window from the problem's guess.
 
-    ``thorough`` as in :func:`estimate_states_at`.
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        thorough: search further in windows whose residuals exceed the noise.
+
+    Returns:
+        Initial states and residuals.
     """
     estimate = _align_angles(problem, z, evaluate(problem, z, fit_states(problem, z, problem.guess)))
     estimate = rescue_states(problem, z, estimate)
-    return _search_noisy(problem, z, estimate) if thorough and problem.model.state_names else estimate
+    return _search_unexplained(problem, z, estimate) if thorough and problem.model.state_names else estimate
 
 
-def _align_angles(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """The estimate from the angle at which each recording as a whole is explained best.
+def _align_angles(problem: Problem, z: FloatArray, estimate: States, *, n_angles: int = 16) -> States:
+    """Estimate one offset of the angles for each recording, from ``n_angles`` starts per turn.
 
-    Where a shaft stood when a recording began may be unknown; from there on its angle is guessed well, so a
-    window has one of its own only where that explains clearly more.
+    The angle at the begin of a recording may be unknown; later angles follow from it. So a window has an
+    angle of its own only where the Bayesian information criterion prefers that.
     """
-    angles = np.array([name.endswith(ANGLE) for name in problem.model.state_names])
+    angles = np.array([name.endswith(ANGLE_SUFFIX) for name in problem.model.state_names])
     if not angles.any():
         return estimate
     held = replace(estimate, states=np.where(angles, problem.guess, estimate.states))
-    for turn in (np.arange(ANGLES) / ANGLES, np.linspace(-1.0, 1.0, ANGLES + 1) / ANGLES):
-        begin = _shift_by_recording(problem, z, held.states, 2.0 * np.pi * turn, angles)
+    for turns in (np.arange(n_angles) / n_angles, np.linspace(-1.0, 1.0, n_angles + 1) / n_angles):
+        begin = _shift_by_recording(problem, z, held.states, 2.0 * np.pi * turns, angles)
         held = _improve_states(problem, z, begin, 8, ~angles)
     free = estimate.or_better(problem, _improve_states(problem, z, held, 8))
     common = held.costs(problem) <= free.costs(problem) + np.log(_rows_of_windows(problem))
@@ -217,7 +283,7 @@ def _align_angles(problem: Problem, z: FloatArray, estimate: States) -> States:
 def _shift_by_recording(
     problem: Problem, z: FloatArray, states: FloatArray, shifts: FloatArray, which: np.ndarray
 ) -> States:
-    """States (W, S) with ``which`` (S,) of them further by the shift that is best for its recording."""
+    """Add to the states ``which`` (S,) of each recording the shift that lowers its cost most."""
     costs = [evaluate(problem, z, states + shift * which).costs(problem) for shift in shifts]
     rows = [begin.row for begin in problem.record.begins]
     recording = np.searchsorted(rows, problem.windows.first, side="right") - 1
@@ -226,58 +292,63 @@ def _shift_by_recording(
     return evaluate(problem, z, states + best[:, None] * which)
 
 
-def _search_noisy(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """Other states of the windows that leave more than noise: grown, from other velocities, from anywhere."""
-    estimate = _grow_windows(problem, z, estimate, _noisy_windows(problem, estimate))
-    estimate = _from_other_velocities(problem, z, estimate, _noisy_windows(problem, estimate))
-    bad = _noisy_windows(problem, estimate)
-    if not len(bad):
+def _search_unexplained(problem: Problem, z: FloatArray, estimate: States) -> States:
+    """Search further in windows whose residuals exceed the noise, by three methods in turn."""
+    estimate = _grow_windows(problem, z, estimate, _unexplained_windows(problem, estimate))
+    estimate = _from_other_velocities(problem, z, estimate, _unexplained_windows(problem, estimate))
+    unexplained = _unexplained_windows(problem, estimate)
+    if not len(unexplained):
         return estimate
-    part = problem.select_windows(bad)
-    states = search_states(part, z, estimate.states[bad], np.random.default_rng(0))
-    return _with_windows(problem, estimate, bad, evaluate(part, z, states))
+    part = problem.select_windows(unexplained)
+    states = search_states(part, z, estimate.states[unexplained], np.random.default_rng(0))
+    return _with_windows(problem, estimate, unexplained, evaluate(part, z, states))
 
 
 def _grow_windows(problem: Problem, z: FloatArray, estimate: States, which: IntArray) -> States:
-    """The better, in some windows, of the estimate and one on more and more of each window."""
+    """The better, in some windows, of the estimate and one on longer and longer sections of the window."""
     if not len(which):
         return estimate
     part = problem.select_windows(which)
-    grown = evaluate(part, z, grow_states(part, z, FIRST_GROWN * problem.model.horizon))
+    grown = evaluate(part, z, grow_states(part, z, FIRST_SECTION_IN_HORIZONS * problem.model.horizon))
     best = _of_windows(problem, estimate, which).or_better(part, grown)
     return _with_windows(problem, estimate, which, best)
 
 
 def reestimate(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """The better of the estimate and a new one from the windows' guess, the parameters held.
+    """Take the better of an estimate and a new one from the problem's guess, in every window.
 
-    Steps of the parameters may have led windows into wrong valleys, even most of them. The few that still
-    leave more than noise begin from anywhere.
+    Steps of the parameters may have led windows, even most of them, into wrong local minima. Where less than
+    half of the windows still have residuals beyond the noise, these are searched further.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        estimate: the estimate so far.
     """
     if not problem.model.state_names:
         return estimate
     estimate = estimate.or_better(problem, estimate_states(problem, z, thorough=False))
-    few = 2 * len(_noisy_windows(problem, estimate)) < len(estimate.states)
-    return _search_noisy(problem, z, estimate) if few else estimate
+    few = 2 * len(_unexplained_windows(problem, estimate)) < len(estimate.states)
+    return _search_unexplained(problem, z, estimate) if few else estimate
 
 
-def _noisy_windows(problem: Problem, estimate: States) -> IntArray:
-    """Windows that leave more than noise."""
-    return np.flatnonzero(estimate.costs(problem) > MORE_THAN_NOISE * _rows_of_windows(problem))
+def _unexplained_windows(problem: Problem, estimate: States, *, max_mean_square: float = 1.44) -> IntArray:
+    """Windows whose residuals exceed the noise: by 20 % in RMS, a level for a few hundred samples."""
+    return np.flatnonzero(estimate.costs(problem) > max_mean_square * _rows_of_windows(problem))
 
 
 def _improve_states(
     problem: Problem, z: FloatArray, begin: States, iterations: int, which: np.ndarray | bool = True
 ) -> States:
-    """Levenberg-Marquardt of all windows at once, each with its own damping; ``which`` (S,) states move."""
+    """Levenberg and Marquardt's method with one damping per window; states ``which`` (S,) vary."""
     estimate = begin
     damping = np.full(len(begin.states), 1e-3)
     cost = begin.costs(problem)
     for _ in range(iterations):
         slopes = problem.state_slopes(Point(z, estimate.states), estimate.residuals) * which
         gram = problem.state_gram(slopes, damping)
-        pull = problem.products(slopes, estimate.residuals[:, None])
-        step = np.linalg.solve(gram, pull)[:, :, 0] * which
+        gradient = problem.products(slopes, estimate.residuals[:, None])
+        step = np.linalg.solve(gram, gradient)[:, :, 0] * which
         trial = evaluate(problem, z, estimate.states - step * problem.model.state_scale)
         trial_cost = trial.costs(problem)
         better = trial_cost < cost

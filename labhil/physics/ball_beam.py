@@ -9,7 +9,7 @@ kernel is ``physics.rolling``.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -169,9 +169,8 @@ class BallBeamModel:
         self.terms: Mapping[str, Term] = catalogue(self.per_unit_mass)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
         self.fixed = known_numbers(rig)
-        estimated = (PER_SERVO_RADIAN,) if self._gain_per_servo_radian else ()
-        estimated += tuple(RIG_PARAMETERS[name] for name in self._estimated())
-        self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
+        of_terms = (p for term in self.terms.values() for p in term.parameters)
+        self.parameters: tuple[Parameter, ...] = (*self._estimated(), *of_terms)
         self._values = Values(self.fixed, self.parameters)
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
@@ -191,13 +190,17 @@ class BallBeamModel:
         """Whether the gain holds mass and linkage: of neither the rig file says anything."""
         return self.linkage and self.per_unit_mass and not any(name in self.fixed for name in LINKAGE)
 
-    def _estimated(self) -> list[str]:
-        """Names of the rig's own parameters that are estimated."""
-        names = [] if "ball_radius" in self.fixed else ["ball_radius"]
+    def _estimated(self) -> Iterator[Parameter]:
+        """The rig's own parameters that its file does not state."""
+        if "ball_radius" not in self.fixed:
+            yield RIG_PARAMETERS["ball_radius"]
         if self._gain_per_servo_radian:
-            return names
-        names += ["acceleration_per_radian"] if self.per_unit_mass else []
-        return names + [name for name in LINKAGE if self.linkage and name not in self.fixed]
+            yield PER_SERVO_RADIAN
+            return
+        if self.per_unit_mass:
+            yield RIG_PARAMETERS["acceleration_per_radian"]
+        if self.linkage:
+            yield from (RIG_PARAMETERS[name] for name in LINKAGE if name not in self.fixed)
 
     def horizon_at(self, theta: FloatArray) -> float:
         """Scored horizon, s; it does not depend on ``theta``."""

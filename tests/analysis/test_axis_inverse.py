@@ -67,9 +67,9 @@ def test_a_fit_by_inverse_dynamics_finds_the_numbers_and_is_scored_by_simulation
     assert result.criterion is Metric.INVERSE_DYNAMICS
     assert result.train.metric is Metric.WINDOWED_SIMULATION
     assert result.train.r2 > 0.99
-    (left,) = result.left
-    assert (left.channel, left.unit) == ("drive_force", "N")
-    assert left.rmse == pytest.approx(result.train.beside[0].rmse, rel=0.1)
+    (error,) = result.channel_errors
+    assert (error.channel, error.unit) == ("drive_force", "N")
+    assert error.rmse == pytest.approx(result.train.beside[0].rmse, rel=0.1)
     places = index_of(found.model.parameters)
     for row in result.estimates:
         truth = found.theta[places[row.name]]
@@ -91,7 +91,7 @@ def test_a_voltage_is_fitted_in_volts_by_its_known_gain(found):
     model = model_for(rig_of("axis", "drive_gain = 35.0\n"), volts)
     result = fit(model, volts, TERMS, options=INVERSE)
     by_force = fit(found.model, found.record, TERMS, options=INVERSE)
-    assert (result.left[0].channel, result.left[0].unit) == ("drive_voltage", "V")
+    assert (result.channel_errors[0].channel, result.channel_errors[0].unit) == ("drive_voltage", "V")
     for row, other in zip(result.estimates, by_force.estimates, strict=True):
         assert row.value == pytest.approx(other.value, rel=1e-3), row.name
 

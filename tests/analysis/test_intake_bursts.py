@@ -10,7 +10,7 @@ import pytest
 from labhil.diagnose.intake import TOLERATED, Kind, assess_usability, faults_of, without_spikes
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.problem import Problem
-from labhil.identify.windows import HOLE, fit_windows, noise_of, scored_windows, split
+from labhil.identify.windows import MIN_HOLE_IN_PERIODS, fit_windows, noise_of, scored_windows, split
 from labhil.physics.model import UNREAD, Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
@@ -124,7 +124,7 @@ def test_what_was_not_read_leaves_no_residual():
 
 def test_windows_end_at_a_hole_and_bridge_a_lost_sample():
     record = without_rows(moving("dc_motor"), (300, 301), (600, 800), (1000, 1060))
-    holes = np.flatnonzero(np.diff(record.t) > HOLE * 0.01) + 1
+    holes = np.flatnonzero(np.diff(record.t) > MIN_HOLE_IN_PERIODS * 0.01) + 1
     assert len(holes) == 2
     for windows in (fit_windows(record, 1.3), fit_windows(record, 100.0), scored_windows(record, 1.0).whole):
         for hole in holes:

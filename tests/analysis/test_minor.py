@@ -12,7 +12,7 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.minor import LEAST_SHARE, without_minor
 from labhil.diagnose.search_result import SearchResult, Step
 from labhil.diagnose.structures.enumerate import relevance
-from labhil.diagnose.structures.marginal import View, grams
+from labhil.diagnose.structures.marginal import WeightedProducts, build_gram_matrices
 from labhil.identify.fitted import fit_terms, start_theta
 from labhil.identify.windows import noise_of
 
@@ -39,11 +39,13 @@ def test_what_responses_leave_of_each_output_is_what_least_squares_leave() -> No
     matrix = np.hstack([target, base, response])
     by_output = matrix.reshape(n, outputs, 3).transpose(1, 0, 2)
     acts = np.any(by_output != 0.0, axis=1)
-    seen = grams([View(by_output.transpose(0, 2, 1) @ by_output, 0.0)], 1, acts, n, n, n, np.zeros(1))
+    seen = build_gram_matrices(
+        [WeightedProducts(by_output.transpose(0, 2, 1) @ by_output, 0.0)], 1, acts, n, n, n, np.zeros(1)
+    )
     fitted = matrix[:, 1:] @ np.linalg.lstsq(matrix[:, 1:], target[:, 0], rcond=None)[0]
     left = ((target[:, 0] - fitted).reshape(n, outputs) ** 2).sum(axis=0) * outputs / (n - 1 - 1)
-    assert seen.rest([1]) == pytest.approx(left, rel=1e-6)
-    assert seen.acts[:, 1].tolist() == [True, True, False]
+    assert seen.residual_mean_squares([1]) == pytest.approx(left, rel=1e-6)
+    assert seen.affects[:, 1].tolist() == [True, True, False]
 
 
 def found_with(model, record, sizes) -> tuple[Data, SearchResult]:

@@ -18,7 +18,14 @@ from labhil.identify import statistics
 from labhil.identify.fitted import covariances, fit_terms, start_theta
 from labhil.identify.intervals import bootstrap_intervals
 from labhil.identify.score import score
-from labhil.identify.windows import all_of, fit_windows, noise_of, scored_windows, split, with_noise_scales
+from labhil.identify.windows import (
+    fit_windows,
+    noise_of,
+    scored_windows,
+    split,
+    whole_recordings,
+    with_noise_scales,
+)
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
 from labhil.physics.joining import join_records
 from labhil.physics.model import Record, Windows, index_of, start_values
@@ -110,9 +117,9 @@ def test_no_window_reaches_from_one_recording_into_the_next(lengths, window, per
     assert np.abs(cut.last - cut.first - alone).max() <= 2
     horizon = min(window, 0.3 * min(each.duration for each in given))
     scored = scored_windows(record, horizon)
-    for windows in (cut, scored.lead, scored.whole, all_of(record).whole):
+    for windows in (cut, scored.lead, scored.whole, whole_recordings(record).whole):
         assert crossing(record, windows) == 0
-    assert np.array_equal(all_of(record).whole.rows, np.arange(len(record)))
+    assert np.array_equal(whole_recordings(record).whole.rows, np.arange(len(record)))
 
 
 def crossing(record: Record, windows: Windows) -> int:

@@ -12,12 +12,12 @@ from labhil.analysis.dataset import load_dataset
 from labhil.diagnose.begin import data_of, fit_baseline
 from labhil.diagnose.structures.disturbance import Disturbance
 from labhil.diagnose.structures.marginal import (
-    KAPPA,
+    KAPPA_GRID,
     Batch,
-    Grams,
-    View,
+    GramMatrices,
+    WeightedProducts,
+    build_gram_matrices,
     extended_evidence,
-    grams,
     log_evidence,
 )  # fmt: skip
 from labhil.diagnose.structures.stages import search_structures
@@ -29,20 +29,22 @@ def one(columns: list[int], block: list[int], positive: list[bool]) -> Batch:
     return Batch(np.array([columns], int), np.array([block], int), np.array([positive], bool))
 
 
-def undisturbed(matrix: np.ndarray) -> Grams:
+def undisturbed(matrix: np.ndarray) -> GramMatrices:
     return disturbed(matrix, np.zeros((len(matrix), 0)), ())
 
 
-def disturbed(matrix: np.ndarray, modes: np.ndarray, sizes: tuple[float, ...]) -> Grams:
+def disturbed(matrix: np.ndarray, modes: np.ndarray, sizes: tuple[float, ...]) -> GramMatrices:
     """Inner products of target and one response under a disturbance that is a sum of modes (n, K)."""
     n, grid = len(matrix), Disturbance.grid(1, sizes)
     views = []
     for tau in grid.size:
         covariance = np.eye(n) + tau**2 * modes @ modes.T
         log_det = float(np.linalg.slogdet(covariance)[1])
-        views.append(View((matrix.T @ np.linalg.solve(covariance, matrix))[None], -0.5 * log_det))
+        views.append(WeightedProducts((matrix.T @ np.linalg.solve(covariance, matrix))[None], -0.5 * log_det))
     acts = np.ones((1, matrix.shape[1]), dtype=bool)
-    return grams(views, 0, acts, n, n, n, np.log(grid.weight)).with_precisions([(range(1, 2), None)])
+    return build_gram_matrices(views, 0, acts, n, n, n, np.log(grid.weight)).with_precisions(
+        [(range(1, 2), None)]
+    )
 
 
 def test_the_evidence_of_one_size_is_its_integral() -> None:
@@ -54,7 +56,9 @@ def test_the_evidence_of_one_size_is_its_integral() -> None:
     seen = undisturbed(matrix)
     with_it, _, size = log_evidence(seen, one([1], [0], [False]))
     without, *_ = log_evidence(seen, one([], [], []))
-    kappa = KAPPA[np.argmin(np.abs(np.log(KAPPA / np.sqrt(size[0, 0] ** 2 * (response @ response) / n))))]
+    kappa = KAPPA_GRID[
+        np.argmin(np.abs(np.log(KAPPA_GRID / np.sqrt(size[0, 0] ** 2 * (response @ response) / n))))
+    ]
     spread = kappa * np.sqrt(n / (response @ response))
     power = float(target @ target)
 
@@ -66,7 +70,7 @@ def test_the_evidence_of_one_size_is_its_integral() -> None:
 
     inside, _ = integrate.quad(weight, -5.0, 5.0, points=[size[0, 0]])
     normal, _ = integrate.quad(lambda u: (1.0 + u * u) ** (-0.5 * (n + 1)), -np.inf, np.inf)
-    expected = np.log(inside / (normal * np.sqrt(power) * spread * len(KAPPA)))
+    expected = np.log(inside / (normal * np.sqrt(power) * spread * len(KAPPA_GRID)))
     assert with_it[0] - without[0] == pytest.approx(expected, abs=0.05)
     assert size[0, 0] == pytest.approx(0.7, abs=0.3)
 

@@ -15,7 +15,7 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.structures.disturbance import estimate_spectral_noise
 from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta
 from labhil.identify.saved_curve import ModelUnderCurves
 from labhil.identify.windows import fit_windows, noise_of
@@ -81,13 +81,13 @@ def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tu
     data = Data(model, record, test, noise_of(record), noise_of(test), window, begin)
     lengths = [0.5 * window, window, 2.0 * window]
     return data, fit_by_continuation(
-        model, record, list(terms), lengths, data.sigma, start=begin, fresh=terms
+        model, record, list(terms), lengths, data.sigma, start=begin, new_terms=terms
     )[-1]
 
 
 def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurve | None:
     """The likeliest force over a coordinate beside or in the place of what a fit names."""
-    noise = noise_beside(final.problem, final.solution.residuals)
+    noise = estimate_spectral_noise(final.problem, final.solution.residuals)
     return CurveSearch(data, baseline, noise.correlation).run(final)
 
 

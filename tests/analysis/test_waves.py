@@ -9,7 +9,7 @@ import pytest
 
 from labhil.identify.fit import Options, fit
 from labhil.identify.fitted import Fitted, fit_terms
-from labhil.identify.waves import starts_beside
+from labhil.identify.waves import starts_for_added_terms
 from labhil.identify.windows import noise_of
 from labhil.physics.rigs import rig_model
 
@@ -41,7 +41,7 @@ def without_waves(kind: str, found: Replay) -> Fitted:
 def test_an_order_that_nobody_knows_is_among_the_starts(kind, orders):
     for seed, order in enumerate(orders):
         found = recorded(kind, order, seed)
-        starts = starts_beside(without_waves(kind, found), ["cogging_torque"])
+        starts = starts_for_added_terms(without_waves(kind, found), ["cogging_torque"])
         proposed = [values["cogging_torque.order"] for values in starts]
         assert min(abs(k - order) for k in proposed) < 0.03 * order, proposed
 

@@ -508,7 +508,7 @@ def test_an_oracle_learns_from_whole_recordings():
     truth = start_theta(oracle.model, oracle.values)
     lengths = [0.5 * oracle.horizon, 1.5 * oracle.horizon]
     cut = fit_by_continuation(
-        oracle.model, oracle.search, baseline, lengths, oracle.sigma, start=truth, fresh=()
+        oracle.model, oracle.search, baseline, lengths, oracle.sigma, start=truth, new_terms=()
     )[-1]
     assert refit.likelihood > oracle.log_likelihood(cut.theta)
     # four parameters, each worth half a nat on average, of noise with neighbours that are alike

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labhil.identify.fitted import free_of, start_theta
+from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.linear import Figures, figures_of
 from labhil.identify.problem import Problem
 from labhil.physics.model import Metric, Model, Record, Windows
@@ -173,7 +173,7 @@ class Bench:
         known = KnownStart(self.model, self.start, self.study.box() if boxed else None)
         theta = start_theta(known, self.study.levels.to_ours(self.study.truth))
         windows = Windows.of([(0, len(record))])
-        free = free_of(known, self.study.terms)
+        free = free_parameter_indices(known, self.study.terms)
         if joint is not None:
             free = np.array([i for i in free if known.parameters[i].joint == joint], dtype=np.int64)
         return Problem(known, record, windows, free, theta, self.sigma)

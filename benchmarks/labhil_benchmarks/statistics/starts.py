@@ -14,7 +14,7 @@ from rich.text import Text
 from labhil.campaign.share import Share
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.fit import Options, fit
-from labhil.identify.fitted import free_of, start_theta
+from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.windows import fit_windows
@@ -75,7 +75,7 @@ def arrive(case: Case, number: int) -> Arrival:
     model = model_for(parse_rig(case.rig, Path(f"{case.name}.toml")), simulated.record)
     record = model.prepare(simulated.record)
     problem = Problem(
-        model, record, fit_windows(record, model.horizon), free_of(model, case.terms),
+        model, record, fit_windows(record, model.horizon), free_parameter_indices(model, case.terms),
         start_theta(model), simulated.noise,
     )  # fmt: skip
     begin = _draw(problem, number) if number else truth_of(model, case)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labhil.identify.fit import Fit, Options, fit
-from labhil.identify.fitted import free_of, start_theta
+from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.intervals import cramer_rao_bounds
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import score
@@ -110,7 +110,9 @@ def truth_of(model: Model, case: Case) -> FloatArray:
 def _bounds(
     model: Model, record: Record, terms: tuple[str, ...], theta: FloatArray, window: float, noise: FloatArray
 ) -> Mapping[str, float]:
-    problem = Problem(model, record, fit_windows(record, window), free_of(model, terms), theta, noise)
+    problem = Problem(
+        model, record, fit_windows(record, window), free_parameter_indices(model, terms), theta, noise
+    )
     z = theta[problem.free] / problem.scale
     states = problem.guess
     if states.shape[1]:

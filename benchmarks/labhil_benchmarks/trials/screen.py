@@ -10,7 +10,7 @@ import numpy as np
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
 from labhil.identify.projection import ProjectedResiduals, orthonormal
-from labhil.identify.waves import starts_beside
+from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of, terms_named
 from labhil.signals import FloatArray
 
@@ -61,7 +61,7 @@ def _columns(data: Data, unexplained: ProjectedResiduals, group: Sequence[str]) 
     places = index_of(model.parameters)
     shapes = {p.key for term in terms for p in term.parameters if p.shape}
     sets = []
-    for values in starts_beside(current, group):
+    for values in starts_for_added_terms(current, group):
         columns = []
         for term in terms:
             for parameter in term.parameters:

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from labhil.campaign.trials.noise import ResidualNoise, TrueNoise
-from labhil.identify.fitted import WORST_GROWTH, Fitted, fit_by_continuation, fit_terms, start_theta
+from labhil.identify.fitted import MAX_RESIDUAL_GROWTH, Fitted, fit_by_continuation, fit_terms, start_theta
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import estimate_states, estimate_states_at
-from labhil.identify.windows import all_of, fit_windows
+from labhil.identify.windows import fit_windows, whole_recordings
 from labhil.physics.model import Model, Record, Windows, terms_named
 from labhil.signals import FloatArray, IntArray
 
@@ -84,7 +84,7 @@ class Oracle:
         minima = self._minima(terms, known, fresh)
         if self._states:
             minima.append(self._fit_whole(min(minima, key=_cost), terms, known))
-        allowed = WORST_GROWTH * min(fitted.noise for fitted in minima)
+        allowed = MAX_RESIDUAL_GROWTH * min(fitted.noise for fitted in minima)
         refits = [
             Refit(fitted.theta, self.log_likelihood(fitted.theta))
             for fitted in minima
@@ -107,13 +107,13 @@ class Oracle:
         model, search, sigma, begin = self.model, self.search, self.sigma, start_theta(self.model, known)
         if not self._states:
             return [
-                fit_by_continuation(model, search, terms, [search.longest], sigma, start=begin, fresh=fresh)[
-                    -1
-                ]
+                fit_by_continuation(
+                    model, search, terms, [search.longest], sigma, start=begin, new_terms=fresh
+                )[-1]
             ]
         # windows are there for the sake of their initial states
         lengths = [share * self.horizon for share in RUNGS]
-        climbed = fit_by_continuation(model, search, terms, lengths, sigma, start=begin, fresh=fresh)[-1]
+        climbed = fit_by_continuation(model, search, terms, lengths, sigma, start=begin, new_terms=fresh)[-1]
         states = estimate_states_at(
             model, begin, search, climbed.problem.windows, sigma, thorough=True
         ).states
@@ -198,7 +198,11 @@ class Oracle:
         return -0.5 * float(np.sum(problem.project_out_states(whiten(slopes), whiten(noise[:, None])) ** 2))
 
     def _test_problem(self, theta: FloatArray) -> tuple[Problem, Whiten]:
-        windows = fit_windows(self.test, JUDGED * self.horizon) if self._states else all_of(self.test).whole
+        windows = (
+            fit_windows(self.test, JUDGED * self.horizon)
+            if self._states
+            else whole_recordings(self.test).whole
+        )
         return _problem(self, theta, windows), _whitening(windows, self.residual_noise)
 
     @property

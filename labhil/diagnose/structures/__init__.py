@@ -1,6 +1,8 @@
-"""Which terms are missing, decided by one number: the evidence of every structure, a set of added terms.
+"""Bayesian comparison of model structures: which terms, or which nonparametric force, a baseline model lacks.
 
-Read on in :mod:`responses` (what each term would change), :mod:`marginal` (the evidence in closed form),
-:mod:`enumerate` (all structures on one linearisation), :mod:`search` (refits of the few that matter),
-:mod:`stages` (short windows, then longer ones), :mod:`claims` (what is claimed) and :mod:`curves`.
+A structure is a set of terms that are added to the baseline. Read on in :mod:`stages` (searches on windows of
+increasing length, the entry point), :mod:`search` (refits of the best structures), :mod:`responses` (linear
+responses of the residuals to every term), :mod:`marginal` (evidence in closed form), :mod:`disturbance`
+(noise and slow disturbances), :mod:`enumerate` (beam search on one linearisation), :mod:`state` (structures
+visited), :mod:`claims` (claims and their validation) and :mod:`curves` (nonparametric forces).
 """

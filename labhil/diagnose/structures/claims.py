@@ -1,4 +1,7 @@
-"""The claims that a search allows: by odds on its data, borne out by held-out data."""
+"""Claims that a finished structure search supports: terms by their odds, validated on held-out data.
+
+The search itself is in search.py, the sequence of searches in stages.py.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +18,18 @@ from labhil.diagnose.structures.enumerate import Structure, closure
 from labhil.diagnose.structures.state import (
     SearchState,
     alternatives,
-    as_likely_as_not,
-    inclusion,
+    inclusion_probabilities,
     log_odds,
     rivals_of,
-)  # fmt: skip
+    undecided_terms,
+)
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.identify.score import Score
-
-LEADING = 3
-"""Structures of a stage with which the next one begins, at most, beside the baseline."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a search visited on windows of one length."""
+    """A finished search on windows of one length: its data and its state."""
 
     data: Data
     state: SearchState
@@ -39,42 +39,54 @@ class Stage:
         """The fit of the best structure."""
         return self.state.refitted[self.state.best].fitted
 
-    @property
-    def leading(self) -> list[Fitted]:
-        """The baseline and the likeliest structures."""
+    def leading_fits(self, *, n_structures: int = 3) -> list[Fitted]:
+        """Fits of the baseline and of the most probable structures, with which the next stage begins.
+
+        Args:
+            n_structures: structures at most, in addition to the baseline.
+        """
         by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
-        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:LEADING]])
+        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:n_structures]])
         return [self.state.refitted[structure].fitted for structure in chosen]
 
 
-def conclude_search(stage: Stage, claim: float, looks: int) -> SearchResult:
-    """State the best structure with its rivals; no terms where the data do not speak for them."""
+def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> SearchResult:
+    """State the best structure of a search, reduced to the terms with sufficient odds, and its rivals.
+
+    Args:
+        stage: a finished search.
+        min_log_odds: log odds (nats) that the best structure needs over the one without a term.
+        n_candidates: number of terms that may be added.
+
+    Returns:
+        The result on the searched data; held-out data do not enter.
+    """
     state, model = stage.state, stage.data.model
     base = state.refitted[frozenset()].fitted
     best = state.best
-    claims = {term: log_odds(model, state, term) for term in best}
-    shares = inclusion(state)
-    steps = [_step(term, odds, shares[term]) for term, odds in claims.items() if odds > claim]
+    odds_of = {term: log_odds(model, state, term) for term in best}
+    probabilities = inclusion_probabilities(state)
+    steps = [_claim(term, odds, probabilities[term]) for term, odds in odds_of.items() if odds > min_log_odds]
     steps.sort(key=lambda s: s.evidence.delta_bic)
     log_evidence = state.log_evidence()
     p_value = float(np.exp(min(log_evidence[frozenset()] - log_evidence[best], 0.0)))
     claimed = closure(model, (step.terms[0] for step in steps), frozenset(base.terms))
     result = SearchResult(
         base,
-        _with_only(stage, claimed),
+        _fit_of_part(stage, claimed),
         tuple(steps),
         rivals_of(state, best),
         p_value,
-        looks,
-        open=as_likely_as_not(state),
-        disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > claim,
+        n_candidates,
+        open=undecided_terms(state),
+        disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > min_log_odds,
         alternatives=alternatives(state),
     )
     return result.ending(result.final, result.missing)
 
 
-def _with_only(stage: Stage, structure: Structure) -> Fitted:
-    """The best fit, without terms of which too little is known to claim them."""
+def _fit_of_part(stage: Stage, structure: Structure) -> Fitted:
+    """The fit of a part of the best structure; a refit from the best one if the search has no such fit."""
     state = stage.state
     if structure in state.refitted:
         return state.refitted[structure].fitted
@@ -87,16 +99,24 @@ def _with_only(stage: Stage, structure: Structure) -> Fitted:
     )  # fmt: skip
 
 
-def _step(term: str, odds: float, probability: float) -> Step:
-    """A claim as the searched data make it; held-out data validate it later."""
+def _claim(term: str, odds: float, probability: float) -> Step:
+    """A claim by the searched data alone; held-out data validate it later."""
     return Step((term,), Evidence(-2.0 * odds, 1.0, 0.0), float(np.exp(-odds)), probability)
 
 
 def validate_claims(stage: Stage, result: SearchResult) -> SearchResult:
-    """Keep the claims that held-out data bear out, so that chance makes a tenth of them at most.
+    """Keep the claims that held-out data support, at a false discovery rate of α = ``judge.ALPHA``.
 
-    The claim that they bear out least goes first (Benjamini and Hochberg 1995: of m claims the largest p
-    value has to be below α); without it the other doubtful ones are tested anew, and in the end all.
+    The claim with the largest p value is dropped while that is not below α (as Benjamini and Hochberg 1995
+    require of the largest of m p values). Then the other doubtful claims are tested without it, and in the
+    end all claims.
+
+    Args:
+        stage: the search that the result belongs to.
+        result: its result, with held-out data not yet considered.
+
+    Returns:
+        The result with the remaining claims and their gains on held-out data.
     """
     baseline = frozenset(result.baseline.terms)
     tested = _terms(result.missing)
@@ -104,10 +124,10 @@ def validate_claims(stage: Stage, result: SearchResult) -> SearchResult:
         result = replace(result, missing=_validate(stage, result, tested))
         doubtful = [step for step in result.missing if step.evidence.p_value >= ALPHA]
         if doubtful:
-            least = max(doubtful, key=lambda step: step.evidence.p_value)
-            kept = frozenset(without(stage.data.model, result.final.terms, least.terms[0])) - baseline
+            weakest = max(doubtful, key=lambda step: step.evidence.p_value)
+            kept = frozenset(without(stage.data.model, result.final.terms, weakest.terms[0])) - baseline
             steps = tuple(step for step in result.missing if step.terms[0] in kept)
-            result = result.ending(_with_only(stage, kept), steps)
+            result = result.ending(_fit_of_part(stage, kept), steps)
             tested = _terms(doubtful) & kept or _terms(result.missing)
         elif tested == _terms(result.missing):
             break
@@ -121,13 +141,13 @@ def _terms(steps: Sequence[Step]) -> Structure:
 
 
 def _validate(stage: Stage, result: SearchResult, tested: Structure) -> tuple[Step, ...]:
-    """The steps, with what held-out data gain by each of ``tested``: against the final model without it."""
+    """The steps, those of ``tested`` with the gain on held-out data over the final model without the term."""
     data, final = stage.data, result.final
     after = data.judge(final.theta)
 
     def validate(step: Step) -> Step:
         terms = without(data.model, final.terms, step.terms[0])
-        reduced = _with_only(stage, frozenset(terms) - frozenset(result.baseline.terms))
+        reduced = _fit_of_part(stage, frozenset(terms) - frozenset(result.baseline.terms))
         gain, p_value = best_heldout_gain(data.judge(reduced.theta), after)
         return replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain))
 
@@ -135,5 +155,10 @@ def _validate(stage: Stage, result: SearchResult, tested: Structure) -> tuple[St
 
 
 def predicts_better(before: Sequence[Score], after: Sequence[Score]) -> bool:
-    """Whether held-out data bear out a step: errors fall along it on windows of some length."""
+    """Whether errors on held-out data fall significantly (level ``judge.ALPHA``), on windows of some length.
+
+    Args:
+        before: scores of the first model on held-out data, on windows of several lengths.
+        after: scores of the second model on the same windows.
+    """
     return best_heldout_gain(before, after)[1] < ALPHA

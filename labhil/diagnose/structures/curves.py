@@ -1,7 +1,7 @@
-"""Curves as terms: is a force over one coordinate likelier than named terms, or beside them?
+"""Search for a nonparametric force: a spline over one coordinate, next to named terms or instead of them.
 
-Its spline's coefficients have a Gaussian prior that prefers smooth ones. Where a fit stands, structures with
-one are compared by the same evidence as all others; the likeliest are refitted by simulation.
+The spline's coefficients have a Gaussian smoothness prior. Structures with a spline are compared with named
+ones by the same evidence (marginal.py) on the linearisation of a fit; the best are refitted by simulation.
 """
 
 from __future__ import annotations
@@ -16,41 +16,41 @@ from labhil.diagnose.curve import deepen, fix_gauge, glance, refine, restart, wi
 from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, with_placed
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
-from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
-from labhil.diagnose.structures.responses import CurveColumns, responses
+from labhil.diagnose.structures.enumerate import MIN_RELEVANCE, Choice, Enumeration, Structure
+from labhil.diagnose.structures.responses import CurveResponse, compute_responses
 from labhil.identify.extended import UNMODELLED_FORCE, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 from labhil.signals import FloatArray
 
-MOST_SWAPPED = 4
-"""Named forces, at most, of which every subset is tried beside a curve."""
-
 
 @dataclass(frozen=True, slots=True)
 class CurveOptions:
-    """How curves are weighed.
+    """Options of the search for a curve; values without a source are heuristics.
 
     Attributes:
-        refits: structures with a curve that are refitted, at most.
-        margin: nats by which a structure may be behind the named one to be refitted.
-        iterations: steps of a refit.
-        finished: steps of the one that is chosen, at the end.
-        claim: odds (nats) that a curve needs over the named structure.
-        relevance: what it explains over what remains beside it, at least.
+        max_refits: largest number of structures with a curve that are refitted.
+        refit_margin: log odds (nats) by which a structure may be behind the named one to be refitted.
+        iterations: iterations of a refit.
+        final_iterations: further iterations of the refit that is chosen.
+        min_log_odds: log odds (nats) that a curve needs over the named structure: 5 is a Bayes factor of 150,
+            very strong evidence (Kass and Raftery 1995).
+        min_relevance: smallest relevance of a curve, see `enumerate.relevance`.
+        max_replaced: largest number of named forces of which every subset is tried next to a curve.
     """
 
-    refits: int = 2
-    margin: float = 5.0
+    max_refits: int = 2
+    refit_margin: float = 5.0
     iterations: int = 8
-    finished: int = 25
-    claim: float = 5.0
-    relevance: float = RELEVANCE
+    final_iterations: int = 25
+    min_log_odds: float = 5.0
+    min_relevance: float = MIN_RELEVANCE
+    max_replaced: int = 4
 
 
 @dataclass(frozen=True, slots=True)
 class CurveChoice:
-    """A force over a coordinate beside named terms, and its log odds over the named structure."""
+    """A force over a coordinate, the named terms ``beside`` it, and its log odds over the named structure."""
 
     coordinate: Coordinate
     beside: Structure
@@ -59,10 +59,13 @@ class CurveChoice:
 
 @dataclass(frozen=True, slots=True)
 class CurveSearch:
-    """A search for a force over one coordinate, in the place of named forces or beside them.
+    """A search for a force over one coordinate, in addition to named forces or instead of them.
 
-    ``baseline`` are keys of the terms that every structure has, ``correlation`` (c,) is that of the noise of
-    neighbouring samples.
+    Attributes:
+        data: the data of the search.
+        baseline: keys of the terms that every structure has.
+        correlation: (c,), first-order autocorrelation of the noise.
+        options: options of the search.
     """
 
     data: Data
@@ -71,91 +74,112 @@ class CurveSearch:
     options: CurveOptions = CurveOptions()
 
     def run(self, fitted: Fitted) -> FittedCurve | None:
-        """Return the likeliest curve on any part, or None where the named structure of a fit is likelier."""
+        """Find the most probable curve on any moved part.
+
+        Args:
+            fitted: fit of the named structure.
+
+        Returns:
+            The refitted curve, or None where the odds do not favour one over the named structure.
+        """
         best: FittedCurve | None = None
         for begin in with_placed(fitted):
             model = begin.problem.model
             for part in model.moved if isinstance(model, AcceptsExtraForce) else ():
-                trial = self._on_part(begin, part)
-                if trial is not None and (best is None or trial.log_odds > best.log_odds):
-                    best = trial
+                candidate = self._search_part(begin, part)
+                if candidate is not None and (best is None or candidate.log_odds > best.log_odds):
+                    best = candidate
         if best is None:
             return None
-        return replace(best, curved=fix_gauge(deepen(best.curved, self.options.finished)))
+        return replace(best, curved=fix_gauge(deepen(best.curved, self.options.final_iterations)))
 
-    def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
+    def _search_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
+        """The most probable curve on one moved part, or None."""
         best: FittedCurve | None = None
         log_named, choices = self._choices(fitted, part)
-        for choice in choices[: self.options.refits]:
-            if choice.log_odds < -self.options.margin:
+        for choice in choices[: self.options.max_refits]:
+            if choice.log_odds < -self.options.refit_margin:
                 break
-            trial = self._refit(fitted, choice, log_named)
-            if best is None or trial.log_odds > best.log_odds:
-                best = trial
-        return None if best is None or best.log_odds < self.options.claim else best
+            candidate = self._refit(fitted, choice, log_named)
+            if best is None or candidate.log_odds > best.log_odds:
+                best = candidate
+        return None if best is None or best.log_odds < self.options.min_log_odds else best
 
     def _choices(self, fitted: Fitted, part: MovedPart) -> tuple[float, list[CurveChoice]]:
-        """The log evidence of the fit's own structure, and all with a curve, likeliest first."""
+        """Log evidence of the fit's own structure, and the structures with a curve, most probable first."""
         model = fitted.problem.model
         assert isinstance(model, AcceptsExtraForce)
         columns = _columns(fitted, [*motion_coordinates(model, part), *given_coordinates(fitted, part)])
         curves = [curve for _, curve in columns]
-        view = self._view(fitted, curves, len(curves))
-        named = {term: view.responses.variants[term][0] for term in self._named_terms(fitted, view)}
-        log_named = view.evaluate([tuple(named.values())])[0].log_evidence
+        enumeration = self._linearisation_at(fitted, curves, len(curves))
+        named = {
+            term: enumeration.responses.variants[term][0] for term in self._named_terms(fitted, enumeration)
+        }
+        log_named = enumeration.evaluate([tuple(named.values())])[0].log_evidence
         tried: list[tuple[Coordinate, Structure, Choice]] = [
             (coordinate, structure, (*(v for t, v in named.items() if t in structure), variant))
             for coordinate, curve in columns
-            for structure in _kept_terms(self.data, list(named))
-            for variant in view.responses.variants[curve.name]
+            for structure in _kept_terms(self.data, list(named), self.options.max_replaced)
+            for variant in enumeration.responses.variants[curve.name]
         ]
-        tried = [trial for trial in tried if self._matters(view, trial[2])]
-        logs = [trial.log_evidence for trial in view.evaluate([choice for _, _, choice in tried])]
+        tried = [candidate for candidate in tried if self._is_relevant(enumeration, candidate[2])]
+        logs = [
+            candidate.log_evidence for candidate in enumeration.evaluate([choice for _, _, choice in tried])
+        ]
         best = dict[tuple[Coordinate, Structure], float]()
         for (coordinate, structure, _), value in zip(tried, logs, strict=True):
             best[coordinate, structure] = max(best.get((coordinate, structure), -np.inf), value)
         choices = [CurveChoice(*key, value - log_named) for key, value in best.items()]
-        return log_named, sorted(self._fewest_names(choices), key=lambda choice: -choice.log_odds)
+        return log_named, sorted(self._with_fewest_terms(choices), key=lambda choice: -choice.log_odds)
 
-    def _matters(self, view: Enumeration, choice: Choice) -> bool:
-        """Whether a curve, the last of a structure, explains more than what remains beside it."""
-        return view.relevance(choice)[choice[-1].term] >= self.options.relevance
+    def _is_relevant(self, enumeration: Enumeration, choice: Choice) -> bool:
+        """Whether a curve, the last variant of a structure, has the smallest relevance."""
+        return enumeration.relevance(choice)[choice[-1].term] >= self.options.min_relevance
 
-    def _fewest_names(self, choices: Sequence[CurveChoice]) -> list[CurveChoice]:
-        """Of each coordinate's choices within the odds of a claim the one with the fewest terms."""
+    def _with_fewest_terms(self, choices: Sequence[CurveChoice]) -> list[CurveChoice]:
+        """Of each coordinate's choices that are nearly as probable, the one with the fewest named terms."""
         fewest = []
         for coordinate in dict.fromkeys(choice.coordinate for choice in choices):
             of_coordinate = [choice for choice in choices if choice.coordinate == coordinate]
-            enough = max(choice.log_odds for choice in of_coordinate) - self.options.claim
-            likely = [choice for choice in of_coordinate if choice.log_odds > enough]
+            least_odds = max(choice.log_odds for choice in of_coordinate) - self.options.min_log_odds
+            likely = [choice for choice in of_coordinate if choice.log_odds > least_odds]
             fewest.append(min(likely, key=lambda choice: (len(choice.beside), -choice.log_odds)))
         return fewest
 
-    def _view(self, fitted: Fitted, curves: Sequence[CurveColumns], coordinates: int) -> Enumeration:
-        """The structures to compare where a fit stands, with a curve over one of so many coordinates."""
-        term_responses = responses(
+    def _linearisation_at(
+        self, fitted: Fitted, curves: Sequence[CurveResponse], coordinates: int
+    ) -> Enumeration:
+        """The structures on the linearisation of a fit, with a curve over one of so many coordinates."""
+        term_responses = compute_responses(
             self.data, fitted, self.baseline, self.correlation, absent=(), curves=curves
         )
         candidates = len(self.data.model.terms) - len(self.baseline) + coordinates
         return Enumeration(self.data.model, term_responses, frozenset(self.baseline), candidates)
 
-    def _named_terms(self, fitted: Fitted, view: Enumeration) -> list[str]:
-        return [t for t in fitted.terms if t not in self.baseline and t in view.responses.variants]
+    def _named_terms(self, fitted: Fitted, enumeration: Enumeration) -> list[str]:
+        """Keys of the fit's added terms that the data can show."""
+        return [t for t in fitted.terms if t not in self.baseline and t in enumeration.responses.variants]
 
     def _refit(self, fitted: Fitted, choice: CurveChoice, log_named: float) -> FittedCurve:
-        """Refit a structure with a curve, and weigh it where that stands."""
+        """Refit a structure with a curve, and compute its log odds on the linearisation at that fit."""
         named_fit = self._without(fitted, choice.beside)
         problem, states = named_fit.problem, named_fit.solution.point.states
         along = problem.model.coordinates(named_fit.theta, problem.record, problem.windows, states)
         first = glance(named_fit, choice.coordinate, choice.coordinate.values(along))
         curved = refine(restart(first), self.options.iterations)
         coordinates = len(problem.model.coordinate_units)
-        view = self._view(curved.fitted, (), coordinates)
-        names = tuple(view.responses.variants[t][0] for t in self._named_terms(named_fit, view))
+        enumeration = self._linearisation_at(curved.fitted, (), coordinates)
+        names = tuple(enumeration.responses.variants[t][0] for t in self._named_terms(named_fit, enumeration))
         key = curved.model.coefficients[0].term or UNMODELLED_FORCE
-        ways = view.evaluate([(*names, way) for way in view.responses.variants[key]])
-        likeliest = max(ways, key=lambda prediction: prediction.log_evidence)
-        odds = likeliest.log_evidence - log_named if self._matters(view, likeliest.choice) else -np.inf
+        predictions = enumeration.evaluate(
+            [(*names, variant) for variant in enumeration.responses.variants[key]]
+        )
+        likeliest = max(predictions, key=lambda prediction: prediction.log_evidence)
+        odds = (
+            likeliest.log_evidence - log_named
+            if self._is_relevant(enumeration, likeliest.choice)
+            else -np.inf
+        )
         return FittedCurve(curved, named_fit, odds)
 
     def _without(self, fitted: Fitted, kept: Structure) -> Fitted:
@@ -170,21 +194,21 @@ class CurveSearch:
         )  # fmt: skip
 
 
-def _kept_terms(data: Data, named: list[str]) -> Iterable[Structure]:
-    """Named terms that stay beside a curve: all, and all but some of those that enter where it does."""
+def _kept_terms(data: Data, named: list[str], max_replaced: int) -> Iterable[Structure]:
+    """Named terms that stay next to a curve: all, and all but some of those that enter where it does."""
     model, terms = data.model, data.model.terms
     assert isinstance(model, AcceptsExtraForce)
     places = {part.enters for part in model.moved}
-    likened = [t for t in named if terms[t].enters in places][:MOST_SWAPPED]
-    for count in range(len(likened) + 1):
-        for gone in combinations(likened, count):
-            kept = frozenset(named) - set(gone)
-            if not any(t in gone for term in kept for t in terms[term].with_terms):
+    replaceable = [t for t in named if terms[t].enters in places][:max_replaced]
+    for count in range(len(replaceable) + 1):
+        for removed in combinations(replaceable, count):
+            kept = frozenset(named) - set(removed)
+            if not any(t in removed for term in kept for t in terms[term].with_terms):
                 yield kept
 
 
-def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Coordinate, CurveColumns]]:
-    """Change of the residuals by a force over each coordinate that varies."""
+def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Coordinate, CurveResponse]]:
+    """Responses of the residuals to a force over each coordinate that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
     columns = []
@@ -195,5 +219,5 @@ def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Co
             lin = spline_problem.linearise(point, fitted.solution.residuals)
             slopes = lin.by_parameters[:, -extended.spline.count :]
             name = f"force over {coordinate.name}, {coordinate.acts.name}"
-            columns.append((coordinate, CurveColumns(name, slopes, extended.spline.roughness)))
+            columns.append((coordinate, CurveResponse(name, slopes, extended.spline.roughness)))
     return columns

@@ -1,4 +1,8 @@
-"""All structures that matter on one linearisation, by a beam search over sets of added terms."""
+"""Beam search over model structures (sets of added terms) on one linearisation of a fit.
+
+Every structure is scored by its log evidence in closed form (marginal.py) plus a log prior. Read on in
+search.py, which refits the best structures by simulation.
+"""
 
 from __future__ import annotations
 
@@ -16,46 +20,51 @@ from labhil.physics.model import Model
 from labhil.signals import BoolArray, FloatArray
 
 Structure = frozenset[str]
-"""Keys of the terms beside the baseline."""
+"""Keys of the terms that are added to the baseline."""
 
-KNOWN_NOISE = 1.1
-"""RMS in noise levels up to which nothing remains: a noise level is known to some ten per cent."""
+NOISE_RMS_TOLERANCE = 1.1
+"""RMS of residuals in noise levels that counts as noise: noise levels are known to about ten per cent."""
 
-RELEVANCE = 1.0
-"""What a term or a curve explains over what no term does, at least. An effect that is smaller than what is
-missing beside it cannot be distinguished from that."""
-
-PROMISING, LOOKED_AT = 2, 8
-"""Structures that are weighed exactly, and additions whose priors are looked at, over the width of the beam:
-what an addition promises is nearly what it gives."""
+MIN_RELEVANCE = 1.0
+"""Smallest relevance of a term: the mean square that it explains over the one that stays unexplained beyond
+the noise. A smaller effect cannot be distinguished from the missing ones."""
 
 Choice = tuple[Variant, ...]
-"""A structure with the way in which each of its terms acts."""
+"""A structure with the variant of each of its terms."""
 
 
 @dataclass(frozen=True, slots=True)
 class BeamOptions:
-    """How far the enumeration goes.
+    """Extent of the beam search; the defaults are heuristics.
 
     Attributes:
-        width: structures of each size that are extended by one more term, by either evidence.
-        variants: ways of a term to act that larger structures try, the best ones by themselves.
-        most_terms: terms that a structure has, at most.
-        patience: sizes in a row without a better structure after which it ends: two terms may help together
-            of which neither does by itself.
+        width: structures of each size that are extended by one more term, for either evidence.
+        variants: variants of a term that larger structures try; those with the most evidence alone.
+        max_terms: largest number of terms in a structure.
+        patience: the search ends after so many sizes in a row without a better structure. More than one,
+            since two terms may help together although neither helps alone.
+        evaluated_per_width: extended structures that are evaluated exactly, over the width.
+        ranked_per_width: extended structures whose prior is added for a ranking, over the width.
     """
 
     width: int = 40
     variants: int = 2
-    most_terms: int = 24
+    max_terms: int = 24
     patience: int = 2
+    evaluated_per_width: int = 2
+    ranked_per_width: int = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Predicted:
-    """A structure with its log evidence as one linearisation predicts it, and the ``sizes`` of its responses.
+class Prediction:
+    """Evidence of a structure as one linearisation predicts it.
 
-    ``undisturbed`` is the same where no disturbance is possible.
+    Attributes:
+        structure: keys of the added terms.
+        log_evidence: marginalised over the disturbance, prior of the structure included.
+        undisturbed: the same given that there is no disturbance.
+        choice: variant of each term.
+        sizes: (k,), posterior means of the parameters, in units of the responses.
     """
 
     structure: Structure
@@ -65,84 +74,103 @@ class Predicted:
     sizes: FloatArray
 
 
-class Evident(Protocol):
-    """What has log evidence, with a disturbance that is possible and without one."""
+class HasLogEvidence(Protocol):
+    """A structure with log evidence, predicted or of a refit."""
 
     @property
     def log_evidence(self) -> float:
-        """A disturbance of any size summed out."""
+        """Log evidence marginalised over the size of a disturbance."""
         ...
 
     @property
     def undisturbed(self) -> float:
-        """The same where nothing disturbs."""
+        """Log evidence given that there is no disturbance."""
         ...
 
 
-def with_disturbance(of: Evident) -> float:
-    """Log evidence where a disturbance is possible."""
-    return of.log_evidence
+def with_disturbance(scored: HasLogEvidence) -> float:
+    """Log evidence of a structure, marginalised over the size of a disturbance."""
+    return scored.log_evidence
 
 
-def without_disturbance(of: Evident) -> float:
-    """Log evidence where nothing disturbs."""
-    return of.undisturbed
+def without_disturbance(scored: HasLogEvidence) -> float:
+    """Log evidence of a structure, given that there is no disturbance."""
+    return scored.undisturbed
 
 
 EVIDENCES = (with_disturbance, without_disturbance)
 
 
-def relevance(without: FloatArray, remains: FloatArray, acts: BoolArray) -> float:
-    """What a term explains over what remains beside it, in the outputs that it acts on.
+def relevance(without_term: FloatArray, with_term: FloatArray, affected: BoolArray) -> float:
+    """Ratio of the mean square that a term explains to the one that stays unexplained beyond the noise.
 
     Args:
-        without: mean squares (c,) of the outputs' errors without the term, in noise levels.
-        remains: the same with it.
-        acts: (c,) marks the outputs that the term changes.
+        without_term: (c,), mean squares of the outputs' residuals without the term, in noise levels.
+        with_term: (c,), the same with the term.
+        affected: (c,), whether the term changes an output.
+
+    Returns:
+        The ratio over the outputs that the term changes; infinite where only noise remains.
     """
-    on = acts if acts.any() else np.ones_like(acts)  # a hold changes nothing until it lets go: no slope shows
-    beyond_noise = float(np.mean(remains[on])) - KNOWN_NOISE**2
-    explained = float(np.mean((without - remains)[on]))
+    # a stuck part has no slope by the force that holds it: then all outputs count
+    on = affected if affected.any() else np.ones_like(affected)
+    beyond_noise = float(np.mean(with_term[on])) - NOISE_RMS_TOLERANCE**2
+    explained = float(np.mean((without_term - with_term)[on]))
     return explained / beyond_noise if beyond_noise > 0.0 else inf
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
-    """Every absent term, together with those that it builds on (Stribeck friction on Coulomb friction)."""
+    """Every absent term, preceded by the absent terms that it builds on (Stribeck on Coulomb friction)."""
     absent = [name for name in model.terms if name not in present]
     return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
 
 
 def closure(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
-    """Return a structure with the terms that its terms build on, but for those of the baseline."""
+    """Complete a set of terms by those that they build on, and leave out the terms of the baseline."""
     chosen = frozenset(terms)
     return frozenset({*chosen, *(t for term in chosen for t in model.terms[term].with_terms)}) - baseline
 
 
-def log_prior(model: Model, structure: Structure, candidates: int) -> float:
-    """Return the log prior of a structure.
+def log_prior(model: Model, structure: Structure, n_candidates: int) -> float:
+    """Log prior probability of a structure, up to a constant.
 
-    Every number of terms is half as likely as one less, and all structures of one number are alike (Chen and
-    Chen 2008, extended BIC with γ = 1). What others build on comes with them and is not counted.
+    Every number of terms is half as probable as one less, and all structures with the same number of terms
+    are equally probable (Chen and Chen 2008, extended BIC with γ = 1). Terms that others build on do not
+    count.
+
+    Args:
+        model: the model, whose terms state what they build on.
+        structure: keys of the added terms.
+        n_candidates: number of terms that may be added.
     """
     carried = {t for term in structure if term in model.terms for t in model.terms[term].with_terms}
     count = len(structure - carried)
-    return -count * log(2.0) - log(comb(max(candidates, count), count))
+    return -count * log(2.0) - log(comb(max(n_candidates, count), count))
 
 
 @dataclass(frozen=True, slots=True)
 class Enumeration:
-    """Evidence of structures on one linearisation."""
+    """Evidence of all structures on one linearisation of a fit.
+
+    Attributes:
+        model: the model with all its terms.
+        responses: responses of all terms where the fit stands.
+        baseline: keys of the terms that every structure has.
+        n_candidates: number of terms that may be added.
+        options: extent of the beam search.
+        residual_cache: residual mean squares (c,) that were computed already, by the variants of a structure.
+    """
 
     model: Model
     responses: Responses
     baseline: frozenset[str]
-    candidates: int
+    n_candidates: int
     options: BeamOptions = field(default_factory=BeamOptions)
-    known: dict[frozenset[int], FloatArray] = field(default_factory=dict)
+    residual_cache: dict[frozenset[int], FloatArray] = field(default_factory=dict)
 
-    def evaluate(self, choices: Sequence[Choice]) -> list[Predicted]:
-        """Return each structure with its log evidence, prior included, in the order given."""
-        predictions: list[Predicted | None] = [None] * len(choices)
+    def evaluate(self, choices: Sequence[Choice]) -> list[Prediction]:
+        """Compute the log evidence of structures, their priors included, in the order given."""
+        predictions: list[Prediction | None] = [None] * len(choices)
         widths = [_width(choice) for choice in choices]
         for width in sorted(set(widths)):
             places = [i for i, w in enumerate(widths) if w == width]
@@ -152,91 +180,97 @@ class Enumeration:
         return [prediction for prediction in predictions if prediction is not None]
 
     def relevance(self, choice: Choice) -> dict[str, float]:
-        """Return what each term explains over what the structure leaves unexplained, as responses predict it.
-
-        Both are mean squares, beyond the noise. Terms that others of the structure build on are left out.
-        """
-        remains = self._rest(choice)
+        """Predict the relevance of each term of a structure, without the terms that others build on."""
+        with_term = self._residual_mean_squares(choice)
         terms = [self.model.terms[v.term] for v in choice if v.term in self.model.terms]
         carried = {t for term in terms for t in term.with_terms}
         return {
             v.term: relevance(
-                self._rest([variant for variant in choice if variant is not v]),
-                remains,
-                self.responses.acts(v),
+                self._residual_mean_squares([variant for variant in choice if variant is not v]),
+                with_term,
+                self.responses.affected_outputs(v),
             )
             for v in choice
             if v.term not in carried
         }
 
-    def _rest(self, choice: Sequence[Variant]) -> FloatArray:
-        """Mean squares (c,) that a structure leaves, as responses predict it; cached for repeated calls."""
+    def _residual_mean_squares(self, choice: Sequence[Variant]) -> FloatArray:
+        """Predicted mean squares (c,) of a structure's residuals; cached."""
         key = frozenset(v.first for v in choice)
-        if key not in self.known:
-            self.known[key] = self.responses.grams.rest([p for v in choice for p in v.places])
-        return self.known[key]
+        if key not in self.residual_cache:
+            self.residual_cache[key] = self.responses.grams.residual_mean_squares(
+                [p for v in choice for p in v.places]
+            )
+        return self.residual_cache[key]
 
-    def best(self) -> dict[Structure, Predicted]:
-        """Return the best way of every structure that the beam reaches, the empty one included."""
+    def search_beam(self) -> dict[Structure, Prediction]:
+        """Search from small structures to larger ones.
+
+        Returns:
+            Every structure that the beam reached, the empty one included, with its best variants.
+        """
         order = self._best_variants()
-        reached = dict[Structure, Predicted]()
-        beam = self._seeds()
+        reached = dict[Structure, Prediction]()
+        beam = self._initial_choices()
         self._keep_better(reached, self.evaluate(beam))
-        waited = 0
-        while extended := self._most_promising(beam, order, reached):
+        sizes_without_gain = 0
+        while extended := self._extend_beam(beam, order, reached):
             predictions = self.evaluate(extended)
-            tops = [max(of(p) for p in reached.values()) for of in EVIDENCES]
+            tops = [max(evidence(p) for p in reached.values()) for evidence in EVIDENCES]
             self._keep_better(reached, predictions)
             better = any(
-                max(of(p) for p in predictions) > top for of, top in zip(EVIDENCES, tops, strict=True)
+                max(evidence(p) for p in predictions) > top
+                for evidence, top in zip(EVIDENCES, tops, strict=True)
             )
-            waited = 0 if better else waited + 1
-            if waited == self.options.patience:
+            sizes_without_gain = 0 if better else sizes_without_gain + 1
+            if sizes_without_gain == self.options.patience:
                 break
             beam = list(
                 {
-                    _key(choice): choice for of in EVIDENCES for choice in self._best_ways(predictions, of)
+                    _key(choice): choice
+                    for evidence in EVIDENCES
+                    for choice in self._best_choices(predictions, evidence)
                 }.values()
             )
         return reached
 
-    def _best_ways(
-        self, predictions: Sequence[Predicted], evidence: Callable[[Predicted], float]
+    def _best_choices(
+        self, predictions: Sequence[Prediction], evidence: Callable[[Prediction], float]
     ) -> list[Choice]:
-        """The best way of each of the structures with the most evidence of a kind."""
+        """The structures with the most evidence of a kind, each with its best variants."""
         ranked = sorted(predictions, key=evidence, reverse=True)
         first = {p.structure: p.choice for p in reversed(ranked)}
         return [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
 
-    def _predict(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Predicted:
+    def _predict(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Prediction:
         structure = frozenset(v.term for v in choice)
         prior = self._log_prior(choice)
-        return Predicted(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
+        return Prediction(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
 
     def _log_prior(self, choice: Choice) -> float:
-        """Log prior of a structure and of the ways in which its terms act."""
+        """Log prior of a structure and of the variants of its terms."""
         ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
-        return log_prior(self.model, frozenset(v.term for v in choice), self.candidates) - ways
+        return log_prior(self.model, frozenset(v.term for v in choice), self.n_candidates) - ways
 
     @staticmethod
-    def _keep_better(reached: dict[Structure, Predicted], predictions: Iterable[Predicted]) -> None:
-        """Keep the better of two ways of the same structure."""
+    def _keep_better(reached: dict[Structure, Prediction], predictions: Iterable[Prediction]) -> None:
+        """Keep the better of two choices of variants of the same structure."""
         for predicted in predictions:
             best = reached.get(predicted.structure)
             if best is None or predicted.log_evidence > best.log_evidence:
                 reached[predicted.structure] = predicted
 
     def _best_variants(self) -> dict[str, list[Variant]]:
-        """The ways of each term to act that explain most by themselves, best first."""
+        """The variants of each term that have the most evidence alone, best first."""
         order = dict[str, list[Variant]]()
-        flat = [(variant,) for of in self.responses.variants.values() for variant in of]
+        flat = [(variant,) for variants in self.responses.variants.values() for variant in variants]
         for predicted in sorted(self.evaluate(flat), key=lambda p: -p.log_evidence):
             (variant,) = predicted.choice
             order.setdefault(variant.term, []).append(variant)
-        return {term: of[: self.options.variants] for term, of in order.items()}
+        return {term: variants[: self.options.variants] for term, variants in order.items()}
 
-    def _seeds(self) -> list[Choice]:
-        """Nothing, the structure of the fit, and that less one term."""
+    def _initial_choices(self) -> list[Choice]:
+        """The empty structure, the structure of the fit, and the latter without each of its terms."""
         variants = self.responses.variants
         present = [t for t in self.responses.fitted.terms if t not in self.baseline and t in variants]
         full = tuple(variants[t][0] for t in present)
@@ -247,35 +281,36 @@ class Enumeration:
         terms = frozenset(v.term for v in choice)
         return closure(self.model, terms, self.baseline) == terms
 
-    def _most_promising(
+    def _extend_beam(
         self,
         beam: Sequence[Choice],
         order: Mapping[str, Sequence[Variant]],
         reached: Mapping[Structure, object],
     ) -> list[Choice]:
-        """Structures of the beam with one more term and the terms it builds on: those that promise most.
+        """Structures of the beam with one more term and the terms it builds on, by predicted evidence.
 
-        The promise keeps the priors of the structure that is extended, which few terms would change.
+        The prediction keeps the priors of the structure that is extended, which few terms would change.
         """
-        promises = dict[frozenset[tuple[str, int]], tuple[FloatArray, Choice]]()
+        predicted = dict[frozenset[tuple[str, int]], tuple[FloatArray, Choice]]()
         added = self._additions(order)
         for width in sorted({_width(choice) for choice in beam}):
             choices = [choice for choice in beam if _width(choice) == width]
-            for choice, more, logs in self._promising_additions(choices, added):
-                longer = (*choice, *more)
-                if len(longer) > self.options.most_terms or frozenset(v.term for v in longer) in reached:
+            for choice, addition, logs in self._rank_additions(choices, added):
+                longer = (*choice, *addition)
+                if len(longer) > self.options.max_terms or frozenset(v.term for v in longer) in reached:
                     continue
-                best = promises.get(_key(longer))
+                best = predicted.get(_key(longer))
                 if best is None or logs.max() > best[0].max():
-                    promises[_key(longer)] = (logs, longer)
+                    predicted[_key(longer)] = (logs, longer)
         chosen = dict[frozenset[tuple[str, int]], Choice]()
         for kind in range(len(EVIDENCES)):
-            ranked = sorted(promises.items(), key=lambda item: -float(item[1][0][kind]))
-            chosen |= {key: longer for key, (_, longer) in ranked[: PROMISING * self.options.width]}
+            ranked = sorted(predicted.items(), key=lambda item: -float(item[1][0][kind]))
+            evaluated = self.options.evaluated_per_width * self.options.width
+            chosen |= {key: longer for key, (_, longer) in ranked[:evaluated]}
         return list(chosen.values())
 
     def _additions(self, order: Mapping[str, Sequence[Variant]]) -> list[Choice]:
-        """Every term that may be added, by each of its ways, with and without the terms it builds on."""
+        """Every term that may be added, in each of its variants, with and without the terms it builds on."""
         additions: list[Choice] = []
         for term, ways in order.items():
             carried = [t for t in self.model.terms[term].with_terms if t not in self.baseline]
@@ -285,26 +320,26 @@ class Enumeration:
                 additions += [(*(order[t][0] for t in brought), way) for way in ways]
         return additions
 
-    def _promising_additions(
+    def _rank_additions(
         self, choices: Sequence[Choice], added: Sequence[Choice]
     ) -> Iterator[tuple[Choice, Choice, FloatArray]]:
-        """Choices of one number of responses with additions that fit them, and both promises of evidence."""
+        """Choices of one width, the additions that apply to them, and both predictions of log evidence."""
         batch = _batch(choices, _width(choices[0]))
-        for width in sorted({_width(more) for more in added}):
-            same = [more for more in added if _width(more) == width]
-            places = np.array([[p for v in more for p in v.places] for more in same], dtype=np.int64)
-            positive = np.array([[s for v in more for s in v.positive] for more in same], dtype=bool)
+        for width in sorted({_width(addition) for addition in added}):
+            same = [addition for addition in added if _width(addition) == width]
+            places = np.array([[p for v in addition for p in v.places] for addition in same], dtype=np.int64)
+            positive = np.array([[s for v in addition for s in v.positive] for addition in same], dtype=bool)
             logs = np.stack(extended_evidence(self.responses.grams, batch, places, positive), axis=-1)
-            logs[~self._fits(choices, same)] = -np.inf
-            for i, j in _largest_places(logs, LOOKED_AT * self.options.width):
+            logs[~self._is_applicable(choices, same)] = -np.inf
+            for i, j in _largest_indices(logs, self.options.ranked_per_width * self.options.width):
                 yield choices[i], same[j], logs[i, j] + self._log_prior((*choices[i], *same[j]))
 
-    def _fits(self, choices: Sequence[Choice], added: Sequence[Choice]) -> BoolArray:
-        """Whether each addition is what each structure lacks for one more term, (S, V)."""
+    def _is_applicable(self, choices: Sequence[Choice], added: Sequence[Choice]) -> BoolArray:
+        """Whether each of V additions is one new term of each of S structures and all that it builds on."""
         terms = [frozenset(v.term for v in choice) | self.baseline for choice in choices]
         fits = np.empty((len(choices), len(added)), dtype=bool)
-        for j, more in enumerate(added):
-            new, brought = more[-1].term, {v.term for v in more[:-1]}
+        for j, addition in enumerate(added):
+            new, brought = addition[-1].term, {v.term for v in addition[:-1]}
             carried = self.model.terms[new].with_terms
             fits[:, j] = [
                 new not in structure and {t for t in carried if t not in structure} == brought
@@ -313,8 +348,8 @@ class Enumeration:
         return fits
 
 
-def _largest_places(logs: FloatArray, most: int) -> list[tuple[int, int]]:
-    """Places of the so many largest of logs (S, V, K), for each of the K kinds."""
+def _largest_indices(logs: FloatArray, most: int) -> list[tuple[int, int]]:
+    """Indices (s, v) of the ``most`` largest entries of logs (S, V, K), for each of the K kinds."""
     places = dict[tuple[int, int], None]()
     for kind in range(logs.shape[-1]):
         flat = logs[..., kind].ravel()
@@ -326,7 +361,7 @@ def _largest_places(logs: FloatArray, most: int) -> list[tuple[int, int]]:
 
 
 def _width(choice: Choice) -> int:
-    """How many responses a structure has."""
+    """Number of responses of a structure."""
     return sum(len(v.keys) for v in choice)
 
 
@@ -335,7 +370,7 @@ def _key(choice: Choice) -> frozenset[tuple[str, int]]:
 
 
 def _batch(choices: Sequence[Choice], width: int) -> Batch:
-    """Structures of one number of responses, as arrays."""
+    """Structures with the same number of responses, as arrays."""
     shape = (len(choices), width)
     columns = [[c for v in choice for c in v.places] for choice in choices]
     block = [[b for b, v in enumerate(choice) for _ in v.keys] for choice in choices]

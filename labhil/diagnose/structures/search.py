@@ -1,4 +1,9 @@
-"""The search: enumerate all structures, refit the few that matter, linearise at the best, until it stands."""
+"""Search over model structures on windows of one length, by linearisation and refits in turn.
+
+All structures are compared on the linearisation of a fit (enumerate.py), the best are refitted by simulation,
+and the search linearises again at the best refit until that stays the best. State in state.py; the sequence
+of window lengths in stages.py.
+"""
 
 from __future__ import annotations
 
@@ -12,24 +17,20 @@ from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import (
     EVIDENCES,
-    RELEVANCE,
+    MIN_RELEVANCE,
     BeamOptions,
     Enumeration,
-    Evident,
-    Predicted,
+    HasLogEvidence,
+    Prediction,
     Structure,
     candidates,
     relevance,
     with_disturbance,
 )
-from labhil.diagnose.structures.responses import linearise_to_flatter_side, responses
-from labhil.diagnose.structures.state import (
-    Refitted,
-    SearchState,
-    least_relevance,
-)  # fmt: skip
+from labhil.diagnose.structures.responses import compute_responses, linearise_to_flatter_side
+from labhil.diagnose.structures.state import RefittedStructure, SearchState, smallest_relevance
 from labhil.identify.fitted import Fitted, fit_terms, with_only
-from labhil.identify.waves import starts_beside
+from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
 
@@ -37,120 +38,140 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
-    """What governs a search.
+class SearchOptions:
+    """Options of a structure search.
+
+    Values without a source are heuristics; benchmarks/measuring/measure_ablation.py measures several of them.
 
     Attributes:
-        horizons: length of the windows, in scored horizons, of each stage.
-        rounds: linearisations in each stage, at most.
-        refits: structures that are refitted in each round, at most.
-        margin: nats by which an enumerated structure may be behind the best to be refitted.
-        claim: odds (nats) that the best structure needs over the one without a term.
-        relevance: what a term explains over what no term does, at least: mean squares beyond the noise. An
-            effect that is smaller than what is missing beside it cannot be distinguished from that.
-        step: what a structure has to explain of what the one before it leaves, over what remains, for the
-            search to go on there, and what each of its terms explains, or it goes on without that: of four
-            equal missing effects one explains a third of what the others do.
-        few: terms more than those of the fit where responses were taken, up to which structures are compared.
-        climbed: terms up to which the search linearises at the best structure's parts, too: a larger one was
-            reached by way of its parts.
+        window_horizons: length of the windows of each stage, in scored horizons.
+        max_rounds: largest number of linearisations in each stage.
+        max_refits: largest number of structures that are refitted in each round.
+        refit_margin: log odds (nats) by which a structure may be behind the best one to be refitted.
+        min_log_odds: log odds (nats) that the best structure needs over the one without a term: 5 is a Bayes
+            factor of 150, very strong evidence (Kass and Raftery 1995).
+        min_relevance: smallest relevance of a claimed term, see `enumerate.relevance`.
+        min_step_relevance: smallest relevance of a term, and of a structure over the last linearised one,
+            while the search goes on: of four equal missing effects one explains a third of the other three.
+        max_added_terms: structures are compared with at most so many terms more than the linearised fit.
+        max_terms_for_subsets: the search linearises also at subsets of a best structure of at most so many
+            terms; a larger one was reached by way of its subsets.
+        max_residual_in_noise: RMS of the residuals in noise levels from which missing physics outweighs the
+            noise, √2 where both are equal. Then no longer windows are searched, and single terms are
+            refitted.
     """
 
-    horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
-    rounds: int = 5
-    refits: int = 3
-    margin: float = 5.0
-    claim: float = 5.0
-    relevance: float = RELEVANCE
-    step: float = 1.0 / 3.0
-    few: int = 2
-    climbed: int = 4
-
-
-OUTWEIGHED = np.sqrt(2.0)
-"""Noise levels that a stage's best structure leaves from which what is missing outweighs the noise: longer
-windows would add up more of that, and show no more of what acts slowly."""
+    window_horizons: tuple[float, ...] = (0.375, 1.5, 3.0)
+    max_rounds: int = 5
+    max_refits: int = 3
+    refit_margin: float = 5.0
+    min_log_odds: float = 5.0
+    min_relevance: float = MIN_RELEVANCE
+    min_step_relevance: float = 1.0 / 3.0
+    max_added_terms: int = 2
+    max_terms_for_subsets: int = 4
+    max_residual_in_noise: float = np.sqrt(2.0)
 
 
 @dataclass(frozen=True, slots=True)
 class StructureSearch:
     """A search over sets of terms that are added to a baseline.
 
-    ``nominal`` are values by key of the rig's own sizes that the baseline takes far from them: refits begin
-    there, too, for the physics that is missing may bring them back.
+    Attributes:
+        data: searched data, model, and length of the windows.
+        baseline: keys of the terms that every structure has.
+        correlation: (c,), first-order autocorrelation of the noise.
+        progress: is called with a line of text before each step.
+        options: options of the search.
+        nominal: nominal values by key of the rig's own parameters that the baseline takes far from them.
+            Refits begin there, too: with the missing physics these parameters may return.
     """
 
     data: Data
     baseline: tuple[str, ...]
     correlation: FloatArray
     progress: Progress
-    options: Options = Options()
+    options: SearchOptions = SearchOptions()
     nominal: Mapping[str, float] = field(default_factory=dict)
 
     @property
-    def candidates(self) -> int:
-        """How many terms may be added."""
+    def n_candidates(self) -> int:
+        """Number of terms that may be added."""
         return len(candidates(self.data.model, self.baseline))
 
     def run(self, begin: Sequence[Fitted]) -> SearchState:
-        """Search from fits of some structures until nothing likelier is left to refit."""
-        state = SearchState(least=self.options.relevance)
+        """Search until no more probable structure is left to refit.
+
+        Args:
+            begin: fits of some structures, the baseline among them, on the windows of this search.
+
+        Returns:
+            All visited structures.
+        """
+        state = SearchState(min_relevance=self.options.min_relevance)
         for fitted in begin:
-            self._enter(state, fitted)
-        self._settle(state)
+            self._record(state, fitted)
+        self._linearise_until_stable(state)
         if not state.likeliest:
-            self._refit_singles(state)
-            self._settle(state)
-        while len(state.likeliest) <= self.options.climbed and self._climb(state):
-            self._settle(state)
-        self._reduce(state, state.likeliest, state.least)
+            self._refit_single_terms(state)
+            self._linearise_until_stable(state)
+        while len(state.likeliest) <= self.options.max_terms_for_subsets and self._search_subsets(state):
+            self._linearise_until_stable(state)
+        self._drop_irrelevant(state, state.likeliest, state.min_relevance)
         if not state.best:
-            self._refit_singles(state)
+            self._refit_single_terms(state)
         for structure in {frozenset[str](), state.best}:
             self._refit_shapes(state, structure)
         return state
 
-    def _settle(self, state: SearchState) -> None:
-        """Linearise at the best structure and refit the likelier ones there, until it is the best one itself.
+    def _linearise_until_stable(self, state: SearchState) -> None:
+        """Linearise at the best structure and refit the promising ones, until the best one stays the same.
 
-        And at the one that would be best if nothing disturbed: from afar a disturbance stands in for several
-        effects of which none explains most by itself.
+        The same is done at the best structure given that there is no disturbance: far from the data a
+        disturbance can stand for several missing effects, none of which explains most alone.
         """
-        for _ in range(self.options.rounds):
+        for _ in range(self.options.max_rounds):
             new = False
             for evidence in EVIDENCES:
-                best = self._reduce(state, state.most(evidence), self.options.step)
-                if best not in state.linearised and self._leads_on(state, best):
+                best = self._drop_irrelevant(state, state.best_by(evidence), self.options.min_step_relevance)
+                if best not in state.linearised and self._is_improvement(state, best):
                     self._linearise(state, best)
-                    self._refit_narrowed(state, best)
+                    self._refit_limits(state, best)
                     self._refit_promising(state, evidence)
                     new = True
             if not new:
                 break
 
-    def _leads_on(self, state: SearchState, structure: Structure) -> bool:
-        """Whether a structure explains enough of what the best linearised one leaves."""
+    def _is_improvement(self, state: SearchState, structure: Structure) -> bool:
+        """Whether a structure is relevant enough over the best linearised one."""
         if not state.linearised:
             return True
         nearest = max(state.linearised, key=lambda s: state.refitted[s].log_evidence)
         before, after = (state.refitted[s].fitted.mean_squares for s in (nearest, structure))
         refit = state.refitted[structure]
-        new = refit.acts(structure - nearest) if structure - nearest else np.ones(len(before), dtype=bool)
-        return relevance(before, after, new) >= self.options.step
+        new = (
+            refit.affected_outputs(structure - nearest)
+            if structure - nearest
+            else np.ones(len(before), dtype=bool)
+        )
+        return relevance(before, after, new) >= self.options.min_step_relevance
 
     def _linearise(self, state: SearchState, structure: Structure) -> None:
-        """Linearise at a refitted structure, and compare all others there."""
+        """Linearise at a refitted structure, and predict the evidence of all others."""
         near = state.refitted[structure].fitted
-        self.progress(f"evidence of all structures beside {', '.join(near.terms)}")
+        self.progress(f"evidence of all structures, linearised at {', '.join(near.terms)}")
         state.linearised.add(structure)
-        state.view = self._at(near)
-        state.predicted = state.view.best()
+        state.enumeration = self._linearisation_at(near)
+        state.predicted = state.enumeration.search_beam()
 
-    def _climb(self, state: SearchState) -> bool:
-        """Linearise at structures with fewer terms than the best one until one is better; whether one is.
+    def _search_subsets(self, state: SearchState) -> bool:
+        """Linearise at structures with fewer terms than the best one until a better one shows.
 
-        What two terms do together may show only where one of them is, and what takes the place of one only
-        where that is not.
+        The joint effect of two terms may show only at a fit with one of them, and the replacement of a term
+        only at a fit without it.
+
+        Returns:
+            Whether a better structure was found.
         """
         before = state.likeliest
         for size in range(1, len(before)):
@@ -158,51 +179,51 @@ class StructureSearch:
             if likely:
                 self._refit_predicted(state, [max(likely, key=lambda p: p.log_evidence)])
             refitted = [s for s in state.refitted if len(s) == size]
-            if refitted and self._linearise_beside(
+            if refitted and self._linearise_elsewhere(
                 state, max(refitted, key=lambda s: state.refitted[s].log_evidence)
             ):
                 return True
         for term in sorted(before):
             reduced = frozenset(without(self.data.model, tuple(before), term))
             if reduced not in state.refitted:
-                self._refit_and_enter(state, state.refitted[before].fitted, reduced, {})
-            if self._linearise_beside(state, reduced):
+                self._refit_and_record(state, state.refitted[before].fitted, reduced, {})
+            if self._linearise_elsewhere(state, reduced):
                 return True
         return False
 
-    def _linearise_beside(self, state: SearchState, structure: Structure) -> bool:
-        """Linearise at another structure than the best one; whether a better one shows there."""
+    def _linearise_elsewhere(self, state: SearchState, structure: Structure) -> bool:
+        """Linearise at a structure other than the best one, and return whether a better one was found."""
         if structure in state.linearised:
             return False
         before = state.likeliest
         self._linearise(state, structure)
         longer = [p for s, p in state.predicted.items() if structure < s and s not in state.refitted]
-        if longer:  # those with one more term, the terms that it builds on included
+        if longer:  # with one more term and the terms that it builds on
             fewest = min(len(p.structure) for p in longer)
             nearest = [p for p in longer if len(p.structure) == fewest]
             self._refit_predicted(state, [max(nearest, key=lambda p: p.log_evidence)])
         self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
-    def _refit_singles(self, state: SearchState) -> None:
-        """Refit every single term beside a baseline far from the data, where responses show little."""
+    def _refit_single_terms(self, state: SearchState) -> None:
+        """Refit every single term where the baseline is too far from the data for its linearisation."""
         near = state.refitted[frozenset()].fitted
-        if near.noise < OUTWEIGHED:
+        if near.noise < self.options.max_residual_in_noise:
             return
         singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
         self._refit_each(state, near, [single for single in singles if single not in state.refitted])
 
-    def _reduce(self, state: SearchState, structure: Structure, least: float) -> Structure:
-        """A structure refitted without its terms that explain too little, the least one first."""
-        while least_relevance(shares := state.relevance(structure)) < least:
+    def _drop_irrelevant(self, state: SearchState, structure: Structure, least: float) -> Structure:
+        """Drop terms of too little relevance one by one, the smallest first, and refit after each."""
+        while smallest_relevance(shares := state.relevance(structure)) < least:
             near = state.refitted[structure]
             structure = structure - {min(shares, key=lambda term: shares[term])}
             if structure not in state.refitted:
-                self._refit_and_enter(state, near.fitted, structure, {})
+                self._refit_and_record(state, near.fitted, structure, {})
         return structure
 
-    def _refit_narrowed(self, state: SearchState, best: Structure) -> None:
-        """Refit a structure with the form of a term that has no width, begun at that term's size."""
+    def _refit_limits(self, state: SearchState, best: Structure) -> None:
+        """Refit a structure with a term's limit of zero width in its place, begun at that term's size."""
         model = self.data.model
         theta, places = state.refitted[best].fitted.theta, index_of(model.parameters)
         for term in best:
@@ -211,112 +232,117 @@ class StructureSearch:
                 continue
             size, term_size = (places[model.terms[key].parameters[0].key] for key in (narrow, term))
             values = {model.parameters[size].key: max(float(theta[term_size]), 0.0)}
-            self._refit_and_enter(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
+            self._refit_and_record(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
     def _refit_shapes(self, state: SearchState, structure: Structure) -> None:
-        """Refit a structure with each of its shapes begun anew: other terms may have bent one."""
+        """Refit a structure from other starts of its shape parameters, which other terms may have biased."""
         near, model = state.refitted[structure].fitted, self.data.model
         shaped = [t for t in near.terms if any(p.shape for p in model.terms[t].parameters)]
-        starts = [start for term in shaped for start in starts_beside(near, [term])]
+        starts = [start for term in shaped for start in starts_for_added_terms(near, [term])]
         if starts:
-            self._enter(state, self._fit_from(near, near.terms, [{}, *starts]))
+            self._record(state, self._fit_from(near, near.terms, [{}, *starts]))
 
-    def _at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
-        """What may be compared where a fit stands: its own terms, and all others or those ``absent``."""
-        term_responses = responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
+    def _linearisation_at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
+        """The linearisation at a fit, with its own terms and all others, or those in ``absent`` only."""
+        term_responses = compute_responses(self.data, fitted, self.baseline, self.correlation, absent=absent)
         return Enumeration(
-            self.data.model, term_responses, frozenset(self.baseline), self.candidates, self._beam(fitted)
+            self.data.model,
+            term_responses,
+            frozenset(self.baseline),
+            self.n_candidates,
+            self._beam_options(fitted),
         )
 
-    def _beam(self, near: Fitted) -> BeamOptions:
-        """How far from a fit structures are compared.
+    def _beam_options(self, near: Fitted) -> BeamOptions:
+        """Options of the beam search from a fit.
 
-        From afar many terms together stand in for anything: only a few more than those of the fit count,
-        except where responses are exact, as of inverse dynamics.
+        Far from the data many terms together can imitate any effect, so only a few terms are added, except
+        where responses are exact (inverse dynamics).
         """
         if not self.data.model.state_names:
             return BeamOptions()
         added = frozenset(near.terms) - frozenset(self.baseline)
-        return BeamOptions(most_terms=len(added) + self.options.few)
+        return BeamOptions(max_terms=len(added) + self.options.max_added_terms)
 
-    def _refit_promising(self, state: SearchState, evidence: Callable[[Evident], float]) -> None:
-        """Refit the most promising structures that were not refitted yet."""
-        least = evidence(state.refitted[state.most(evidence)]) - self.options.margin
+    def _refit_promising(self, state: SearchState, evidence: Callable[[HasLogEvidence], float]) -> None:
+        """Refit the structures of highest predicted evidence that were not refitted yet."""
+        least = evidence(state.refitted[state.best_by(evidence)]) - self.options.refit_margin
         new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
-        waiting = sorted(new, key=evidence, reverse=True)[: self.options.refits]
-        self._refit_predicted(state, waiting)
+        promising = sorted(new, key=evidence, reverse=True)[: self.options.max_refits]
+        self._refit_predicted(state, promising)
 
-    def _refit_predicted(self, state: SearchState, predicted: Sequence[Predicted]) -> None:
-        """Refit structures from the fit where they were predicted, with the values that they have there."""
-        assert state.view is not None
+    def _refit_predicted(self, state: SearchState, predicted: Sequence[Prediction]) -> None:
+        """Refit structures from the fit where they were predicted, with their predicted values."""
+        assert state.enumeration is not None
         self._refit_each(
-            state, state.view.responses.fitted, [prediction.structure for prediction in predicted]
+            state, state.enumeration.responses.fitted, [prediction.structure for prediction in predicted]
         )
 
     def _refit_each(self, state: SearchState, near: Fitted, structures: Sequence[Structure]) -> None:
-        """Refit structures from one fit, side by side, with the values that they are predicted to have."""
+        """Refit structures from one fit, in parallel, with their predicted values."""
         values = [state.values_of(structure) for structure in structures]
         for structure in structures:
             self.progress(f"refitting {', '.join(sorted(structure)) or 'the baseline'}")
         fits = side_by_side(lambda pair: self._refit(near, *pair), list(zip(structures, values, strict=True)))
         for fitted, begun in zip(fits, values, strict=True):
-            self._enter_best(state, fitted, begun)
+            self._record_better(state, fitted, begun)
 
-    def _refit_and_enter(
+    def _refit_and_record(
         self, state: SearchState, near: Fitted, structure: Structure, values: Mapping[str, float]
     ) -> None:
-        """Refit a structure from a fit nearby, and where a part of it fits better, from that one, too."""
-        self._enter_best(state, self._refit(near, structure, values), values)
+        """Refit a structure from a nearby fit, and record the better of that and a refit from a subset."""
+        self._record_better(state, self._refit(near, structure, values), values)
 
-    def _enter_best(self, state: SearchState, fitted: Fitted, values: Mapping[str, float]) -> None:
-        """Enter a fit, or where a part of its structure fits better, the refit from there."""
+    def _record_better(self, state: SearchState, fitted: Fitted, values: Mapping[str, float]) -> None:
+        """Record a fit, or a refit from a subset of its structure where that has a lower cost."""
         structure = frozenset(fitted.terms) - frozenset(self.baseline)
-        parts = [r.fitted for s, r in state.refitted.items() if s < structure]
-        best = min(parts, key=lambda part: part.solution.cost, default=fitted)
+        subsets = [r.fitted for s, r in state.refitted.items() if s < structure]
+        best = min(subsets, key=lambda subset: subset.solution.cost, default=fitted)
         if best.solution.cost < fitted.solution.cost:
             again = self._refit(best, structure, values)
             fitted = min((fitted, again), key=lambda fit: fit.solution.cost)
-        self._enter(state, fitted)
+        self._record(state, fitted)
 
     def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
-        """Fit a structure from where a fit stands, with these values by key."""
+        """Fit a structure from another fit and with these values by key."""
         model = self.data.model
         terms = (*self.baseline, *(t for t in model.terms if t in structure))
         fresh = [t for t in terms if t not in near.terms]
         starts: list[Mapping[str, float]] = [values]
         if fresh:
-            starts += starts_beside(near, fresh)[1:2]
+            starts += starts_for_added_terms(near, fresh)[1:2]
         if self.nominal:
             starts.append({**values, **self.nominal})
         return self._fit_from(near, terms, starts)
 
     def _fit_from(self, near: Fitted, terms: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Fitted:
-        """Fit terms from where a fit stands, with each of these values by key."""
+        """Fit terms from another fit, with each of these sets of values by key."""
         return fit_terms(
             self.data.model, self.data.search, terms, self.data.window, self.data.sigma,
             start=with_only(self.data.model, near.theta, terms), starts=starts,
             states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
         )  # fmt: skip
 
-    def _enter(self, state: SearchState, fitted: Fitted) -> None:
+    def _record(self, state: SearchState, fitted: Fitted) -> None:
+        """Record a fit with its evidence, unless the state has a better fit of the same structure."""
         structure = frozenset(fitted.terms) - frozenset(self.baseline)
         previous = state.refitted.get(structure)
         if previous is not None and previous.fitted.solution.cost <= fitted.solution.cost:
             return
-        view = self._at(fitted, absent=())
-        variants = view.responses.variants
+        enumeration = self._linearisation_at(fitted, absent=())
+        variants = enumeration.responses.variants
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
-        prediction = view.evaluate([choice])[0]
-        # a size that runs to its bound says that the effect is of another kind
-        possible = 0.0 if self._within_bounds(fitted, structure) else -np.inf
-        possible += _shortfall(fitted, view.responses.grams.dof)
-        state.refitted[structure] = Refitted(
+        prediction = enumeration.evaluate([choice])[0]
+        # a size at its bound shows that the effect is of another kind
+        correction = 0.0 if self._within_bounds(fitted, structure) else -np.inf
+        correction += _convergence_deficit(fitted, enumeration.responses.grams.dof)
+        state.refitted[structure] = RefittedStructure(
             fitted,
-            prediction.log_evidence + possible,
-            prediction.undisturbed + possible,
+            prediction.log_evidence + correction,
+            prediction.undisturbed + correction,
             choice,
-            view,
-            view.relevance(choice),
+            enumeration,
+            enumeration.relevance(choice),
         )
 
     def _within_bounds(self, fitted: Fitted, structure: Structure) -> bool:
@@ -327,11 +353,11 @@ class StructureSearch:
         return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
 
 
-def _shortfall(fitted: Fitted, dof: float) -> float:
-    """Log likelihood (≤ 0) of a fit over that of the minimum its slopes promise, of so many samples.
+def _convergence_deficit(fitted: Fitted, dof: float) -> float:
+    """Log likelihood (≤ 0) of an unconverged fit over that of the minimum of its linearisation.
 
-    Evidence takes a fit for the minimum that its slopes point at. A fit that has not converged, as its slopes
-    differ from those of a few steps further, counts by its own residuals.
+    The evidence assumes that a fit stands at the minimum of its linearisation. ``dof`` are the independent
+    residuals.
     """
     if fitted.solution.converged:
         return 0.0
@@ -339,6 +365,6 @@ def _shortfall(fitted: Fitted, dof: float) -> float:
     lin = linearise_to_flatter_side(problem, solution)
     projected = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
     residuals, slopes = projected[:, 0], projected[:, 1:]
-    promised = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
+    minimum = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
     squares = max(float(solution.residuals @ solution.residuals), 1e-300)
-    return 0.5 * dof * min(float(np.log(max(float(promised @ promised), 1e-300) / squares)), 0.0)
+    return 0.5 * dof * min(float(np.log(max(float(minimum @ minimum), 1e-300) / squares)), 0.0)

@@ -1,4 +1,7 @@
-"""From short windows to long ones: a search on each, the claims at the end, and a curve."""
+"""Sequence of structure searches on windows of increasing length, then the claims and a nonparametric force.
+
+`search_structures` is the entry point of this package. Read on in search.py, claims.py and curves.py.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from labhil.diagnose.refit import on_windows
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
 from labhil.diagnose.structures.curves import CurveSearch
-from labhil.diagnose.structures.disturbance import noise_beside
+from labhil.diagnose.structures.disturbance import estimate_spectral_noise
 from labhil.diagnose.structures.enumerate import candidates
-from labhil.diagnose.structures.search import OUTWEIGHED, Options, Progress, StructureSearch
+from labhil.diagnose.structures.search import Progress, SearchOptions, StructureSearch
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import MAX_NOISE_RATIO
@@ -25,71 +28,102 @@ from labhil.physics.extra_force import AcceptsExtraForce
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray
 
-CURVE_WINDOW = 1.5
-"""Scored horizons of the windows on which curves are weighed: on longer ones few are linear enough."""
-
 
 def search_structures(
-    data: Data, baseline: Fitted, progress: Progress, options: Options | None = None
+    data: Data, baseline: Fitted, progress: Progress, options: SearchOptions | None = None
 ) -> SearchResult:
-    """Find the likeliest terms beside a fitted baseline, by one evidence."""
-    options = options or Options()
-    data, correlation = _in_noise_beside(data, baseline)
+    """Find the terms that a fitted baseline lacks, by Bayesian model comparison.
+
+    Args:
+        data: searched and held-out data, and the model with all terms.
+        baseline: fit of the baseline to the searched data.
+        progress: is called with a line of text before each step.
+        options: options of the search; None for the defaults.
+
+    Returns:
+        The claimed terms with evidence, the final fit, rivals, alternatives, and a nonparametric force where
+        one is more probable. Incomplete where the search was ended early.
+    """
+    options = options or SearchOptions()
+    data, correlation = _with_estimated_noise(data, baseline)
     finished: list[Stage] = []
     complete = True
     try:
         nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
-        for length in _lengths(data, options):
+        for length in _window_lengths(data, options):
             begin = [baseline]
             if finished:
-                begin = finished[-1].leading
-                data, correlation = _in_noise_beside(data, finished[-1].best)
+                begin = finished[-1].leading_fits()
+                data, correlation = _with_estimated_noise(data, finished[-1].best)
             stage = replace(data, window=length)
             begin = list(side_by_side(partial(on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
-            if finished[-1].best.noise > OUTWEIGHED:
+            # longer windows add up more of what is missing, and show no more of what acts slowly
+            if finished[-1].best.noise > options.max_residual_in_noise:
                 break
     except EndedEarly:
         accept()
         complete = False
-    looks = len(candidates(data.model, baseline.terms))
+    n_candidates = len(candidates(data.model, baseline.terms))
     if not finished:
-        return SearchResult(baseline, baseline, (), (), 1.0, looks, complete=False)
-    result = replace(conclude_search(finished[-1], options.claim, looks), complete=complete)
+        return SearchResult(baseline, baseline, (), (), 1.0, n_candidates, complete=False)
+    result = replace(conclude_search(finished[-1], options.min_log_odds, n_candidates), complete=complete)
     if result.missing and not predicts_better(
         *(data.judge(f.theta) for f in (result.baseline, result.final))
     ):
         result = result.without_claims
     result = validate_claims(finished[-1], result)
-    return _with_curve(data, result, finished[-1].data.window, correlation, progress) if complete else result
+    return (
+        _with_force_curve(data, result, finished[-1].data.window, correlation, progress)
+        if complete
+        else result
+    )
 
 
-def _lengths(data: Data, options: Options) -> list[float]:
-    """Length (s) of the windows of each stage; inverse dynamics has no windows and one stage."""
+def _window_lengths(data: Data, options: SearchOptions) -> list[float]:
+    """Length of the windows of each stage in s; one stage for inverse dynamics, which has no states."""
     if not data.model.state_names:
         return [data.window]
-    return list(dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.horizons))
+    return list(
+        dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.window_horizons)
+    )
 
 
-def _in_noise_beside(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
-    """The data in units of the noise beside what a fit lacks, and the noise's correlation (c,)."""
+def _with_estimated_noise(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
+    """The data with noise levels estimated from a fit's residuals, and the noise's autocorrelation (c,)."""
     if not data.model.state_names:
         return data, np.zeros(len(data.sigma))
-    noise = noise_beside(fitted.problem, fitted.solution.residuals)
-    least = noise_of(data.search)
-    return replace(data, sigma=np.clip(noise.sigma, least, MAX_NOISE_RATIO * least)), noise.correlation
+    noise = estimate_spectral_noise(fitted.problem, fitted.solution.residuals)
+    smallest = noise_of(data.search)
+    return replace(data, sigma=np.clip(noise.sigma, smallest, MAX_NOISE_RATIO * smallest)), noise.correlation
 
 
-def _with_curve(
-    data: Data, result: SearchResult, longest: float, correlation: FloatArray, progress: Progress
+def _with_force_curve(
+    data: Data,
+    result: SearchResult,
+    longest_window: float,
+    correlation: FloatArray,
+    progress: Progress,
+    *,
+    window_in_horizons: float = 1.5,
 ) -> SearchResult:
-    """The terms beside the likeliest curve, and the curve; all terms where no curve is likelier."""
+    """The result with the most probable nonparametric force; unchanged if terms alone are more probable.
+
+    Args:
+        data: the data of the search.
+        result: its result.
+        longest_window: length in s of the windows of the last stage.
+        correlation: (c,), autocorrelation of the noise.
+        progress: is called with a line of text.
+        window_in_horizons: length of the windows in scored horizons; on longer ones responses are
+            rarely linear enough.
+    """
     model = data.model
     if not isinstance(model, AcceptsExtraForce) or model.metric is Metric.INVERSE_DYNAMICS:
         return result
-    progress("a force over each coordinate in turn, instead of what is named and beside it")
-    shorter = replace(data, window=min(CURVE_WINDOW * model.horizon, longest))
+    progress("a force over each coordinate in turn, next to the named terms or instead of them")
+    shorter = replace(data, window=min(window_in_horizons * model.horizon, longest_window))
     curve = CurveSearch(shorter, result.baseline.terms, correlation).run(on_windows(shorter, result.final))
     if curve is None:
         return result
@@ -97,14 +131,16 @@ def _with_curve(
     if not predicts_better(data.judge(result.final.theta), extended.judge(curve.curved.fitted.theta)):
         return result
     steps = tuple(step for step in result.missing if step.terms[0] in curve.beside.terms)
-    # structures without a curve are no alternatives to one that is so much likelier
+    # structures without a curve are far less probable, and no alternatives
     return replace(
-        result.ending(_refit_without_places(shorter, curve.beside), steps), curve=curve, alternatives=()
+        result.ending(_refit_without_position_state(shorter, curve.beside), steps),
+        curve=curve,
+        alternatives=(),
     )
 
 
-def _refit_without_places(data: Data, beside: Fitted) -> Fitted:
-    """Refit the terms beside a curve with the search's own model, whose windows do not know the place."""
+def _refit_without_position_state(data: Data, beside: Fitted) -> Fitted:
+    """Refit the terms next to a curve with the search's own model, without a state for the position."""
     if len(beside.problem.model.state_names) == len(data.model.state_names):
         return beside
     return fit_terms(

@@ -1,4 +1,7 @@
-"""The structures that a search has visited: odds, probability, relevance and rivals of each term."""
+"""State of a structure search: the structures visited so far, with odds, probabilities and rivals of terms.
+
+The state is filled by search.py and read by claims.py.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from labhil.diagnose.search_result import Alternative, Rival
 from labhil.diagnose.structures.enumerate import (
     Choice,
     Enumeration,
-    Predicted,
+    Prediction,
     Structure,
     relevance,
     with_disturbance,
@@ -21,97 +24,108 @@ from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
 from labhil.signals import BoolArray
 
-UNLIKELY = 1e-4
-"""Probability below which what a structure estimates can move no interval at 99 %."""
-
-UNDECIDED = 0.1
-"""Probability from which a term that is not named is as open as one that is not there."""
-
 
 @dataclass(frozen=True, slots=True)
-class Refitted:
-    """A structure's own fit, its log evidence where that stands, and what its terms explain there."""
+class RefittedStructure:
+    """A structure that was refitted by simulation, with its evidence on the linearisation at that fit.
+
+    Attributes:
+        fitted: the fit.
+        log_evidence: marginalised over the disturbance, prior of the structure included.
+        undisturbed: the same given that there is no disturbance.
+        choice: variant of each term.
+        enumeration: the linearisation at the fit, with the responses of the fit's own terms.
+        relevance: relevance of each term as that linearisation predicts it.
+    """
 
     fitted: Fitted
     log_evidence: float
     undisturbed: float
     choice: Choice
-    view: Enumeration
+    enumeration: Enumeration
     relevance: Mapping[str, float]
 
-    def acts(self, terms: Collection[str]) -> BoolArray:
-        """Outputs (c,) that some of its terms change."""
-        responses = self.view.responses
-        return np.any([responses.acts(v) for v in self.choice if v.term in terms], axis=0)
+    def affected_outputs(self, terms: Collection[str]) -> BoolArray:
+        """Whether any of these terms changes an output, (c,)."""
+        responses = self.enumeration.responses
+        return np.any([responses.affected_outputs(v) for v in self.choice if v.term in terms], axis=0)
 
 
 @dataclass(slots=True)
 class SearchState:
-    """The structures a stage has visited: refitted ones, and all as the newest linearisation predicts them.
+    """The structures that a search has visited on windows of one length.
 
-    ``least`` is what a term explains over what no term does, at least; ``linearised`` are the structures at
-    which the others were compared.
+    Attributes:
+        min_relevance: smallest relevance of a term that may be claimed.
+        refitted: structures that were refitted by simulation.
+        predicted: structures as the newest linearisation predicts them.
+        enumeration: the newest linearisation.
+        linearised: structures at whose fits the others were compared.
     """
 
-    least: float
-    refitted: dict[Structure, Refitted] = field(default_factory=dict)
-    predicted: dict[Structure, Predicted] = field(default_factory=dict)
-    view: Enumeration | None = None
+    min_relevance: float
+    refitted: dict[Structure, RefittedStructure] = field(default_factory=dict)
+    predicted: dict[Structure, Prediction] = field(default_factory=dict)
+    enumeration: Enumeration | None = None
     linearised: set[Structure] = field(default_factory=set)
 
     @property
-    def relevant(self) -> dict[Structure, Refitted]:
-        """Refitted structures each of whose terms explains enough."""
-        return {s: r for s, r in self.refitted.items() if least_relevance(self.relevance(s)) >= self.least}
+    def relevant(self) -> dict[Structure, RefittedStructure]:
+        """Refitted structures whose terms all have the smallest relevance or more."""
+        return {
+            s: r
+            for s, r in self.refitted.items()
+            if smallest_relevance(self.relevance(s)) >= self.min_relevance
+        }
 
-    def most(self, evidence: Callable[[Refitted], float]) -> Structure:
-        """The refitted structure with the most evidence of a kind."""
+    def best_by(self, evidence: Callable[[RefittedStructure], float]) -> Structure:
+        """The refitted structure with the largest evidence of a kind."""
         return max(self.refitted, key=lambda s: evidence(self.refitted[s]))
 
     @property
     def likeliest(self) -> Structure:
         """The refitted structure with the largest evidence."""
-        return self.most(with_disturbance)
+        return self.best_by(with_disturbance)
 
     @property
     def best(self) -> Structure:
-        """The one of the relevant structures with the largest evidence."""
+        """The relevant refitted structure with the largest evidence."""
         relevant = self.relevant
         return max(relevant, key=lambda s: relevant[s].log_evidence)
 
     def relevance(self, structure: Structure) -> dict[str, float]:
-        """What each term of a refitted structure explains over what that leaves: by refits, where known."""
+        """Relevance of each term of a refitted structure; by the refit without the term, if there is one."""
         refit = self.refitted[structure]
         shares = dict(refit.relevance)
         for term in shares:
             reduced = self.refitted.get(structure - {term})
             if reduced is not None:
-                lacking, having = reduced.fitted.mean_squares, refit.fitted.mean_squares
-                shares[term] = relevance(lacking, having, refit.acts([term]))
+                without_term, with_term = reduced.fitted.mean_squares, refit.fitted.mean_squares
+                shares[term] = relevance(without_term, with_term, refit.affected_outputs([term]))
         return shares
 
     def values_of(self, structure: Structure) -> Mapping[str, float]:
-        """Values by key that the newest linearisation predicts of a structure, if any."""
+        """Parameter values by key that the newest linearisation predicts; empty for an unknown structure."""
         predicted = self.predicted.get(structure)
-        if predicted is None or self.view is None:
+        if predicted is None or self.enumeration is None:
             return {}
-        return self.view.responses.sizes(predicted.choice, predicted.sizes)
+        return self.enumeration.responses.sizes(predicted.choice, predicted.sizes)
 
     def log_evidence(self) -> dict[Structure, float]:
-        """Log evidence of the visited structures, but for likelier ones whose terms explain too little."""
+        """Log evidence of all visited structures that are not more probable than the best relevant one."""
         logs = {s: p.log_evidence for s, p in self.predicted.items()}
         logs |= {s: r.log_evidence for s, r in self.refitted.items()}
         most = self.refitted[self.best].log_evidence
         return {structure: value for structure, value in logs.items() if value <= most}
 
 
-def least_relevance(relevance: Mapping[str, float]) -> float:
-    """The smallest relevance of a structure's terms; without terms there is none."""
+def smallest_relevance(relevance: Mapping[str, float]) -> float:
+    """Smallest relevance of a structure's terms; infinite without terms."""
     return min(relevance.values(), default=np.inf)
 
 
-def inclusion(state: SearchState) -> dict[str, float]:
-    """Return the posterior probability of every term: of all visited structures that have it."""
+def inclusion_probabilities(state: SearchState) -> dict[str, float]:
+    """Posterior inclusion probability of every term: that of all visited structures which contain it."""
     log_evidence = state.log_evidence()
     structures, logs = list(log_evidence), np.array(list(log_evidence.values()))
     weights = np.exp(logs - logs.max())
@@ -123,8 +137,13 @@ def inclusion(state: SearchState) -> dict[str, float]:
     return probabilities
 
 
-def alternatives(state: SearchState) -> tuple[Alternative, ...]:
-    """What every refitted structure estimates, with its probability among these."""
+def alternatives(state: SearchState, *, min_probability: float = 1e-4) -> tuple[Alternative, ...]:
+    """Estimates of every refitted structure, with its probability among all of them.
+
+    Args:
+        state: a finished search.
+        min_probability: less probable structures are left out: they cannot move an interval at 99 %.
+    """
     log_evidence = state.log_evidence()
     kept = [s for s in state.refitted if np.isfinite(log_evidence.get(s, -np.inf))]
     logs = np.array([log_evidence[s] for s in kept])
@@ -133,48 +152,74 @@ def alternatives(state: SearchState) -> tuple[Alternative, ...]:
     return tuple(
         Alternative(share, fit.estimates)
         for share, fit in zip((weights / weights.sum()).tolist(), fits, strict=True)
-        if share > UNLIKELY
+        if share > min_probability
     )
 
 
 def log_odds(model: Model, state: SearchState, term: str) -> float:
-    """Return the log odds that the best structure needs a term, whatever else builds on it.
+    """Log odds of the best structure against the one without a term and without those that build on it.
 
-    Against the structure without it as that was refitted, or as the best one's own linearisation predicts it.
+    The structure without the term counts as it was refitted, else as the linearisation at the best one
+    predicts it.
+
+    Args:
+        model: the model, whose terms state what they build on.
+        state: a finished search.
+        term: key of a term of the best structure.
     """
     best = state.best
     refit = state.refitted[best]
-    alone = [v for v in refit.choice if v.term != term]
-    without = refit.view.evaluate([tuple(alone)])[0].log_evidence
+    remaining = [v for v in refit.choice if v.term != term]
+    without = refit.enumeration.evaluate([tuple(remaining)])[0].log_evidence
     carriers = {t for t in best if term in model.terms[t].with_terms}
     reduced = state.refitted.get(best - {term})
-    # a structure with a size at its bound explains nothing, and is no comparison
+    # a structure with a parameter at its bound has no evidence, and is no comparison
     if not carriers and reduced is not None and np.isfinite(reduced.log_evidence):
         without = reduced.log_evidence
     return refit.log_evidence - without
 
 
-def as_likely_as_not(state: SearchState) -> tuple[str, ...]:
-    """Terms of which the refitted structures with and without them are within odds of nine to one."""
+def undecided_terms(state: SearchState, *, min_probability: float = 0.1) -> tuple[str, ...]:
+    """Terms outside the best structure that the data neither support nor exclude.
+
+    Args:
+        state: a finished search.
+        min_probability: a term is undecided if the best refitted structure with it has at least this
+            probability against the best one without it, and at most one minus this.
+
+    Returns:
+        Keys of the undecided terms.
+    """
     logs = {structure: refit.log_evidence for structure, refit in state.refitted.items()}
     open_terms = []
     for term in sorted({term for structure in logs for term in structure} - state.best):
-        having, lacking = (
+        with_term, without_term = (
             max(value for structure, value in logs.items() if (term in structure) == included)
             for included in (True, False)
         )
-        probability = float(expit(having - lacking))
-        if UNDECIDED <= probability <= 1.0 - UNDECIDED:
+        probability = float(expit(with_term - without_term))
+        if min_probability <= probability <= 1.0 - min_probability:
             open_terms.append(term)
     return tuple(open_terms)
 
 
-def rivals_of(state: SearchState, best: Structure) -> tuple[Rival, ...]:
-    """Return Structures that have another term in the place of one, within 5 nats."""
-    log_evidence, rivals, shares = state.log_evidence(), [], inclusion(state)
+def rivals_of(state: SearchState, best: Structure, *, max_log_odds_in_nats: float = 5.0) -> tuple[Rival, ...]:
+    """Structures that are nearly as probable with another term in the place of one.
+
+    Args:
+        state: a finished search.
+        best: the structure to compare with.
+        max_log_odds_in_nats: a rival is behind the best structure by less than this, a Bayes factor of about
+            150.
+
+    Returns:
+        The rivals, the most probable first.
+    """
+    log_evidence, rivals, probabilities = state.log_evidence(), [], inclusion_probabilities(state)
     for structure, value in log_evidence.items():
-        gone, new = best - structure, structure - best
-        if len(gone) == 1 and len(new) == 1 and log_evidence[best] - value < 5.0:
-            rival = next(iter(new))
-            rivals.append(Rival(rival, next(iter(gone)), 2.0 * (log_evidence[best] - value), shares[rival]))
+        removed, added = best - structure, structure - best
+        deficit = log_evidence[best] - value
+        if len(removed) == 1 and len(added) == 1 and deficit < max_log_odds_in_nats:
+            rival = next(iter(added))
+            rivals.append(Rival(rival, next(iter(removed)), 2.0 * deficit, probabilities[rival]))
     return tuple(sorted(rivals, key=lambda r: r.delta_bic))
