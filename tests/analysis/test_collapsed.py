@@ -15,8 +15,8 @@ from one_input_rigs import replay, rig_of, staircase
 import labhil as lh
 from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
-from labhil.diagnose.begin import data_of
-from labhil.diagnose.collapsed import NEAR, bound_near_nominal, find_collapsed
+from labhil.diagnose.begin import prepare_data
+from labhil.diagnose.collapsed import NEAR_FACTOR, bound_near_nominal, find_collapsed
 from labhil.diagnose.diagnosis import _changes, diagnose
 from labhil.identify.fitted import fit_terms
 from labhil.identify.statistics import stated_estimates
@@ -92,7 +92,7 @@ def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
     terms, noise = ["viscous_friction", "coulomb_friction"], {"speed_noise": 0.02}
     record = replay("dc_motor", u, terms, noise=noise, seed=1, outputs=("speed",)).record
     model = DcMotorModel(rig_of("dc_motor"), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     fitted = fit_terms(
         model, record, ("viscous_friction",), data.window, data.sigma, start=data.begin, iterations=5
     )
@@ -106,7 +106,7 @@ def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
 def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nominal_value():
     record = tilted(6.0, 1)
     model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     place = [p.key for p in model.parameters].index("acceleration_per_radian")
 
     def at(gain: float):
@@ -121,7 +121,7 @@ def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nomina
     assert "far from its nominal or typical 7.007 m/s²" in lost.statement
     assert find_collapsed(data, at(0.5 * GAIN)) == ()
     near = bound_near_nominal(model, [lost]).parameters[place]
-    assert near.lower == pytest.approx(GAIN / NEAR) and near.upper == pytest.approx(GAIN * NEAR)
+    assert near.lower == pytest.approx(GAIN / NEAR_FACTOR) and near.upper == pytest.approx(GAIN * NEAR_FACTOR)
     assert model.parameters[place].lower == 1e-3
 
 

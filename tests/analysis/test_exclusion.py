@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.begin import data_of
+from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.statements import exclusions
 from labhil.identify.fitted import fit_terms
@@ -21,7 +21,7 @@ CHANNELS = (("speed", "rad/s"), ("current", "A"))
 
 def limits(record: Record) -> dict[str, float]:
     model = model_for(default_rig("dc_motor"), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     found = fit_terms(model, record, DRY, data.window, data.sigma, start=data.begin, iterations=8)
     stated, _ = exclusions(absent_effects(found), ())
     return {item.term: item.largest_hidden for item in stated}

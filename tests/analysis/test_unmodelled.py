@@ -168,7 +168,7 @@ def test_a_curve_takes_the_place_of_what_imitates_it_only(
     else:
         assert found is not None
         assert not set(named) & set(found.beside.terms)
-        assert found.curved.model.coordinate.name == "ball_position"
+        assert found.curve_fit.model.coordinate.name == "ball_position"
 
 
 @pytest.mark.extended

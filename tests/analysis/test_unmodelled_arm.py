@@ -14,10 +14,10 @@ import pytest
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
 from labhil.diagnose.adequacy import exceeds_noise, residual_rms
-from labhil.diagnose.begin import data_of, fit_baseline
+from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.joint_curves import joint_curves
+from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import SearchResult
 from labhil.errors import ModelFileError
@@ -78,12 +78,12 @@ def sprung(record: Record, joint: int) -> Record:
 def searched(*records: Record) -> tuple[Data, Fitted]:
     """A search that found no named term."""
     model = ArmModel(RIG, records[0])
-    data = data_of(model, *(model.prepare(record) for record in records))
+    data = prepare_data(model, *(model.prepare(record) for record in records))
     return data, fit_baseline(data, [term.key for term in terms_named(model, arm.TERMS)])
 
 
 def curves_of(data: Data, base: Fitted) -> tuple[ForceCurve, ...]:
-    return joint_curves(data, SearchResult(base, base, (), (), 1.0, 1))
+    return fit_joint_curves(data, SearchResult(base, base, (), (), 1.0, 1))
 
 
 def within(found: ForceCurve, law: Law) -> float:

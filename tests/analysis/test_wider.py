@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labhil.diagnose.augmented import adds_beyond_doubt, goes_elsewhere, leave_more
-from labhil.diagnose.begin import data_of
+from labhil.diagnose.augmented import adds_certain_terms, exceeds_search_residuals, leaves_searched_range
+from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search_result import Step
 from labhil.physics.model import Record
@@ -29,7 +29,7 @@ def test_readings_beyond_all_that_was_searched_go_elsewhere(largest, elsewhere):
     swing = 0.5 * (1.0 - np.cos(np.linspace(0.0, 12.0 * np.pi, 1000)))
     searched, held_out = turning(5.0 * swing, 1), turning(largest * swing, 2)
     model = model_for(default_rig("dc_motor"), searched)
-    assert goes_elsewhere(data_of(model, searched, held_out)) == elsewhere
+    assert leaves_searched_range(prepare_data(model, searched, held_out)) == elsewhere
 
 
 def test_a_reading_or_two_beyond_are_not_elsewhere():
@@ -37,7 +37,7 @@ def test_a_reading_or_two_beyond_are_not_elsewhere():
     further = 5.0 * swing
     further[500:550] += 3.0
     model = model_for(default_rig("dc_motor"), turning(swing, 1))
-    assert not goes_elsewhere(data_of(model, turning(5.0 * swing, 1), turning(further, 2)))
+    assert not leaves_searched_range(prepare_data(model, turning(5.0 * swing, 1), turning(further, 2)))
 
 
 def steps(**delta_bics):
@@ -57,7 +57,7 @@ def steps(**delta_bics):
 )
 def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added):
     """Where more than noise is left, evidence that is merely strong may be of what is left."""
-    assert adds_beyond_doubt(first, then) == added
+    assert adds_certain_terms(first, then) == added
 
 
 @pytest.mark.parametrize(
@@ -71,5 +71,5 @@ def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added
         ([300.0, 1.0], [310.0, 1.6], True),  # of the second output
     ],
 )
-def test_held_out_data_say_more_where_they_leave_more(searched, held_out, more):
-    assert leave_more(np.array([searched, held_out])) == more
+def test_held_out_data_say_more_where_they_exceeds_search_residuals(searched, held_out, more):
+    assert exceeds_search_residuals(np.array([searched, held_out])) == more

@@ -70,7 +70,7 @@ def conclude_search(stage: Stage, claim: float, looks: int) -> SearchResult:
         disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > claim,
         alternatives=alternatives(state),
     )
-    return result.ending(result.final, result.missing)
+    return result.with_steps(result.final, result.missing)
 
 
 def _with_only(stage: Stage, structure: Structure) -> Fitted:
@@ -107,7 +107,7 @@ def validate_claims(stage: Stage, result: SearchResult) -> SearchResult:
             least = max(doubtful, key=lambda step: step.evidence.p_value)
             kept = frozenset(without(stage.data.model, result.final.terms, least.terms[0])) - baseline
             steps = tuple(step for step in result.missing if step.terms[0] in kept)
-            result = result.ending(_with_only(stage, kept), steps)
+            result = result.with_steps(_with_only(stage, kept), steps)
             tested = _terms(doubtful) & kept or _terms(result.missing)
         elif tested == _terms(result.missing):
             break
@@ -123,12 +123,12 @@ def _terms(steps: Sequence[Step]) -> Structure:
 def _validate(stage: Stage, result: SearchResult, tested: Structure) -> tuple[Step, ...]:
     """The steps, with what held-out data gain by each of ``tested``: against the final model without it."""
     data, final = stage.data, result.final
-    after = data.judge(final.theta)
+    after = data.score_held_out(final.theta)
 
     def validate(step: Step) -> Step:
         terms = without(data.model, final.terms, step.terms[0])
         reduced = _with_only(stage, frozenset(terms) - frozenset(result.baseline.terms))
-        gain, p_value = best_heldout_gain(data.judge(reduced.theta), after)
+        gain, p_value = best_heldout_gain(data.score_held_out(reduced.theta), after)
         return replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain))
 
     return tuple(validate(step) if step.terms[0] in tested else step for step in result.missing)

@@ -12,8 +12,15 @@ from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import deepen, fix_gauge, glance, refine, restart, with_spline
-from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, with_placed
+from labhil.diagnose.curve import (
+    add_spline,
+    fit_linearised_curve,
+    fix_gauge,
+    refine,
+    refine_with_states,
+    restart,
+)
+from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, position_variants
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.enumerate import RELEVANCE, Choice, Enumeration, Structure
@@ -73,7 +80,7 @@ class CurveSearch:
     def run(self, fitted: Fitted) -> FittedCurve | None:
         """Return the likeliest curve on any part, or None where the named structure of a fit is likelier."""
         best: FittedCurve | None = None
-        for begin in with_placed(fitted):
+        for begin in position_variants(fitted):
             model = begin.problem.model
             for part in model.moved if isinstance(model, AcceptsExtraForce) else ():
                 trial = self._on_part(begin, part)
@@ -81,7 +88,7 @@ class CurveSearch:
                     best = trial
         if best is None:
             return None
-        return replace(best, curved=fix_gauge(deepen(best.curved, self.options.finished)))
+        return replace(best, curve_fit=fix_gauge(refine_with_states(best.curve_fit, self.options.finished)))
 
     def _on_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         best: FittedCurve | None = None
@@ -147,7 +154,7 @@ class CurveSearch:
         named_fit = self._without(fitted, choice.beside)
         problem, states = named_fit.problem, named_fit.solution.point.states
         along = problem.model.coordinates(named_fit.theta, problem.record, problem.windows, states)
-        first = glance(named_fit, choice.coordinate, choice.coordinate.of(along))
+        first = fit_linearised_curve(named_fit, choice.coordinate, choice.coordinate.of(along))
         curved = refine(restart(first), self.options.iterations)
         coordinates = len(problem.model.coordinate_units)
         view = self._view(curved.fitted, (), coordinates)
@@ -191,7 +198,7 @@ def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Co
     for coordinate in coordinates:
         values = coordinate.of(along)
         if np.ptp(values) > 0.0:
-            extended, spline_problem, point = with_spline(fitted, coordinate, values)
+            extended, spline_problem, point = add_spline(fitted, coordinate, values)
             lin = spline_problem.linearise(point, fitted.solution.residuals)
             slopes = lin.by_parameters[:, -extended.spline.count :]
             name = f"force over {coordinate.name}, {coordinate.acts.name}"
