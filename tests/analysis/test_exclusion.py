@@ -1,4 +1,4 @@
-"""How large an effect may be that stays hidden: by noise alone, and beside what the model leaves."""
+"""Exclusion limits of absent effects, with noise alone and with other model errors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def limits(record: Record) -> dict[str, float]:
     return {item.term: item.largest_hidden for item in stated}
 
 
-def test_what_a_model_leaves_hides_more_than_as_large_a_noise():
+def test_model_errors_hide_larger_effects_than_noise_of_the_same_size():
     random = np.random.default_rng(2)
     u = levels(1500, 40, 5.0, random)
     clean = driven("dc_motor", u, 0.01, {}, DRY, 50.0, False, random, CHANNELS)[0]
