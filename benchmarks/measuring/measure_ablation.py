@@ -28,7 +28,7 @@ from labhil.campaign.trials.answer import Answer
 from labhil.campaign.trials.folder import recording
 from labhil.campaign.trials.judge import SURE_GAIN
 from labhil.campaign.trials.make import Order, make_trials
-from labhil.diagnose.begin import data_of, fit_baseline
+from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures import disturbance, responses, search, stages
 from labhil.diagnose.structures import enumerate as beam
@@ -120,7 +120,7 @@ def run_search(
 ) -> SearchResult:
     """What the search finds in one trial."""
     material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
-    data = data_of(material.model, material.train, material.test)
+    data = prepare_data(material.model, material.train, material.test)
     base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
     return stages.search_structures(data, base, lambda text: None, options)
 

@@ -22,7 +22,7 @@ from scipy.optimize import brentq
 
 import labhil as lh
 from labhil.campaign.share import Share
-from labhil.diagnose.remainder import NOISE
+from labhil.diagnose.remainder import MAX_NOISE_FLOORS
 from labhil.signals import FloatArray
 
 PERIOD, SAMPLES = 0.01, 3000
@@ -168,7 +168,8 @@ def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
             sum(not _effects(t) for t in by_kind[INSIDE]), len(by_kind[INSIDE])
         ).to_json(),
         "inside the mechanism: none named, or said that more than noise remains": Share(
-            sum(not _effects(t) or t["remains"] > NOISE for t in by_kind[INSIDE]), len(by_kind[INSIDE])
+            sum(not _effects(t) or t["remains"] > MAX_NOISE_FLOORS for t in by_kind[INSIDE]),
+            len(by_kind[INSIDE]),
         ).to_json(),
         "processor seconds, median": {
             kind: float(np.median([t["seconds"] for t in ts])) for kind, ts in by_kind.items() if ts

@@ -1,4 +1,7 @@
-"""A model that was accepted, as a file states it: values, their errors, and how well it fitted."""
+"""An accepted model from a file: its values, their covariance, and how well it fitted.
+
+``verify.py`` tests a recording against it; ``diagnosis.py`` compares refitted values with it.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,22 @@ from labhil.physics.model import Model
 from labhil.physics.terms import Parameter, keyed
 from labhil.signals import FloatArray, IntArray
 
-MOST_COLOURED = 3.0
-"""Ratio of RMSE to floor beyond which no coloured noise is believed: neighbours correlated by 0.85."""
-
 
 @dataclass(frozen=True, slots=True)
 class Accepted:
-    """Values by parameter key, terms, and what else the file has.
+    """An accepted model.
 
-    ``covariance`` (k, k) belongs to ``keys`` (SI units; infinite variances for what is not known);
-    ``residual_ratio`` maps channels (with the joint, as ``keyed``) to RMSE over noise floor on the data
-    that the model was fitted to, and ``shortest`` is the same of its shortest fitted windows; ``window`` is
-    the length (s) of the windows that it was fitted on.
+    Attributes:
+        name: name of the file.
+        rig: name of the rig, if the file states it.
+        terms: keys of its terms.
+        values: values by parameter key, SI units.
+        keys: parameter keys of the covariance.
+        covariance: covariance of their values, (k, k), SI units; infinite variances for unknown values.
+        residual_ratio: RMSE over noise floor on the data that the model was fitted to, by channel (with the
+            joint, as ``keyed``).
+        shortest: the same on the shortest windows that were fitted.
+        window: length of the windows that the model was fitted on, s.
     """
 
     name: str
@@ -39,10 +46,17 @@ class Accepted:
     window: float | None = None
 
     def vector(self, model: Model) -> FloatArray:
-        """The model's whole vector (all parameters) at these values.
+        """Arrange the values as the parameter vector of a model.
 
-        ModelFileError names a rig's own parameter that the model needs and the file does not give, or one
-        that the model does not have.
+        Args:
+            model: the model.
+
+        Returns:
+            All parameters of the model, (P,).
+
+        Raises:
+            ModelFileError: if the file lacks a parameter that the model needs, or has one that the model does
+                not have.
         """
         model_keys = {p.key for p in model.parameters}
         for key in self.values:
@@ -60,7 +74,14 @@ class Accepted:
         return start_theta(model, self.values)
 
     def covariance_of(self, wanted: Sequence[str]) -> FloatArray:
-        """Covariance (k, k) of the parameters ``wanted``; zero for what is taken as exact."""
+        """Covariance of some of the values.
+
+        Args:
+            wanted: keys of the parameters.
+
+        Returns:
+            Covariance, (k, k), SI units; zero for values that are taken as exact.
+        """
         result = np.zeros((len(wanted), len(wanted)))
         if self.covariance is None:
             return result
@@ -70,25 +91,44 @@ class Accepted:
         result[np.ix_(rows, rows)] = self.covariance[np.ix_(stored_rows, stored_rows)]
         return result
 
-    def allowed_ratio(self, channel: str, refitted: float | None = None) -> float:
-        """RMSE over noise floor that the accepted model reached and that noise alone explains, ≥ 1.
+    def allowed_ratio(
+        self, channel: str, refitted: float | None = None, *, max_coloured_ratio: float = 3.0
+    ) -> float:
+        """RMSE over noise floor that the accepted model reached and that noise alone explains.
 
-        Coloured noise is larger than the floor that is read from the quickest changes, in short windows as in
-        long ones; what grows with the window, or is too much for noise, was misfit, and none of that is
-        allowed. ``refitted`` is the ratio that a refit reaches where no floor is known, as of inverse
-        dynamics, whose filter takes the quickest changes out.
+        The floor is estimated from differences of neighbouring samples, which coloured noise exceeds in short
+        windows as in long ones. An error that grows with the window, or is too large for coloured noise, was
+        misfit and is not allowed.
+
+        Args:
+            channel: the output, with its joint as ``keyed``.
+            refitted: ratio that a refit reaches where no floor is known, as of inverse dynamics, whose filter
+                removes fast changes.
+            max_coloured_ratio: ratio that coloured noise reaches at most, at a correlation of neighbouring
+                samples of 0.85.
+
+        Returns:
+            The allowed ratio, at least 1.
         """
         if refitted is not None:
             return max(1.0, self.residual_ratio.get(channel, refitted))
-        reached = min(self.residual_ratio.get(channel, 1.0), self.shortest or MOST_COLOURED)
-        return min(max(1.0, reached), MOST_COLOURED)
+        reached = min(self.residual_ratio.get(channel, 1.0), self.shortest or max_coloured_ratio)
+        return min(max(1.0, reached), max_coloured_ratio)
 
 
 def accepted_error(accepted: Accepted | None, of: Estimate | Parameter) -> float:
-    """Standard error of a value of the accepted model, zero where there is none or it is taken as exact."""
+    """Standard error of a value of the accepted model.
+
+    Args:
+        accepted: the accepted model, if there is one.
+        of: the parameter or an estimate of it.
+
+    Returns:
+        Standard error, SI units; 0 without an accepted model and for a value that is taken as exact.
+    """
     if accepted is None:
         return 0.0
-    # a model of one recording states a value once for all
+    # a model of one recording states one value for all recordings
     keys = (of.key, keyed(of.name, of.joint))
     key = next((key for key in keys if key in accepted.keys), of.key)
     return float(np.sqrt(accepted.covariance_of([key])[0, 0]))

@@ -1,14 +1,15 @@
-"""Whether a model leaves more than noise, on windows whose initial states are fitted to all of their samples.
+"""Residual adequacy: does a model leave more than noise once the initial states of windows are fitted?
 
-Scores predict, and an error of the initial state grows with the horizon, so that a handful of windows says
-little of what else is wrong. Windows that are fitted to their end leave noise and what the model lacks.
+A score predicts from an estimated initial state, whose error grows with the horizon; a handful of windows
+then says little about the model. Here the states are fitted to all samples of a window, so that noise and
+model error remain. ``conclude.py`` combines this with the scores.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from labhil.diagnose.curve import length_of
+from labhil.diagnose.curve import mean_window_length
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted
 from labhil.identify.input_noise import variance_by_input_noise
@@ -20,25 +21,26 @@ from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
 from labhil.signals import FloatArray
 
-UNEXPLAINED = 1.2
-"""RMS of what is left, in units of the noise, that no noise makes: it is known to a few per cent."""
-
-EXCESS = 2.5
-"""The same of inverse dynamics, whose noise is known only from differences of neighbours."""
-
-WITH_LEAD = 1.5
-"""A scored window and its lead-in, in horizons."""
-
-STANDS_IN = 0.5
-"""Share of the excess that a force has to explain, or it only stands in for something else."""
+MAX_RMS_IN_NOISE = 1.2
+"""RMS of residuals, in units of the noise, that noise alone may reach: it is known to a few per cent."""
 
 
 def residual_rms_on(
     model: Model, theta: FloatArray, record: Record, noise: Noise, length: float
 ) -> FloatArray:
-    """RMS (c,) of what a model leaves of each output, in units of its noise, windows ``length`` s long.
+    """RMS of the residuals of each output on windows of a given length, in units of the noise.
 
     The noise that a measured input brings into the simulation counts as noise.
+
+    Args:
+        model: the model.
+        theta: its parameter vector.
+        record: the recording.
+        noise: the noise of its outputs.
+        length: length of the windows, s; inverse dynamics has no windows and ignores it.
+
+    Returns:
+        RMS of each output, (c,); about 1 for a complete model.
     """
     inverse_dynamics = model.metric is Metric.INVERSE_DYNAMICS
     windows = Windows.of(record.spans) if inverse_dynamics else fit_windows(record, length)
@@ -50,23 +52,56 @@ def residual_rms_on(
 
 
 def residual_rms(data: Data, fitted: Fitted) -> FloatArray:
-    """RMS (2, c) that a fit leaves of search and held-out data: on its own windows, or on the metric's."""
-    length = length_of(fitted)
+    """RMS of the residuals of a fit on search and held-out data, in units of the noise.
+
+    Args:
+        data: the data of the search.
+        fitted: the fit.
+
+    Returns:
+        RMS by data set (search, held-out) and output, (2, c): the larger of that on windows of the fit and
+        on windows of the metric.
+    """
+    length = mean_window_length(fitted)
     return np.array(
         [_worst_rms(record, data.model, fitted.theta, length) for record in (data.search, data.test)]
     )
 
 
-def _worst_rms(record: Record, model: Model, theta: FloatArray, of_fit: float) -> FloatArray:
-    """The larger RMS (c,) of those on windows of the fit and on the metric's with their lead-in."""
+def _worst_rms(
+    record: Record,
+    model: Model,
+    theta: FloatArray,
+    fit_window: float,
+    *,
+    window_in_horizons: float = 1.5,
+) -> FloatArray:
+    """The larger RMS (c,) of that on windows of the fit (s) and on the metric's with their lead-in."""
     noise = estimate_coloured_noise(model, theta, record, noise_of(record))
-    lengths = {of_fit}
+    lengths = {fit_window}
     if model.metric is not Metric.INVERSE_DYNAMICS:
-        lengths.add(max(of_fit, WITH_LEAD * scored_horizon(model, theta, record)))
+        lengths.add(max(fit_window, window_in_horizons * scored_horizon(model, theta, record)))
     return np.max([residual_rms_on(model, theta, record, noise, length) for length in lengths], axis=0)
 
 
-def exceeds_noise(data: Data, rms: FloatArray) -> bool:
-    """Whether an RMS (…, c), in units of the noise, is more than noise, of any output."""
-    limit = EXCESS if data.model.metric is Metric.INVERSE_DYNAMICS else UNEXPLAINED
+def exceeds_noise(
+    data: Data,
+    rms: FloatArray,
+    *,
+    max_rms: float = MAX_RMS_IN_NOISE,
+    max_rms_inverse_dynamics: float = 2.5,
+) -> bool:
+    """Decide whether residuals of any output are more than noise.
+
+    Args:
+        data: the data of the search.
+        rms: RMS of residuals in units of the noise, (…, c).
+        max_rms: RMS that noise alone may reach.
+        max_rms_inverse_dynamics: the same of inverse dynamics, whose noise is known only from the differences
+            of neighbouring samples.
+
+    Returns:
+        True if the RMS of some output is above the limit.
+    """
+    limit = max_rms_inverse_dynamics if data.model.metric is Metric.INVERSE_DYNAMICS else max_rms
     return bool(np.max(rms) > limit)

@@ -1,4 +1,7 @@
-"""The answer of a diagnosis: missing terms, rivals, limits, changes, and the whole."""
+"""The answer of a diagnosis: missing terms, rivals, exclusion limits, changed values and scores.
+
+``diagnosis.py`` fills it in; ``analysis/results.py`` writes it as JSON.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """One effect that the baseline lacks; ``probability`` is that it is really there."""
+    """An effect that the baseline lacks, with the ``probability`` that it is really there."""
 
     term: str
     joint: int | None
@@ -32,7 +35,7 @@ class Missing:
 
 @dataclass(frozen=True, slots=True)
 class RivalTerm:
-    """A term that would explain the data about as well in the place of a missing one."""
+    """A term that explains the data about as well in the place of a missing one."""
 
     term: str
     instead_of: str
@@ -45,7 +48,7 @@ class RivalTerm:
 
 @dataclass(frozen=True, slots=True)
 class Undecided:
-    """A term that these data cannot decide."""
+    """A term that these data neither confirm nor exclude, and what they would need."""
 
     term: str
     joint: int | None
@@ -55,9 +58,9 @@ class Undecided:
 
 @dataclass(frozen=True, slots=True)
 class Excluded:
-    """A term that is not there: the largest size of its main parameter that could hide in the data.
+    """A term that is excluded above a limit: the largest size of its main parameter that could be hidden.
 
-    ``recording`` is the one that this holds for, where each has a value of its own.
+    ``recording`` is the one that the limit holds for, where each has a value of its own.
     """
 
     term: str
@@ -70,7 +73,7 @@ class Excluded:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A parameter whose value differs from that of the user's own model."""
+    """A parameter whose value differs significantly from that of the user's own model."""
 
     name: str
     joint: int | None
@@ -84,11 +87,20 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """What no named term explains: ``value`` (m,) in ``unit`` over ``x`` (m,) of one coordinate.
+    """A force that no named term explains, as a curve over one coordinate.
 
-    ``low`` and ``high`` (m,) are a pointwise 99 % band; ``acts`` says which way it acts; ``formula`` is a
-    short one that lies within the band, if there is one; ``share`` is how much of the mismatch it explains
-    on data that the search never saw; ``joint`` is the one of an arm that it acts on.
+    Attributes:
+        depends_on: name of the coordinate.
+        acts: how it acts: as a force, as the level of a friction or as a damping.
+        x: points of the coordinate, (m,), in ``x_unit``.
+        value: the curve there, (m,), in ``unit``.
+        low: lower end of its pointwise 99 % band, (m,).
+        high: upper end of the band, (m,).
+        unit: unit of the force.
+        x_unit: unit of the coordinate.
+        formula: a short formula within the band, if there is one.
+        share: share of the mismatch that it explains on held-out data.
+        joint: joint of an arm that it acts on.
     """
 
     depends_on: str
@@ -106,16 +118,40 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The answer. ``data`` is "test" or "heldout"; scores are of ``held_out``, which the search never saw.
+    """The answer of a diagnosis.
 
-    ``faults`` are those of the data, whether or not they make them unfit. ``wider`` says that scores are on
-    parts of what was held out, and that the parts between were searched; ``shorter`` are scores before and
-    after on windows as short as the search's, where the answer only shows on those. ``collapsed`` are sizes
-    of the rig that the baseline alone takes far from what is known of them. ``remainder`` is what the answer
-    explains and what it leaves. ``curve`` is the
-    strongest one, ``further_curves`` are those of an arm's other joints. ``scale_factor`` is in all errors of
-    ``final``: by it parts of the data disagree on the values more than noise explains.
-    ``complete`` is False where it was ended early, with the best so far.
+    Attributes:
+        verdict: missing_physics, parameter_change, no_mismatch, unexplained_mismatch, not_decidable or
+            data_fault.
+        faults: faults of the data, whether or not they make the data unusable.
+        p_value: p value that the baseline suffices.
+        p_value_method: how the p value was computed.
+        p_value_floor: smallest p value of that method.
+        baseline_terms: keys of the baseline's terms.
+        baseline: estimates of the baseline.
+        changed: parameters that differ from the user's values.
+        location: where the mismatch is.
+        missing: effects that the baseline lacks, strongest first.
+        rivals: terms that explain the data about as well as a missing one.
+        undecided: terms that the data cannot decide.
+        excluded: limits of the absent terms.
+        data: "test" or "heldout", the kind of held-out data.
+        held_out: the held-out data, on which the scores are.
+        before: score of the baseline.
+        after: score of the final model.
+        final_terms: keys of the final model's terms.
+        final: estimates of the final model.
+        baseline_fit: the fit of the baseline.
+        final_fit: the fit of the final model.
+        curve: the strongest force that no named term explains.
+        seconds: duration of the diagnosis, s.
+        further_curves: such forces on other joints of an arm.
+        shorter: scores before and after on windows of the search's length, where only those show the gain.
+        collapsed: sizes of the rig that collapsed in the baseline.
+        wider: whether the search had every other part of the held-out data, and scores are on the rest.
+        complete: False where the user ended the diagnosis early; it is then the best answer so far.
+        remainder: the error that remains.
+        scale_factor: factor in all errors of ``final`` by which parts of the data disagree.
     """
 
     verdict: str
@@ -151,6 +187,6 @@ class Diagnosis:
 
     @property
     def named(self) -> list[str]:
-        """Keys of the missing effects that have a name; what has none has a curve."""
+        """Keys of the missing effects that are named terms, not curves."""
         keys = (keyed(item.term, item.joint) for item in self.missing)
         return [key for key in keys if key in self.final_fit.problem.model.terms]

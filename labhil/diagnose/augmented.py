@@ -1,7 +1,8 @@
-"""What only a held-out recording shows: the search goes on with parts of it.
+"""Augmented search: search again with parts of the held-out recording, where only that shows an effect.
 
-The searched recording may never reach where an effect acts (too slow, too small a stroke) while the held-out
-one does. The search then takes every other part of that; the parts between stay unseen.
+The searched recording may never reach the region where an effect acts (too slow, too small a stroke) while
+the held-out one does. The search then gets every other part of the held-out recording and is tested on the
+parts between.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import numpy as np
 
 from labhil.diagnose.adequacy import exceeds_noise, residual_rms
 from labhil.diagnose.begin import fit_baseline, with_coloured_noise
-from labhil.diagnose.judge import Data, is_far_likelier
-from labhil.diagnose.refit import on_windows
+from labhil.diagnose.judge import Data, is_strongly_favoured
+from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.search_result import SearchResult, Step
 from labhil.diagnose.structures.enumerate import MIN_RELEVANCE, relevance
 from labhil.identify.fitted import Fitted
@@ -26,21 +27,6 @@ from labhil.physics.joining import join_records
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
-PARTS = (4, 2)
-"""Into how many the held-out recording is cut, if they are long enough: an effect may act now and then."""
-
-ELSEWHERE = 0.1
-"""Share of the held-out samples outside the searched range from which the held-out data go elsewhere."""
-
-BEYOND_DOUBT = -50.0
-"""ΔBIC that a term needs which more data add: residuals of a real rig pass for evidence more easily."""
-
-SHOWN = 1.1
-"""RMSE over the noise floor, on held-out data, that asks for a wider search."""
-
-LONG_ENOUGH = 1.25
-"""Horizons in each, at least: half of one before what is scored."""
-
 
 def augmented_search(
     data: Data,
@@ -48,65 +34,93 @@ def augmented_search(
     search: Callable[[Data, Fitted], SearchResult],
     progress: Callable[[str], None],
 ) -> tuple[Data, SearchResult, FloatArray]:
-    """Data, result and the RMS that it leaves: of a wider search where held-out data show something else.
+    """Search again with half of the held-out data where these show an unexplained effect.
 
-    The terms of the wider search have to explain these data or, where they go elsewhere, to be more than the
-    first ones; else the first result stays. Where the wider search names nothing, the first terms do not hold
-    on more data, unless these still need them.
+    The terms of the second search replace the first ones if they explain the augmented data or, where these
+    leave the searched range, if they include the first ones and more. If the second search names nothing, the
+    first terms are dropped unless very strong evidence on the augmented data supports them.
+
+    Args:
+        data: the data of the first search.
+        result: its result.
+        search: searches data beside a fitted baseline.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        Data and result of the search that counts, and the RMS of its final residuals in units of the noise,
+        (2, c).
     """
     rms = residual_rms(data, result.final)
-    parts = split_held_out(data) if _shows_something_else(data, result, rms) else None
+    parts = split_held_out(data) if _has_unexplained_error(data, result, rms) else None
     if parts is None:
         return data, result, rms
     progress("the held-out data show something else: the search goes on with half of them")
     searched, judged = parts
     sigma, test_sigma = noise_of(searched), noise_of(judged)
-    wider = replace(data, search=searched, test=judged, sigma=sigma, test_sigma=test_sigma)
-    wider, base = with_coloured_noise(wider, fit_baseline(wider, result.baseline.terms))
-    wider_result = search(wider, base)
-    if not wider_result.complete:
+    more = replace(data, search=searched, test=judged, sigma=sigma, test_sigma=test_sigma)
+    more, base = with_coloured_noise(more, fit_baseline(more, result.baseline.terms))
+    second = search(more, base)
+    if not second.complete:
         return data, replace(result, complete=False), rms
-    wider_rms = residual_rms(wider, wider_result.final)
-    if wider_result.missing:
-        more = goes_elsewhere(data) and adds_beyond_doubt(result.missing, wider_result.missing)
-        firm = more or not exceeds_noise(wider, wider_rms)
+    second_rms = residual_rms(more, second.final)
+    if second.missing:
+        adds_terms = leaves_searched_range(data) and adds_certain_terms(result.missing, second.missing)
+        replaces_first = adds_terms or not exceeds_noise(more, second_rms)
     else:
-        firm = bool(np.max(wider_rms) < np.max(rms)) and not _needs_first_terms(wider, result, wider_result)
-    return (wider, wider_result, wider_rms) if firm else (data, result, rms)
+        replaces_first = bool(np.max(second_rms) < np.max(rms)) and not _supports_first_terms(
+            more, result, second
+        )
+    return (more, second, second_rms) if replaces_first else (data, result, rms)
 
 
-def _shows_something_else(data: Data, result: SearchResult, rms: FloatArray) -> bool:
-    """Whether the held-out data show what neither terms nor a curve nor the searched data account for.
+def _has_unexplained_error(
+    data: Data, result: SearchResult, rms: FloatArray, *, max_excess: float = 1.1
+) -> bool:
+    """Whether held-out data show an error that neither named terms nor a curve nor the search data explain.
 
-    Terms that only the held-out data did not bear out get a second chance on more data in any case.
+    Where the search names nothing, a held-out RMSE over the noise floor above ``max_excess`` suffices: terms
+    that only the held-out data rejected are tested again on more data.
     """
-    if result.curve is not None or (result.missing and not leave_more(rms)):
+    if result.curve is not None or (result.missing and not exceeds_search_residuals(rms)):
         return False
-    return exceeds_noise(data, rms[1]) or _held_out_score(data, result).excess > SHOWN
+    return exceeds_noise(data, rms[1]) or _held_out_score(data, result).excess > max_excess
 
 
-def leave_more(rms: FloatArray) -> bool:
-    """Whether held-out data leave more of some output than the searched ones leave beyond the noise.
+def exceeds_search_residuals(rms: FloatArray) -> bool:
+    """Decide whether the residuals of some output are much larger on held-out than on search data.
 
-    The search has had the residuals of the searched data before it: as much again tells it nothing.
+    The first search had the residuals of the search data: residuals of the same size add no information.
 
     Args:
-        rms: (2, c) left of searched and held-out data, in units of the noise.
+        rms: RMS of residuals on search and held-out data, (2, c), in units of the noise.
+
+    Returns:
+        True if they are.
     """
-    each = np.eye(rms.shape[1], dtype=bool)
-    return max(relevance(rms[1] ** 2, rms[0] ** 2, one) for one in each) >= MIN_RELEVANCE
+    outputs = np.eye(rms.shape[1], dtype=bool)
+    return max(relevance(rms[1] ** 2, rms[0] ** 2, output) for output in outputs) >= MIN_RELEVANCE
 
 
-def split_held_out(data: Data) -> tuple[Record, Record] | None:
-    """The searched recording with every other part of the held-out one, and the parts between.
+def split_held_out(
+    data: Data, *, part_counts: Sequence[int] = (4, 2), min_part_in_horizons: float = 1.25
+) -> tuple[Record, Record] | None:
+    """Add every other part of the held-out recording to the searched one.
 
-    None of several recordings, where parameters may belong to one of them, where a record cannot be cut
-    (inverse dynamics) and where parts would be too short to judge on.
+    Args:
+        data: the data of the first search.
+        part_counts: numbers of parts to cut into, in order of preference: more parts are likelier to share
+            an effect that acts only sometimes.
+        min_part_in_horizons: shortest part, in horizons of the metric; half a horizon is lead-in.
+
+    Returns:
+        The augmented search recording and the remaining parts; None of several recordings, where parameters
+        may belong to one of them, of inverse dynamics, where a recording cannot be cut, and where the parts
+        would be too short.
     """
     if len(data.search.begins) + len(data.test.begins) > 2 or not data.model.state_names:
         return None
-    for count in PARTS:
-        if data.test.duration / count >= LONG_ENOUGH * data.model.horizon:
+    for count in part_counts:
+        if data.test.duration / count >= min_part_in_horizons * data.model.horizon:
             edges = np.linspace(0, len(data.test), count + 1).astype(int)
             parts = [data.test.part(int(a), int(b)) for a, b in pairwise(edges)]
             searched, judged = join_records([data.search, *parts[::2]]), join_records(parts[1::2])
@@ -114,42 +128,59 @@ def split_held_out(data: Data) -> tuple[Record, Record] | None:
     return None
 
 
-def goes_elsewhere(data: Data) -> bool:
-    """Whether an output of the held-out data often lies beyond all values that were searched.
+def leaves_searched_range(data: Data, *, min_share_outside: float = 0.1) -> bool:
+    """Decide whether an output of the held-out data often lies outside the range of the search data.
 
-    A motor that turned one way only while it was searched turns the other way, too.
+    An example is a motor that turns one way only in the search data, and both ways in the held-out data.
+
+    Args:
+        data: the data of the first search.
+        min_share_outside: share of the held-out samples outside the range, from which the answer is True.
+
+    Returns:
+        True if the share is exceeded for some output.
     """
     low, high = data.search.outputs.min(axis=0), data.search.outputs.max(axis=0)
     beyond = (data.test.outputs < low - data.sigma) | (data.test.outputs > high + data.sigma)
-    return bool(np.any(beyond.mean(axis=0) > ELSEWHERE))
+    return bool(np.any(beyond.mean(axis=0) > min_share_outside))
 
 
-def adds_beyond_doubt(first: Sequence[Step], then: Sequence[Step]) -> bool:
-    """Whether a wider search names all ``first`` terms and more, each of the added ones beyond doubt.
+def adds_certain_terms(
+    first: Sequence[Step], second: Sequence[Step], *, max_delta_bic: float = -50.0
+) -> bool:
+    """Decide whether a second search names all terms of the first and more, with overwhelming evidence.
 
-    No model of a real rig explains everything, and terms that more data add are no worse for that. But what
-    is left then is no noise, and passes for evidence more easily.
+    No model of a real rig explains everything, so that residuals other than noise do not speak against the
+    added terms; but such residuals pass for evidence more easily, which raises the limit.
+
+    Args:
+        first: named terms of the first search.
+        second: named terms of the second search.
+        max_delta_bic: ΔBIC below which each added term has to be.
+
+    Returns:
+        True if all first terms are kept and all added ones certain.
     """
     named = {step.terms[0] for step in first}
-    added = [step for step in then if step.terms[0] not in named]
-    keeps_first = named <= {step.terms[0] for step in then}
-    return bool(named and added) and keeps_first and all(s.evidence.delta_bic < BEYOND_DOUBT for s in added)
+    added = [step for step in second if step.terms[0] not in named]
+    keeps_first = named <= {step.terms[0] for step in second}
+    return bool(named and added) and keeps_first and all(s.evidence.delta_bic < max_delta_bic for s in added)
 
 
-def _needs_first_terms(wider: Data, result: SearchResult, wider_result: SearchResult) -> bool:
-    """Whether very strong evidence on the wider data favours the terms that were named first.
+def _supports_first_terms(more: Data, result: SearchResult, second: SearchResult) -> bool:
+    """Whether very strong evidence on the augmented data favours the terms of the first search.
 
-    A baseline that is refitted to half of the held-out data may leave nothing to be seen in the other half.
+    A baseline that is refitted to half of the held-out data may leave no visible error in the other half.
     """
     if not result.missing:
         return False
-    return is_far_likelier(
-        on_windows(replace(wider, window=wider_result.final.window), result.final), wider_result.final
+    return is_strongly_favoured(
+        refit_on_windows(replace(more, window=second.final.window), result.final), second.final
     )
 
 
 def _held_out_score(data: Data, result: SearchResult) -> Score:
-    """How well a result predicts the held-out data, on the metric's windows."""
+    """Score of a result on the held-out data, on the metric's windows."""
     theta = result.final.theta
     noise = estimate_coloured_noise(data.model, theta, data.test, noise_of(data.test))
     return score(data.model, theta, data.test, noise.sigma, variance_inflation=noise.variance_inflation)

@@ -1,4 +1,7 @@
-"""The conclusion of a search: do held-out data bear it out, and does it leave more than noise."""
+"""The conclusion of a structure search: scores on held-out data, and whether more than noise remains.
+
+``conclude`` is called by ``diagnosis.py`` once the search has ended; ``adequacy.py`` tests the residuals.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,9 @@ from functools import partial
 
 import numpy as np
 
-from labhil.diagnose.adequacy import UNEXPLAINED, exceeds_noise
+from labhil.diagnose.adequacy import MAX_RMS_IN_NOISE, exceeds_noise
 from labhil.diagnose.force_curve import ForceCurve, state_curve
-from labhil.diagnose.joint_curves import joint_curves
+from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import SearchResult
 from labhil.identify.noise import estimate_coloured_noise
@@ -19,19 +22,25 @@ from labhil.identify.windows import noise_of
 from labhil.physics.model import Metric, Model
 from labhil.signals import FloatArray
 
-SURELY, MISNAMED = 2.5, 1.5
-"""RMSE over the noise floor that no noise makes, and from which named terms are doubted.
+DOUBTFUL_EXCESS = 1.5
+"""RMSE over the noise floor from which the named terms are doubtful.
 
-The floor of a few windows is not well known: each has only one error of its initial state.
+The floor of a few windows is uncertain: each window has only one error of its initial state.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Conclusion:
-    """Where a search ended: its result, forces without a name beside it, and the error that remains.
+    """The end of a search: its result, force curves beside it, and the error that remains.
 
-    ``before`` and ``after`` are scores on the same windows and of the same noise ``sigma`` (c,);
-    ``excess_remains`` says that named terms leave more than noise.
+    Attributes:
+        data: the data of the search.
+        result: its named terms and rivals.
+        curves: forces that no named term explains; of an arm one for each joint that has one.
+        excess_remains: whether the final model leaves more than noise.
+        before: score of the baseline on held-out data.
+        after: score of the final model on the same windows, with the same noise.
+        sigma: standard deviation of that noise, (c,).
     """
 
     data: Data
@@ -44,42 +53,49 @@ class Conclusion:
 
     @property
     def accepted(self) -> tuple[Model, FloatArray]:
-        """The final model with its vector; the last of the curves was fitted beside all others."""
+        """The final model and its parameter vector; the last curve was fitted beside all others."""
         if self.curves:
             return self.curves[-1].model, self.curves[-1].fit.theta
         return self.data.model, self.result.final.theta
 
     @property
     def doubts(self) -> tuple[float, int]:
-        """What speaks against a claim: the remaining excess and the number of claims; of an arm neither."""
+        """Remaining excess and number of claims, which lower the probability of a claim; (1, 1) of an arm."""
         if self.data.model.metric is Metric.INVERSE_DYNAMICS:
             return 1.0, 1
         return self.after.excess, len(self.result.missing) + len(self.curves)
 
     @property
     def on_shorter_windows(self) -> tuple[Score, Score] | None:
-        """Scores on windows of the search, if the metric's are worse with the named terms than without.
+        """Scores before and after on windows of the search; None unless the metric's error has grown.
 
-        Noise that drives the plant itself outgrows every model on long windows.
+        Noise that drives the plant itself exceeds the error of every model on long windows.
         """
         data, result = self.data, self.result
         if not result.missing or self.after.rmse < self.before.rmse or not data.model.state_names:
             return None
-        return data.judge(result.baseline.theta)[0], data.judge(result.final.theta)[0]
+        return data.score_held_out(result.baseline.theta)[0], data.score_held_out(result.final.theta)[0]
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOutScores:
-    """Scores on held-out data ``before`` and ``after``, on the same windows and of the same noise (c,)."""
+    """Scores of baseline and final model on held-out data, on the same windows with the same noise.
+
+    Attributes:
+        before: score of the baseline.
+        after: score of the final model.
+        sigma: standard deviation of the noise, (c,).
+        score_of: scores any other model, by its parameter vector, in the same way.
+    """
 
     before: Score
     after: Score
     sigma: FloatArray
-    of_model: Callable[[Model, FloatArray], Score]
+    score_of: Callable[[Model, FloatArray], Score]
 
     @classmethod
     def of(cls, data: Data, result: SearchResult) -> HeldOutScores:
-        """The scores of a search's result; ``of_model`` scores any other model likewise."""
+        """Score the result of a search."""
         model, theta = data.model, result.final.theta
         horizon = scored_horizon(model, theta, data.test)
         noise = estimate_coloured_noise(model, theta, data.test, noise_of(data.test))
@@ -97,26 +113,58 @@ class HeldOutScores:
 def conclude(
     data: Data, result: SearchResult, rms: FloatArray, progress: Callable[[str], None]
 ) -> Conclusion:
-    """Score a result on held-out data, before and after on the same windows and of the same noise.
+    """Score the result of a search on held-out data, and fit force curves to the joints of an arm.
 
-    Of inverse dynamics every joint that still leaves much has a curve of its own, by linear algebra.
+    Args:
+        data: the data of the search.
+        result: its result.
+        rms: RMS of the final residuals on search and held-out data, (2, c), in units of the noise.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The conclusion.
     """
     progress("scores, intervals and exclusion limits")
     scores = HeldOutScores.of(data, result)
-    more = leaves_more(data, result, rms, scores.after.excess)
+    more = more_than_noise_remains(data, result, rms, scores.after.excess)
     curves: tuple[ForceCurve, ...] = () if result.curve is None else (state_curve(data, result.curve),)
     if data.model.metric is Metric.INVERSE_DYNAMICS and result.complete:
-        curves = joint_curves(data, result)
+        curves = fit_joint_curves(data, result)
     conclusion = Conclusion(data, result, curves, more, scores.before, scores.after, scores.sigma)
-    return replace(conclusion, after=scores.of_model(*conclusion.accepted)) if curves else conclusion
+    return replace(conclusion, after=scores.score_of(*conclusion.accepted)) if curves else conclusion
 
 
-def leaves_more(data: Data, result: SearchResult, rms: FloatArray, excess: float) -> bool:
-    """Whether more than noise is left: by the metric alone, or by it and windows with fitted states.
+def more_than_noise_remains(
+    data: Data,
+    result: SearchResult,
+    rms: FloatArray,
+    excess: float,
+    *,
+    certain_excess: float = 2.5,
+    doubtful_excess: float = DOUBTFUL_EXCESS,
+    supporting_excess: float = MAX_RMS_IN_NOISE,
+) -> bool:
+    """Decide whether the final model leaves more than noise, by its score and by its residuals.
 
-    Noise that lasts is not known so well from short windows that these alone could raise an alarm, unless
-    they leave as much as no noise does: the metric is silent where the held-out data are at rest.
+    Coloured noise is not known well enough from short windows for the residuals to decide alone, unless they
+    are larger than any noise makes them; and the score shows nothing where the held-out data are at rest.
+
+    Args:
+        data: the data of the search.
+        result: its result.
+        rms: RMS of the final residuals on search and held-out data, (2, c), in units of the noise.
+        excess: RMSE over the noise floor on held-out data, of the worst output.
+        certain_excess: RMSE or RMS, in units of the noise, that noise never reaches.
+        doubtful_excess: RMSE that counts where terms were named.
+        supporting_excess: RMSE that counts where residuals exceed the noise, too.
+
+    Returns:
+        True if more than noise remains.
     """
-    alone = MISNAMED if result.missing else SURELY
-    by_windows = float(np.max(rms))
-    return excess > alone or by_windows > SURELY or (exceeds_noise(data, rms) and excess > UNEXPLAINED)
+    score_limit = doubtful_excess if result.missing else certain_excess
+    max_rms = float(np.max(rms))
+    return (
+        excess > score_limit
+        or max_rms > certain_excess
+        or (exceeds_noise(data, rms) and excess > supporting_excess)
+    )

@@ -23,7 +23,7 @@ from scipy import stats
 from scipy.ndimage import uniform_filter1d
 
 from labhil.diagnose.judge import Data
-from labhil.diagnose.refit import on_windows
+from labhil.diagnose.refit import refit_on_windows
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import inverse_information
 from labhil.identify.table import ParameterTable, table_of
@@ -90,7 +90,7 @@ def on_held_out(data: Data, fitted: Fitted) -> Fitted | None:
         window=min(fitted.window, data.test.longest),
         held=fitted.held,
     )
-    return on_windows(held_out, fitted)
+    return refit_on_windows(held_out, fitted)
 
 
 def between_recordings(fitted: Fitted, held_out_fit: Fitted, table: ParameterTable) -> Contrast:

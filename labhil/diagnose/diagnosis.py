@@ -1,4 +1,8 @@
-"""The whole question: do model and recordings disagree, where, what is missing, is it better with it."""
+"""The diagnosis: do model and recordings disagree, where, which terms are missing, does the fit improve?
+
+``diagnose`` checks the data (``timing.py``), fits the baseline (``begin.py``), searches structures
+(``structures/stages.py``), concludes (``conclude.py``) and states the answer (``answer.py``).
+"""
 
 from __future__ import annotations
 
@@ -15,19 +19,19 @@ from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.adequacy import residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.augmented import augmented_search
-from labhil.diagnose.begin import baseline_of, data_of, fit_baseline
-from labhil.diagnose.collapsed import are_restored, bound_near_nominal, find_collapsed
+from labhil.diagnose.begin import fit_baseline, fit_baseline_and_noise, prepare_data
+from labhil.diagnose.collapsed import are_near_nominal, bound_near_nominal, find_collapsed
 from labhil.diagnose.conclude import Conclusion, conclude
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
-from labhil.diagnose.final_table import final_table, on_held_out_of
+from labhil.diagnose.final_table import final_table, refit_to_held_out
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.intake import Fault, assess_usability
-from labhil.diagnose.joint_curves import strongest
-from labhil.diagnose.judge import TOGETHER, Data, is_far_likelier
-from labhil.diagnose.load import with_load
+from labhil.diagnose.joint_curves import sort_by_heldout_gain
+from labhil.diagnose.judge import COMBINED_ALPHA, Data, is_strongly_favoured
+from labhil.diagnose.load import explain_by_load
 from labhil.diagnose.minor import without_minor
-from labhil.diagnose.refit import on_windows
+from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
@@ -40,7 +44,8 @@ from labhil.identify.table import table_of
 from labhil.physics.model import Model, Record, terms_named
 from labhil.physics.terms import unkeyed
 
-FALSE_ALARM = 5e-4
+VERDICT_ALPHA = 5e-4
+"""Level α of the verdict: the accepted probability of a false alarm."""
 
 
 def diagnose(
@@ -55,17 +60,29 @@ def diagnose(
     measured: Record | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Diagnosis:
-    """Find what ``baseline`` lacks on ``searched``, judged on ``held_out``.
+    """Find the physics that a baseline model lacks, and test it on held-out data.
 
-    ``reference`` are values of the user's own simulation by parameter name; they distinguish a changed value
-    from missing physics; ``accepted`` is the model that they are of, with its covariance, where there is one.
-    ``measured`` is the searched record before the model prepared it: faults of the data are looked for there.
+    Args:
+        model: the model with all terms that may be missing.
+        searched: recordings to search, as ``model.prepare`` returns them.
+        held_out: recordings to test on, prepared likewise.
+        heldout_is_test: whether these are a test recording of their own, not a part of the searched one.
+        baseline: names of the baseline's terms.
+        reference: values of the user's own model by parameter key; they distinguish a changed value from
+            missing physics.
+        accepted: the accepted model that these values are from, with its covariance.
+        measured: the searched recordings before ``model.prepare``, for the checks of the data.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The answer; without a search where the data are at fault, too short, not excited or where the user
+        ended it early.
     """
     began = time.perf_counter()
-    data = data_of(model, searched, held_out, reference)
+    data = prepare_data(model, searched, held_out, reference)
     progress(f"fitting the baseline: {', '.join(baseline)}")
     terms = [term.key for term in terms_named(model, baseline)]
-    data, base, ended_early = baseline_of(data, terms)
+    data, base, ended_early = fit_baseline_and_noise(data, terms)
     record = data.search if measured is None else measured
     faults = all_faults(model, record)
     refusal = _refuse_search(data, record, faults, ended_early)
@@ -87,10 +104,10 @@ def diagnose(
 def _answer(
     data: Data, conclusion: Conclusion, accepted: Accepted | None, reference: Mapping[str, float] | None
 ) -> Diagnosis:
-    """The answer of a search in ``data``, but for faults of the data and the time that it took."""
+    """The answer of a search, without faults of the data and duration."""
     model, result = data.model, conclusion.result
-    curves, doubts = strongest(conclusion.curves), conclusion.doubts
-    held_out_fit = on_held_out_of(conclusion)
+    curves, doubts = sort_by_heldout_gain(conclusion.curves), conclusion.doubts
+    held_out_fit = refit_to_held_out(conclusion)
     accept()  # stating the result takes no time
     absent = absent_effects(result.final)
     excluded, unseen = statements.exclusions(absent, result.possible)
@@ -109,17 +126,17 @@ def _answer(
         baseline=table_of(result.baseline).rows,
         changed=changed,
         collapsed=result.collapsed,
-        location=statements.location(result, before, after, test, curves, wider=wider),
+        location=statements.location(result, before, after, test, curves, augmented=wider),
         missing=(
-            *(statements.missing(model, step, result, final, *doubts) for step in result.missing),
+            *(statements.missing_term(model, step, result, final, *doubts) for step in result.missing),
             *(statements.missing_curve(curve, *doubts) for curve in curves),
         ),
         rivals=tuple(statements.rival_term(model, rival, result, *doubts) for rival in result.rivals),
         undecided=(
-            *statements.too_little(result),
-            *statements.as_likely_as_not(result),
+            *statements.minor_terms(result),
+            *statements.open_terms(result),
             *unseen,
-            *statements.unobservable(model),
+            *statements.unobservable_terms(model),
         ),
         excluded=excluded,
         data="heldout",
@@ -130,8 +147,8 @@ def _answer(
         final=final,
         baseline_fit=result.baseline,
         final_fit=result.final,
-        curve=statements.curve(curves[0]) if curves else None,
-        further_curves=tuple(statements.curve(curve) for curve in curves[1:]),
+        curve=statements.curve_entry(curves[0]) if curves else None,
+        further_curves=tuple(statements.curve_entry(curve) for curve in curves[1:]),
         seconds=0.0,
         shorter=shorter,
         wider=wider,
@@ -146,7 +163,7 @@ def _answer(
 def _refuse_search(
     data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
 ) -> tuple[str, str] | None:
-    """The verdict without a search, and why there is none; None where the data can be searched."""
+    """Verdict and reason where the data cannot be searched; None where they can."""
     if not assess_usability(measured, faults).fit:
         return "data_fault", "the data are at fault"
     if not _is_excited(data.search, data.sigma):
@@ -161,7 +178,7 @@ def _refuse_search(
 
 
 def _labels(result: SearchResult, curves: Sequence[ForceCurve]) -> list[str]:
-    """The named effects: keys of terms, and what each curve is over."""
+    """Labels of the missing effects: keys of terms, and the coordinates of curves."""
     over = [f"a force over {curve.depends_on[0]}" for curve in curves]
     return [*(step.terms[0] for step in result.missing), *over]
 
@@ -172,11 +189,11 @@ def _conclude(
     search: Callable[[Data, Fitted], SearchResult],
     progress: Callable[[str], None],
 ) -> Conclusion:
-    """Conclude a diagnosis; of one that is ended early, the result of its first search."""
+    """Conclude a diagnosis after an augmented search; if the user ends it early, after the first search."""
     try:
         if result.complete:
             data, result, rms = augmented_search(data, result, search, progress)
-            # sizes that were kept near nominal stay there
+            # the model of the final fit has the bounds of collapsed sizes
             data = replace(data, model=result.final.problem.model)
             return conclude(data, result, rms, progress)
     except EndedEarly:
@@ -195,13 +212,13 @@ def _search(
     accepted: Accepted | None,
     progress: Callable[[str], None],
 ) -> SearchResult:
-    """Search once; with values of the user's own sizes, once more with these held."""
+    """Search with all sizes free and, if the user's model states sizes, again with these held."""
     result = search_structures(data, base, progress)
     try:
         if not result.complete:
             return result
         result = _with_credible_sizes(data, result, progress)
-        result = with_load(data, result, accepted)
+        result = explain_by_load(data, result, accepted)
         sizes = _sizes(data.model, reference) if reference is not None and not result.errors else frozenset()
         if sizes:
             progress("the same with the sizes of the given model held")
@@ -217,67 +234,70 @@ def _search(
 
 
 def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:
-    """The result; where the baseline's own sizes gave way, that of a search with these kept near nominal.
+    """Search again with bounded sizes where sizes of the rig collapsed in the baseline.
 
-    The second result has to be far likelier on the searched data: a nominal value may be wrong. Where the
-    first one restores the sizes there is nothing more to search.
+    A nominal value may be wrong, so that the second result counts only if the search data very strongly
+    favour it. Where the first result restores the sizes there is no second search.
     """
-    lost = find_collapsed(data, result.baseline)
-    if not lost:
+    collapsed = find_collapsed(data, result.baseline)
+    if not collapsed:
         return result
-    if result.missing and are_restored(lost, result.final):
-        return replace(result, collapsed=lost)
-    near = replace(data, model=bound_near_nominal(data.model, lost))
+    if result.missing and are_near_nominal(collapsed, result.final):
+        return replace(result, collapsed=collapsed)
+    near = replace(data, model=bound_near_nominal(data.model, collapsed))
     baseline = fit_baseline(near, result.baseline.terms)
-    # on the windows that the first search ended on
+    # without the bounds, on the same windows
     short = fit_baseline(data, result.baseline.terms)
-    if not is_far_likelier(short, baseline):
+    if not is_strongly_favoured(short, baseline):
         return result
-    progress(f"the same with {', '.join(size.key for size in lost)} near nominal")
-    result = replace(result, collapsed=lost)
+    progress(f"the same with {', '.join(size.key for size in collapsed)} near nominal")
+    result = replace(result, collapsed=collapsed)
     credible = search_structures(near, baseline, progress)
     if not credible.complete:
         return replace(result, complete=False)
-    if not credible.missing or not is_far_likelier(
+    if not credible.missing or not is_strongly_favoured(
         credible.final, _refit_like(near, result.final, credible.final)
     ):
         return result
-    return replace(credible, collapsed=lost)
+    return replace(credible, collapsed=collapsed)
 
 
 def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
-    """Refit on the windows of the fit ``like``."""
+    """Refit on the windows of another fit, ``like``."""
     data_like = replace(data, model=fitted.problem.model, window=like.window)
-    return on_windows(data_like, fitted)
+    return refit_on_windows(data_like, fitted)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
-    """The rig's own sizes that the user's simulation states."""
+    """Keys of the rig's own sizes that the user's model states."""
     return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
 
 
 def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
-    """The better of two searches by BIC on the search data.
+    """Choose between the searches with free and with held sizes, by BIC on the search data.
 
-    Refitted sizes may absorb what is missing: a load at the flange is a change of many inertias. Held ones
-    would have missing physics make up for a size that has changed: that account needs very strong evidence.
+    Free sizes may absorb missing physics: a load at the flange changes many inertias. With held sizes missing
+    physics may stand for a changed size, so that this result needs very strong evidence.
     """
-    return held if is_far_likelier(held.final, free.final) else free
+    return held if is_strongly_favoured(held.final, free.final) else free
 
 
-def _is_excited(record: Record, sigma: np.ndarray) -> bool:
-    """Whether some output moves beyond its noise and the input moves at all."""
+def _is_excited(record: Record, sigma: np.ndarray, min_std_in_noise: float = 5.0) -> bool:
+    """Whether the input varies and some output varies by more than its noise."""
     return any(
-        bool((np.std(part.outputs, axis=0) > 5.0 * sigma).any() and np.ptp(part.inputs, axis=0).any())
+        bool(
+            (np.std(part.outputs, axis=0) > min_std_in_noise * sigma).any()
+            and np.ptp(part.inputs, axis=0).any()
+        )
         for part in record.recordings()
     )
 
 
-def _baseline_p_value(conclusion: Conclusion, verdict: str) -> float:
-    """The p value that the baseline suffices: of the first addition, be it a term or a curve.
+def _baseline_p_value(conclusion: Conclusion, verdict: str, alpha: float = VERDICT_ALPHA) -> float:
+    """p value that the baseline suffices: that of the first addition, a term or a curve.
 
-    Without an addition, that of noise as large as the residuals; and where these are no mismatch, searched
-    and held-out data together have not reached the level of one.
+    Without an addition it is that of noise as large as the residuals, by χ². Where the verdict is no
+    mismatch it is at least the level of search and held-out data combined, which they did not reach.
     """
     result, curves = conclusion.result, conclusion.curves
     if result.missing:
@@ -285,30 +305,34 @@ def _baseline_p_value(conclusion: Conclusion, verdict: str) -> float:
     if curves:
         return float(np.exp(min(0.5 * curves[0].evidence.delta_bic, 0.0)))
     if verdict != "unexplained_mismatch":
-        return max(result.p_value, TOGETHER)
+        return max(result.p_value, COMBINED_ALPHA)
     effective, excess = effective_samples(result.final), max(result.final.noise, conclusion.before.excess)
-    # sizes that gave way are certain to differ from what is known of them
-    least = FALSE_ALARM if result.collapsed else 1.0
-    return min(result.p_value, least, float(stats.chi2.sf(effective * excess**2, effective)))
+    # collapsed sizes differ from their nominal values by more than any error of these
+    upper = alpha if result.collapsed else 1.0
+    return min(result.p_value, upper, float(stats.chi2.sf(effective * excess**2, effective)))
 
 
 def _verdict(conclusion: Conclusion, changed: Sequence[Change]) -> str:
+    """The verdict, as the JSON result names it."""
     if conclusion.result.missing or conclusion.curves:
         return "missing_physics"
     if conclusion.excess_remains and not conclusion.result.complete:
-        return "not_decidable"  # its explanation may be among the terms that were not tried
+        return "not_decidable"  # a term that was not tried may explain it
     if conclusion.excess_remains or conclusion.result.collapsed:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 
 
 def _changes(
-    final: Sequence[Estimate], reference: Mapping[str, float] | None, accepted: Accepted | None
+    final: Sequence[Estimate],
+    reference: Mapping[str, float] | None,
+    accepted: Accepted | None,
+    alpha: float = VERDICT_ALPHA,
 ) -> tuple[Change, ...]:
-    """Reference values that the refitted model contradicts at the level of the verdict.
+    """Parameters that differ from the reference values at level ``alpha``, with Bonferroni's correction.
 
-    The difference is held against the errors of both values. Values of ``[nominal]`` have none: they are what
-    a simulation has. Nothing is claimed of a value that these data, or the accepted model's, do not know.
+    The test takes the errors of both values; reference values of ``[nominal]`` have none. A parameter that
+    either data set does not determine is never listed.
     """
     rows = {row.key: row for row in final if row.identifiable}
     compared = [(rows[name], value) for name, value in (reference or {}).items() if name in rows]
@@ -316,7 +340,7 @@ def _changes(
     for row, value in compared:
         error = float(np.hypot(row.std_error, accepted_error(accepted, row)))
         p_value = float(2.0 * stats.norm.sf(abs(row.value - value) / error))
-        if p_value * len(compared) < FALSE_ALARM:
+        if p_value * len(compared) < alpha:
             change = Change(row.name, row.joint, value, row.value, row.unit, row.ci99, p_value, row.recording)
             changes.append(change)
     return tuple(changes)
@@ -331,9 +355,9 @@ def _answer_without_search(
     heldout_is_test: bool,
     began: float,
 ) -> Diagnosis:
-    """State a verdict without a search, and why there was none."""
-    marks = score(data.model, base.theta, data.test, data.test_sigma)
-    marks = with_forces(marks, data.model, base.theta, data.test, data.test_sigma)
+    """The answer without a search; ``reason`` is why there was none."""
+    baseline_score = score(data.model, base.theta, data.test, data.test_sigma)
+    baseline_score = with_forces(baseline_score, data.model, base.theta, data.test, data.test_sigma)
     rows = table_of(base).rows
     return Diagnosis(
         verdict=verdict,
@@ -351,8 +375,8 @@ def _answer_without_search(
         excluded=(),
         data="test" if heldout_is_test else "heldout",
         held_out=data.test,
-        before=marks,
-        after=marks,
+        before=baseline_score,
+        after=baseline_score,
         final_terms=base.terms,
         final=rows,
         baseline_fit=base,

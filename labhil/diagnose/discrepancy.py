@@ -1,10 +1,10 @@
-"""How far what a model leaves unexplained may have moved its estimates.
+"""Bias of estimates by model discrepancy, from the residuals and the absent effects of the catalogue.
 
-Only the part of a discrepancy that no parameter can make up for is left in the residuals r; the other part is
-in the estimates (Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001). What is missing is taken for a mixture of
-effects like those of the catalogue. One whose response is x = J·s + x⊥, with the model's own slopes J, leaves
-x⊥ and moves the estimates by s. If it left all of the energy E beyond the noise, it would have moved them by
-s·√(E/|x⊥|²). Effects count by the likeness of x⊥ to r, so that
+Only the part of a discrepancy that no parameter absorbs is in the residuals r; the other part is in the
+estimates (Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001). The discrepancy is modelled as a mixture of
+effects like those of the catalogue. An effect with the response x = J·s + x⊥, J being the sensitivities of
+the model, leaves x⊥ and moves the estimates by s. If it caused all of the energy E beyond the noise, it would
+have moved them by s·√(E/|x⊥|²). Effects are weighted by the squared correlation of x⊥ and r:
 
     Var(θ) = Σ_m ρ_m²·s_m²·E/|x⊥_m|² / Σ_m ρ_m²,        ρ_m = x⊥_mᵀr / (|x⊥_m|·|r|).
 """
@@ -23,13 +23,16 @@ from labhil.physics.model import index_of
 from labhil.physics.terms import Parameter, Term
 from labhil.signals import FloatArray
 
-STEP = 1e-2
-"""Of a parameter's scale, by which an absent effect is stepped from where it does nothing."""
-
 
 @dataclass(frozen=True, slots=True)
 class AbsentEffect:
-    """An effect that a fit lacks, by its first size, and its ``response`` (N·c,) per scale of that."""
+    """A term that a fit lacks, with its main parameter.
+
+    Attributes:
+        term: the term.
+        parameter: its main parameter.
+        response: change of the residuals per scale of that parameter, (N·c,), window states projected out.
+    """
 
     term: Term
     parameter: Parameter
@@ -38,9 +41,13 @@ class AbsentEffect:
 
 @dataclass(frozen=True, slots=True)
 class AbsentEffects:
-    """All ``effects`` that a fit lacks, and the ``slopes`` (N·c, P) by its own scaled parameters.
+    """All terms that a fit lacks.
 
-    The windows' own states are taken out of both.
+    Attributes:
+        fitted: the fit.
+        slopes: sensitivities of its residuals to its scaled parameters, (N·c, P), window states projected
+            out.
+        effects: the terms that it lacks.
     """
 
     fitted: Fitted
@@ -49,11 +56,18 @@ class AbsentEffects:
 
 
 def absent_effects(fitted: Fitted) -> AbsentEffects:
-    """Simulate every effect that a fit lacks, a little of it, where the fit stands."""
+    """Linearise the response to every term that a fit lacks.
+
+    Args:
+        fitted: the fit.
+
+    Returns:
+        The responses of the residuals to a small size of each term.
+    """
     problem, residuals = fitted.problem, fitted.solution.residuals
     lin = problem.linearise(fitted.solution.point, residuals)
     effects = tuple(
-        AbsentEffect(term, main, problem.project(lin, _slope(fitted, main)[:, None])[:, 0])
+        AbsentEffect(term, main, problem.project(lin, _response(fitted, main)[:, None])[:, 0])
         for key, term in problem.model.terms.items()
         if key not in fitted.terms
         for main in _main_parameters(term)
@@ -62,15 +76,15 @@ def absent_effects(fitted: Fitted) -> AbsentEffects:
 
 
 def discrepancy_shifts(absent: AbsentEffects, known: Collection[str] = ()) -> dict[str, float]:
-    """By how much a discrepancy may have moved each estimate, one standard deviation.
+    """Standard deviation of the shift of each estimate by model discrepancy.
 
     Args:
-        absent: the effects that a model fitted to the searched data lacks.
-        known: keys of estimates that count as known: a curve's coefficients, which can stand for a friction
-            of the model, are kept apart from it by a convention.
+        absent: the terms that a model fitted to the searched data lacks.
+        known: keys of estimates that count as known, such as the coefficients of a curve, which a convention
+            separates from the friction of the model.
 
     Returns:
-        Standard deviations by key, in SI units; empty where nothing is left beyond the noise.
+        Standard deviations by key, SI units; empty where the residuals do not exceed the noise.
     """
     fitted = absent.fitted
     problem, residuals = fitted.problem, fitted.solution.residuals
@@ -80,31 +94,31 @@ def discrepancy_shifts(absent: AbsentEffects, known: Collection[str] = ()) -> di
     if energy <= 0.0 or not free:
         return {}
     slopes = absent.slopes[:, free]
-    size = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
-    inverse = np.linalg.pinv(slopes / size) / size[:, None]
-    moved, weights = np.zeros(len(free)), 0.0
+    norms = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+    inverse = np.linalg.pinv(slopes / norms) / norms[:, None]
+    variance, weights = np.zeros(len(free)), 0.0
     for effect in absent.effects:
         shift = inverse @ effect.response
         orthogonal = effect.response - slopes @ shift
         power = float(orthogonal @ orthogonal)
         if power <= REPRODUCIBLE_SHARE * float(effect.response @ effect.response) or power <= 0.0:
             continue
-        likeness = float(orthogonal @ residuals) ** 2 / power
-        moved += likeness * shift**2 * (energy / power)
-        weights += likeness
-    errors = np.sqrt(moved / weights) * problem.scale[free] if weights > 0.0 else moved
+        weight = float(orthogonal @ residuals) ** 2 / power
+        variance += weight * shift**2 * (energy / power)
+        weights += weight
+    errors = np.sqrt(variance / weights) * problem.scale[free] if weights > 0.0 else variance
     return dict(zip((keys[place] for place in free), errors.tolist(), strict=True))
 
 
 def _main_parameters(term: Term) -> list[Parameter]:
-    """A term's first size, in every recording that has one of its own."""
+    """The first size of a term, once for each recording that has a value of its own."""
     first = next(p for p in term.parameters if not p.shape)
     return [p for p in term.parameters if p.name == first.name]
 
 
-def _slope(fitted: Fitted, parameter: Parameter) -> FloatArray:
-    """Change of the residuals (N·c,) per scale of a parameter at neutral, from a small finite step."""
+def _response(fitted: Fitted, parameter: Parameter, step_in_scale: float = 1e-2) -> FloatArray:
+    """Change of the residuals (N·c,) per scale of a parameter at neutral, by a finite difference."""
     theta = fitted.theta.copy()
-    theta[index_of(fitted.problem.model.parameters)[parameter.key]] += STEP * parameter.scale
+    theta[index_of(fitted.problem.model.parameters)[parameter.key]] += step_in_scale * parameter.scale
     residuals = fitted.problem.residuals_at(theta, fitted.solution.point.states)
-    return np.asarray((residuals - fitted.solution.residuals) / STEP)
+    return np.asarray((residuals - fitted.solution.residuals) / step_in_scale)

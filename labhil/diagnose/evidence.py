@@ -1,4 +1,8 @@
-"""How strongly data speak for one model over another."""
+"""Evidence of data for one model over another: BIC on the search data, likelihood gain on held-out data.
+
+Residuals are correlated, so that every criterion counts effective samples instead of samples. ``judge.py``
+decides with these figures.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +18,16 @@ from labhil.identify.statistics import autoregressive_variance, lag_one_products
 from labhil.physics.model import Metric
 from labhil.signals import FloatArray, IntArray
 
-BLOCKS = 12
-"""Into which the errors of inverse dynamics are cut."""
-
-STUDENT = 4.0
-"""Degrees of freedom of the held-out likelihood: a window that a bad model loses must not decide alone."""
-
-CLIPPED = 3.0
-"""Noise levels beyond which an error counts no more."""
-
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Search data by BIC (negative is better), held-out data by likelihood, nats, with its p value."""
+    """The evidence for an addition.
+
+    Attributes:
+        delta_bic: BIC with it less BIC without it on the search data; negative speaks for it.
+        p_value: one-sided p value of the gain on held-out data.
+        heldout_loglik_gain: gain in log likelihood on held-out data, nats.
+    """
 
     delta_bic: float
     p_value: float
@@ -34,20 +35,35 @@ class Evidence:
 
 
 def effective_samples(fitted: Fitted, joint: int | None = None) -> float:
-    """How many independent residuals those of a fit are worth, or those of one joint's output."""
+    """Count the independent samples that the residuals of a fit are worth.
+
+    Args:
+        fitted: the fit.
+        joint: count only the residuals of this joint's output; None counts those of all outputs.
+
+    Returns:
+        Effective number of samples.
+    """
     problem = fitted.problem
     return independent_samples(
-        _channels(fitted, joint), problem.begins, float(problem.effective_fraction.mean())
+        _residuals_by_channel(fitted, joint), problem.begins, float(problem.effective_fraction.mean())
     )
 
 
 def independent_samples(
     residuals: FloatArray, begins: Sequence[int] = (0,), effective_fraction: float = 1.0
 ) -> float:
-    """How many independent ones residuals (n, channels) are worth, by an AR(1) of all channels.
+    """Count the independent samples that correlated residuals are worth, by an AR(1) model of all channels.
 
-    Recordings begin at the rows ``begins``. No more than the share ``effective_fraction``, where readings are
-    rounded.
+    An AR(1) process with correlation ρ of neighbours is worth n·(1 − ρ)/(1 + ρ) samples.
+
+    Args:
+        residuals: residuals, (n, channels).
+        begins: rows at which a stretch of neighbouring samples begins.
+        effective_fraction: upper limit of the share that counts, where readings are rounded.
+
+    Returns:
+        Effective number of samples.
     """
     power = float(np.sum(residuals**2))
     rho = float(np.sum(lag_one_products(residuals, begins))) / power if power > 0 else 0.0
@@ -56,68 +72,110 @@ def independent_samples(
 
 
 def bic(fitted: Fitted, effective: float, degrees: float | None = None, joint: int | None = None) -> float:
-    """Schwarz's criterion with as many samples as the residuals are worth; windows' states cost the same.
+    """Schwarz's Bayesian information criterion of a fit, n·ln MSE + k·ln n (Ann. Stat. 6, 1978).
 
-    ``degrees`` are the free parameters, where they are not simply counted. What acts on one ``joint`` is
-    judged by that joint's output: what others leave, and how long it lasts, says nothing of it.
+    The initial states of the windows are not counted: they are the same in all fits that are compared.
+
+    Args:
+        fitted: the fit.
+        effective: effective number of samples n.
+        degrees: degrees of freedom k; None counts the free parameters.
+        joint: judge only the output of this joint, for an effect that acts on it alone.
+
+    Returns:
+        The criterion; less is better.
     """
     free = len(fitted.problem.free) if degrees is None else degrees
-    return float(effective * _log_power(fitted, joint) + free * np.log(effective))
+    return float(effective * _log_mean_square(fitted, joint) + free * np.log(effective))
 
 
-def search_p_value(before: Fitted, after: Fitted, effective: float, looks: int) -> float:
-    """p value of the likelihood ratio on the search data, times the number of candidates looked at."""
+def search_p_value(before: Fitted, after: Fitted, effective: float, n_candidates: int) -> float:
+    """p value of the likelihood ratio of two nested fits, with Bonferroni's correction.
+
+    Args:
+        before: the fit without the addition.
+        after: the fit with it.
+        effective: effective number of samples.
+        n_candidates: number of candidates of which this one was chosen.
+
+    Returns:
+        The corrected p value, at most 1.
+    """
     added = max(len(after.problem.free) - len(before.problem.free), 1)
-    ratio = effective * (_log_power(before) - _log_power(after))
-    return float(min(1.0, looks * stats.chi2.sf(max(ratio, 0.0), added)))
+    ratio = effective * (_log_mean_square(before) - _log_mean_square(after))
+    return float(min(1.0, n_candidates * stats.chi2.sf(max(ratio, 0.0), added)))
 
 
-def _channels(fitted: Fitted, joint: int | None = None) -> FloatArray:
+def _residuals_by_channel(fitted: Fitted, joint: int | None = None) -> FloatArray:
     """Residuals by channel, (n, channels), or those of one joint, (n, 1)."""
     residuals = fitted.solution.residuals.reshape(-1, len(fitted.problem.sigma))
     return residuals if joint is None else residuals[:, [fitted.problem.record.output_joints.index(joint)]]
 
 
-def _log_power(fitted: Fitted, joint: int | None = None) -> float:
-    return _mean_log_power(_channels(fitted, joint))
+def _log_mean_square(fitted: Fitted, joint: int | None = None) -> float:
+    """Mean over the channels of the log mean square of a fit's residuals, or that of one joint."""
+    return _mean_log_mean_square(_residuals_by_channel(fitted, joint))
 
 
-def _mean_log_power(residuals: FloatArray) -> float:
-    """Mean over the channels of the logarithm of their mean square: each has a noise level of its own."""
+def _mean_log_mean_square(residuals: FloatArray) -> float:
+    """Mean over the channels of the log of their mean square: each channel has a noise level of its own."""
     return float(np.mean(np.log(np.maximum(np.mean(residuals**2, axis=0), 1e-300))))
 
 
 def best_heldout_gain(before: Sequence[Score], after: Sequence[Score]) -> tuple[float, float]:
-    """The clearest of the gains on several cuts into windows, its p value times their number."""
+    """The most significant of the held-out gains on windows of several lengths.
+
+    Args:
+        before: scores of the model without the addition, one for each length.
+        after: scores of the model with it, on the same windows.
+
+    Returns:
+        Log likelihood gain in nats, and its p value with Bonferroni's correction for the number of lengths.
+    """
     gains = [heldout_gain(b, a) for b, a in zip(before, after, strict=True)]
     total, p_value = min(gains, key=lambda gain: gain[1])
     return total, min(1.0, len(gains) * p_value)
 
 
-def heldout_gain(before: Score, after: Score) -> tuple[float, float]:
-    """Log likelihood that a model gains on data it never saw, nats, and the p value that it gains at all.
+def heldout_gain(before: Score, after: Score, *, n_blocks: int = 12) -> tuple[float, float]:
+    """Log likelihood that a model gains over another one on held-out data, and its p value.
 
-    Nats count samples as independent as their neighbours let them be.
+    Args:
+        before: score of the model without the addition.
+        after: score of the model with it, on the same windows.
+        n_blocks: number of blocks that errors of inverse dynamics, which has no windows, are cut into.
+
+    Returns:
+        Gain in nats, counted in effective samples, and the one-sided p value of :func:`direction_p_value`.
     """
-    scale = _scale(after)
+    scale = _error_scale(after)
     errors_before, errors_after = before.errors / scale, after.errors / scale
     begins = np.flatnonzero(np.r_[True, np.diff(after.window) > 0]).tolist()
     owner = after.window
     if after.metric is Metric.INVERSE_DYNAMICS:
-        owner = np.arange(len(errors_after)) * BLOCKS // len(errors_after)
-    gain = float(np.sum(_student(errors_after) - _student(errors_before)))
-    worth = _independent_share(errors_after, begins)
-    return worth * gain, direction_p_value(errors_before, errors_after, owner, begins)
+        owner = np.arange(len(errors_after)) * n_blocks // len(errors_after)
+    gain = float(np.sum(_student_log_density(errors_after) - _student_log_density(errors_before)))
+    share = _independent_share(errors_after, begins)
+    return share * gain, direction_p_value(errors_before, errors_after, owner, begins)
 
 
 def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, begins: Sequence[int]) -> float:
-    """One-sided p value that scaled errors (n, channels) fall along the step from one model to another.
+    """One-sided p value that errors on held-out data fall along the step from one model to another.
 
-    The step Δ was chosen on other data. Were the first model right, its errors would be noise, and their
-    product with Δ zero on average. The variance of that is taken from what the second model leaves, by an
-    autoregression of each channel and by windows (``owner``, (n,)), for slow errors last for a window: the
-    larger p value counts. Both factors are clipped, so that a window in which a model loses its way does not
-    decide. ``begins`` are the rows where a window begins.
+    The step Δ was chosen on other data. If the first model were right, its errors would be noise, and their
+    product with Δ zero on average. The variance of that product follows from the errors of the second model,
+    once by an autoregression of each channel and once by windows, since slow errors last for a window; the
+    larger p value counts. Both factors are clipped, so that a window that a model fails to follow does not
+    decide.
+
+    Args:
+        before: errors of the first model in units of their scale, (n, channels).
+        after: errors of the second model, (n, channels).
+        owner: number of the window of each row, (n,).
+        begins: rows at which a window begins.
+
+    Returns:
+        The p value; 1 with fewer than three windows or without a step.
     """
     step, errors = _clip(before - after), _clip(after)
     windows = len(np.unique(owner))
@@ -133,12 +191,13 @@ def direction_p_value(before: FloatArray, after: FloatArray, owner: IntArray, be
     return float(max(by_samples, by_windows))
 
 
-def _clip(errors: FloatArray) -> FloatArray:
-    return np.clip(errors, -CLIPPED, CLIPPED)
+def _clip(errors: FloatArray, max_size: float = 3.0) -> FloatArray:
+    """Limit errors to ± ``max_size`` noise levels."""
+    return np.clip(errors, -max_size, max_size)
 
 
-def _scale(after: Score) -> FloatArray:
-    """What errors are measured by: (c,), or (N, c) where recordings differ."""
+def _error_scale(after: Score) -> FloatArray:
+    """Unit of the errors, the larger of noise floor and RMSE: (c,), or (N, c) where recordings differ."""
     if not after.recordings:
         return np.array([max(c.noise_floor, c.rmse) for c in after.channels])
     scale = np.empty_like(after.errors)
@@ -148,12 +207,15 @@ def _scale(after: Score) -> FloatArray:
 
 
 def _independent_share(errors: FloatArray, begins: Sequence[int]) -> float:
-    """Share of the samples of errors (N, c) that are worth an independent one, by each channel's AR(1)."""
+    """Share of the samples of errors (N, c) that are independent, by the AR(1) of the slowest channel."""
     rho = np.sum(lag_one_products(errors, begins), axis=0) / np.maximum(np.sum(errors**2, axis=0), 1e-300)
     rho = float(np.clip(np.max(rho), 0.0, 0.99))
     return (1.0 - rho) / (1.0 + rho)
 
 
-def _student(errors: FloatArray) -> FloatArray:
-    """Log density of scaled errors (N, c) up to a constant, summed over the channels, (N,)."""
-    return np.asarray(-0.5 * (STUDENT + 1.0) * np.log1p(errors**2 / STUDENT).sum(axis=1))
+def _student_log_density(errors: FloatArray, dof: float = 4.0) -> FloatArray:
+    """Log density (N,) of Student's t, up to a constant, summed over the channels of errors (N, c).
+
+    Its heavy tails (``dof`` degrees of freedom) keep one window that a model fails to follow from deciding.
+    """
+    return np.asarray(-0.5 * (dof + 1.0) * np.log1p(errors**2 / dof).sum(axis=1))

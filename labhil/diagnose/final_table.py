@@ -1,4 +1,8 @@
-"""The final table of a diagnosis: every value with an error that includes what the fit cannot know."""
+"""The final parameter table of a diagnosis, with errors beyond the covariance of the fit.
+
+These are disagreement between parts of the data (``contrasts.py``), model discrepancy (``discrepancy.py``)
+and differences between likely structures.
+"""
 
 from __future__ import annotations
 
@@ -19,43 +23,44 @@ from labhil.physics.model import Metric, index_of, terms_named
 def final_table(
     conclusion: Conclusion, accepted: Accepted | None, absent: AbsentEffects, held_out_fit: Fitted | None
 ) -> tuple[list[Estimate], float]:
-    """The final table, and the factor of its errors by which parts of the data disagree.
+    """Tabulate all parameters of the final model with their total errors.
 
     Args:
-        conclusion: where a search ended.
-        accepted: the model that sizes were held at, None where there is none.
-        absent: the effects that the final fit lacks.
-        held_out_fit: that fit on held-out data, where these determine it.
+        conclusion: the end of the search.
+        accepted: the model at whose values parameters were held, if there is one.
+        absent: the terms that the final fit lacks.
+        held_out_fit: the final model refitted to held-out data, where these determine it.
 
     Returns:
-        Rows of all parameters, sizes that were held included, and the factor, at least 1.
+        Rows of all parameters, held ones included, and the factor of all errors by which parts of the data
+        disagree, at least 1.
     """
     result, curve = conclusion.result, conclusion.curves[-1] if conclusion.curves else None
     table = table_of(result.final)
     if curve is None:
-        scale, moved = _scale(result.final, table, held_out_fit), discrepancy_shifts(absent)
-        of_curve = list[Estimate]()
+        scale, shifts = _error_factor(result.final, table, held_out_fit), discrepancy_shifts(absent)
+        curve_rows = list[Estimate]()
     else:
-        scale = _scale(curve.fit, table_of(curve.fit), held_out_fit)
-        held = {coefficient.key for coefficient in curve.model.coefficients}
-        moved = discrepancy_shifts(absent_effects(curve.fit), known=held)
-        of_curve = list(curve.rows)
+        scale = _error_factor(curve.fit, table_of(curve.fit), held_out_fit)
+        coefficients = {coefficient.key for coefficient in curve.model.coefficients}
+        shifts = discrepancy_shifts(absent_effects(curve.fit), known=coefficients)
+        curve_rows = list(curve.rows)
     # named terms may have been held beside a curve
-    curve_keys = {row.key for row in of_curve}
-    fitted = [*of_curve, *(row for row in table.rows if row.key not in curve_keys)]
-    rows = [_with_bias(row, result, scale, moved.get(row.key, 0.0)) for row in fitted]
+    curve_keys = {row.key for row in curve_rows}
+    fitted = [*curve_rows, *(row for row in table.rows if row.key not in curve_keys)]
+    rows = [_with_bias(row, result, scale, shifts.get(row.key, 0.0)) for row in fitted]
     return _with_held(rows, result, accepted), scale
 
 
-def _has_one_scale(fitted: Fitted) -> bool:
-    """Whether one factor may be of all errors: there are some, and no joints that have their own."""
+def _has_common_factor(fitted: Fitted) -> bool:
+    """Whether one factor applies to all errors: not without parameters, nor of joints (inverse dynamics)."""
     problem = fitted.problem
     return len(problem.free) > 0 and problem.model.metric is not Metric.INVERSE_DYNAMICS
 
 
-def _scale(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | None) -> float:
-    """The factor of a fit's errors by which parts of its data, and held-out data where known, disagree."""
-    if not _has_one_scale(fitted):
+def _error_factor(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | None) -> float:
+    """Factor of a fit's errors by which parts of its data, and of held-out data if known, disagree."""
+    if not _has_common_factor(fitted):
         return 1.0
     contrasts = between_parts(fitted, table)
     return scale_factor(
@@ -63,9 +68,16 @@ def _scale(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | None) -
     )
 
 
-def on_held_out_of(conclusion: Conclusion) -> Fitted | None:
-    """The final model refitted to held-out data; None beside a curve, and of a search that was cut short."""
-    if conclusion.curves or not (conclusion.result.complete and _has_one_scale(conclusion.result.final)):
+def refit_to_held_out(conclusion: Conclusion) -> Fitted | None:
+    """Refit the final model to the held-out data.
+
+    Args:
+        conclusion: the end of the search.
+
+    Returns:
+        The fit; None beside a curve, of inverse dynamics and where the user ended the search early.
+    """
+    if conclusion.curves or not (conclusion.result.complete and _has_common_factor(conclusion.result.final)):
         return None
     try:
         return on_held_out(conclusion.data, conclusion.result.final)
@@ -74,9 +86,9 @@ def on_held_out_of(conclusion: Conclusion) -> Fitted | None:
 
 
 def _with_held(rows: list[Estimate], result: SearchResult, accepted: Accepted | None) -> list[Estimate]:
-    """The rows, those of sizes that were held before them, with errors that no fit can know.
+    """Add rows of held parameters in front and of constants behind, and errors that no fit contains.
 
-    A size that was held at an accepted value is known as well as that.
+    A parameter that was held at an accepted value has the error of that value.
     """
     fitted = result.final
     listed = {row.key for row in rows}
@@ -90,10 +102,10 @@ def _with_held(rows: list[Estimate], result: SearchResult, accepted: Accepted | 
     return [with_min_error(row, result.errors.get(row.key, 0.0)) for row in rows]
 
 
-def _with_bias(row: Estimate, result: SearchResult, scale: float, moved: float) -> Estimate:
-    """The row with its error times ``scale``, widened by the residuals' and other structures' influence."""
+def _with_bias(row: Estimate, result: SearchResult, scale: float, shift: float) -> Estimate:
+    """The row with its error times ``scale``, plus discrepancy (``shift``) and differences of structures."""
     parameter = next((p for p in result.final.problem.model.parameters if p.key == row.key), None)
-    bias = np.hypot(result.between_structures(row.key), moved)
+    bias = np.hypot(result.between_structures(row.key), shift)
     error = float(np.hypot(scale * row.std_error, bias))
     bounds = (-np.inf, np.inf) if parameter is None else (parameter.lower, parameter.upper)
     return with_wider_error(row, error, bounds)

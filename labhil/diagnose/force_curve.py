@@ -1,4 +1,8 @@
-"""A force that no named term explains: over which coordinate it acts, its curve, and its evidence."""
+"""Nonparametric forces: a force that no named term explains, as a curve over one coordinate.
+
+``find_joint_torque`` fits one to a joint of an arm, ``state_curve`` states one that the structure search
+chose (``structures/curves.py``). How a curve is fitted is in ``curve.py``.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.diagnose.adequacy import STANDS_IN
 from labhil.diagnose.closed_forms import closed_form
 from labhil.diagnose.curve import (
     Band,
-    Curved,
-    band,
-    criterion,
+    CurveFit,
+    confidence_band,
+    curve_bic,
+    cut_into_blocks,
+    estimates_beside_curve,
+    fit_linearised_curve,
     fix_gauge,
-    glance,
-    holds_shape,
-    in_blocks,
+    has_absorbed_shape,
     minimise_penalised,
     restart,
-    rows_beside,
 )
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, heldout_gain
-from labhil.diagnose.judge import TRUSTED, Data, is_supported
+from labhil.diagnose.judge import SEARCH_P_VALUE_FLOOR, Data, is_supported
 from labhil.diagnose.search_result import FittedCurve
 from labhil.identify.extended import UNMODELLED_FORCE, Coordinate, ExtendedModel
 from labhil.identify.fitted import Fitted
@@ -36,13 +39,7 @@ from labhil.physics.model import unit_of
 from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 
-REACHED = 1.05
-"""A model whose errors are at most this much above the noise has nothing left to explain."""
-
-ITERATIONS = 8
-"""Steps on the windows of each length."""
-
-WAYS: Mapping[CurveArgument, str] = {
+FRICTION_NAMES: Mapping[CurveArgument, str] = {
     CurveArgument.POSITION_AGAINST: "dry friction",
     CurveArgument.SPEED_AGAINST: "friction",
     CurveArgument.DAMPING: "viscous friction",
@@ -51,14 +48,31 @@ WAYS: Mapping[CurveArgument, str] = {
 
 @dataclass(frozen=True, slots=True)
 class ForceCurve:
-    """A force that no named term explains.
+    """A force that no named term explains, as the answer of a diagnosis states it.
 
-    ``depends_on`` are the coordinates; the curve has the values ``value`` (m,) in ``unit`` at the places
-    ``x`` (m,) of the first of them, with a pointwise 99 % band ``low`` … ``high``. By ``acts`` it is a force
-    along the positive direction, or the level of a friction (−value·sgn v), or a damping (−value·v).
-    ``before`` and ``after`` are held-out scores; ``share`` is what of
-    the mismatch it explains there, (mse_before − mse_after)/(mse_before − floor²), of its joint where it has
-    one. ``curved`` is the fit behind it, ``rows`` the model's own parameters in it.
+    Attributes:
+        term: key of the curve among the terms of the model.
+        joint: joint of an arm that it acts on.
+        enters: where in the model it enters.
+        depends_on: the coordinates that it depends on.
+        acts: whether it is a force along the positive direction, the level of a friction (−value·sgn v) or a
+            damping (−value·v).
+        x: points of the first coordinate, (m,), in ``x_unit``.
+        value: the curve there, (m,), in ``unit``.
+        low: lower end of its pointwise 99 % band, (m,).
+        high: upper end of the band, (m,).
+        unit: unit of the force.
+        x_unit: unit of the coordinate.
+        formula: a short formula within the band, if there is one.
+        statement: one or two sentences for people.
+        evidence: evidence for the force.
+        curve_fit: the fit behind it.
+        before: held-out score without it.
+        after: held-out score with it.
+        share: share of the mismatch that it explains on held-out data, of its joint where it has one,
+            (mse_before − mse_after)/(mse_before − floor²).
+        rows: estimates of the model's own parameters beside it.
+        probability: probability that the force is there, where structures were compared.
     """
 
     term: str
@@ -75,7 +89,7 @@ class ForceCurve:
     formula: str | None
     statement: str
     evidence: Evidence
-    curved: Curved
+    curve_fit: CurveFit
     before: Score
     after: Score
     share: float
@@ -85,61 +99,97 @@ class ForceCurve:
     @property
     def model(self) -> ExtendedModel:
         """The model with the curve in it."""
-        return self.curved.model
+        return self.curve_fit.model
 
     @property
     def fit(self) -> Fitted:
-        """That model's fit."""
-        return self.curved.fitted
+        """The fit of that model."""
+        return self.curve_fit.fitted
 
     @property
     def kept(self) -> SavedCurve:
-        """The curve as a part of a model."""
+        """The curve in the form in which a model file holds it."""
         coordinate = self.model.coordinate
         return SavedCurve(coordinate, self.x, self.value, self.low, self.high, self.unit, self.formula)
 
 
-def unmodelled(data: Data, final: Fitted, part: MovedPart) -> ForceCurve | None:
-    """The torque on a joint over one coordinate that brings a fitted arm closest to the data, or None.
+def find_joint_torque(
+    data: Data,
+    final: Fitted,
+    part: MovedPart,
+    *,
+    min_excess: float = 1.05,
+    min_explained_share: float = 0.5,
+) -> ForceCurve | None:
+    """Find the torque on a joint, over one coordinate, that brings a fitted arm closest to the data.
 
-    It has to be supported by the search data and by the held-out ones, and has to explain half of what these
-    show, or it only stands in for something else. The model must take a force.
+    Search and held-out data both have to support it.
+
+    Args:
+        data: the data of the search.
+        final: the fit of inverse dynamics; its model has to accept an extra force.
+        part: the joint.
+        min_excess: RMS of residuals or held-out RMSE, in units of the noise, below which nothing is left to
+            explain.
+        min_explained_share: share of the held-out mismatch that the torque has to explain; one that explains
+            less only substitutes another effect.
+
+    Returns:
+        The torque, or None.
     """
     model = final.problem.model
     assert isinstance(model, AcceptsExtraForce)
-    judged = data.judge(final.theta)[0]
-    if max(final.noise, judged.rmse / judged.noise_floor) < REACHED:
+    judged = data.score_held_out(final.theta)[0]
+    if max(final.noise, judged.rmse / judged.noise_floor) < min_excess:
         return None
-    chosen = _best(final, model, part)
+    chosen = _best_curve(final, model, part)
     if chosen is None:
         return None
     evidence = _evidence(data, final, judged, chosen)
-    if not is_supported(evidence, TRUSTED):
+    if not is_supported(evidence, SEARCH_P_VALUE_FLOOR):
         return None
     curve = _force_curve(data, final, chosen, evidence)
-    return None if curve.share < STANDS_IN else curve
+    return None if curve.share < min_explained_share else curve
 
 
 def state_curve(data: Data, curve: FittedCurve) -> ForceCurve:
-    """State a curve that evidence chose, with its scores and its probability."""
-    named_fit, odds, curved = curve.beside, curve.log_odds, curve.curved
-    after = replace(data, model=curved.model).judge(curved.fitted.theta)
-    gain, p_value = best_heldout_gain(data.judge(named_fit.theta), after)
+    """State a curve that the structure search chose, with its held-out scores and its probability.
+
+    Args:
+        data: the data of the search.
+        curve: the refitted curve with its log odds over the likeliest named terms.
+
+    Returns:
+        The force as the answer states it.
+    """
+    named_fit, odds, curve_fit = curve.beside, curve.log_odds, curve.curve_fit
+    after = replace(data, model=curve_fit.model).score_held_out(curve_fit.fitted.theta)
+    gain, p_value = best_heldout_gain(data.score_held_out(named_fit.theta), after)
     evidence = Evidence(-2.0 * odds, p_value, gain)
-    answer = _force_curve(data, named_fit, curved, evidence)
+    answer = _force_curve(data, named_fit, curve_fit, evidence)
     return replace(answer, probability=float(1.0 / (1.0 + np.exp(-odds))))
 
 
-def with_placed(final: Fitted) -> list[Fitted]:
-    """A fit, and the same where windows know where their part stands, if recordings do not measure it."""
-    placed = _place(final)
+def position_variants(final: Fitted) -> list[Fitted]:
+    """A fit, and the same with positions as window states where recordings do not measure them.
+
+    A force over a position that no channel measures needs to know where each window starts.
+    """
+    placed = _with_position_states(final)
     return [final] if placed is final else [final, placed]
 
 
 def motion_coordinates(model: AcceptsExtraForce, part: MovedPart) -> list[Coordinate]:
-    """All coordinates that a force on a part may depend on, with and without the sign of velocity.
+    """List the motion coordinates that a force on a part may depend on, and how it may act over each.
 
-    Positions of other parts are among them: a cable or a spring may be tied to both.
+    Positions of other parts are among them: a cable or a spring may connect both.
+
+    Args:
+        model: the model.
+        part: the part that the force acts on.
+
+    Returns:
+        Positions and velocities, as a force, as a friction and as a damping.
     """
     other_positions = [moved.position for moved in model.moved if moved != part]
     ways = [
@@ -155,37 +205,43 @@ def motion_coordinates(model: AcceptsExtraForce, part: MovedPart) -> list[Coordi
 
 
 def given_coordinates(final: Fitted, part: MovedPart) -> list[Coordinate]:
-    """Inputs and their rates, which the record gives."""
+    """List the inputs of the recording and their rates as coordinates of a force on a part."""
     model, record = final.problem.model, final.problem.record
     names = {f"{name}{rate}" for name in record.input_names for rate in ("", "_rate")}
     units = {name: unit for name, unit in model.coordinate_units.items() if name in names}
     return [Coordinate(name, unit, CurveArgument.TIME, part) for name, unit in units.items()]
 
 
-def _best(final: Fitted, model: AcceptsExtraForce, part: MovedPart) -> Curved | None:
-    """The curve with the least criterion, of all coordinates that vary.
+def _best_curve(
+    final: Fitted, model: AcceptsExtraForce, part: MovedPart, *, iterations: int = 8
+) -> CurveFit | None:
+    """The curve with the least BIC, of all coordinates that vary, refitted in ``iterations`` steps.
 
-    Inverse dynamics is linear in a curve: a glance is as good as what follows.
+    Inverse dynamics is linear in a curve, so that one linear step compares the coordinates.
     """
-    short = in_blocks(final)
-    looks = _glances(short, motion_coordinates(model, part) + given_coordinates(short, part))
-    if not looks:
+    short = cut_into_blocks(final)
+    linear_fits = _linearised_curves(short, motion_coordinates(model, part) + given_coordinates(short, part))
+    if not linear_fits:
         return None
-    effective = _effective_samples_of(looks)
-    best = min(looks, key=lambda look: criterion(look, effective))
-    return fix_gauge(minimise_penalised(restart(best), None, ITERATIONS))
+    effective = _effective_samples_of(linear_fits)
+    best = min(linear_fits, key=lambda curve: curve_bic(curve, effective))
+    return fix_gauge(minimise_penalised(restart(best), None, iterations))
 
 
-def _glances(fitted: Fitted, possible: Sequence[Coordinate]) -> list[Curved]:
-    """One glance at a curve over each of these coordinates that varies."""
+def _linearised_curves(fitted: Fitted, possible: Sequence[Coordinate]) -> list[CurveFit]:
+    """A curve by one linear step over each coordinate that varies."""
     problem, states = fitted.problem, fitted.solution.point.states
     along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
     sampled = [(coordinate, coordinate.values(along)) for coordinate in possible]
-    return [glance(fitted, coordinate, values) for coordinate, values in sampled if np.ptp(values) > 0.0]
+    return [
+        fit_linearised_curve(fitted, coordinate, values)
+        for coordinate, values in sampled
+        if np.ptp(values) > 0.0
+    ]
 
 
-def _place(final: Fitted) -> Fitted:
-    """Place a fit: its windows know where their part stands, as far as recordings do not measure it."""
+def _with_position_states(final: Fitted) -> Fitted:
+    """The fit with unmeasured positions as window states; unchanged where all positions are measured."""
     model, old = final.problem.model, final.problem
     if not isinstance(model, PositionUnobserved) or model.with_place() is model:
         return final
@@ -196,74 +252,76 @@ def _place(final: Fitted) -> Fitted:
     return replace(final, problem=problem, solution=solution, rivals=())
 
 
-def _effective_samples_of(trials: Sequence[Curved]) -> float:
-    """Samples that count: of the fit with the least residuals, for those of a bad one are all alike."""
+def _effective_samples_of(trials: Sequence[CurveFit]) -> float:
+    """Effective samples of the curve with the least residuals: those of a poor fit are all correlated."""
     best = min(trials, key=lambda trial: trial.fitted.solution.cost)
     return effective_samples(best.fitted, best.joint)
 
 
-def _evidence(data: Data, final: Fitted, before: Score, chosen: Curved) -> Evidence:
+def _evidence(data: Data, final: Fitted, before: Score, chosen: CurveFit) -> Evidence:
+    """ΔBIC of a curve, and its gain on held-out data, of the joint that it acts on."""
     joint = chosen.joint
     effective = effective_samples(chosen.fitted, joint)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, before.horizon)
     gain, p_value = heldout_gain(before.of_joint(joint), after.of_joint(joint))
-    return Evidence(criterion(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
+    return Evidence(curve_bic(chosen, effective) - bic(final, effective, joint=joint), p_value, gain)
 
 
-def _force_curve(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) -> ForceCurve:
+def _force_curve(data: Data, final: Fitted, chosen: CurveFit, evidence: Evidence) -> ForceCurve:
+    """The curve as the answer states it, scored on the metric's windows of the held-out data."""
     horizon = scored_horizon(data.model, final.theta, data.test)
     before = score(data.model, final.theta, data.test, data.test_sigma, horizon)
     after = score(chosen.model, chosen.fitted.theta, data.test, data.test_sigma, horizon)
     coordinate = chosen.model.coordinate
-    curve = band(chosen)
+    curve = confidence_band(chosen)
     unit = chosen.model.coefficients[0].unit
     part = coordinate.part
-    also = (
+    velocity = (
         (part.velocity,) if coordinate.acts in (CurveArgument.POSITION_AGAINST, CurveArgument.DAMPING) else ()
     )
     return ForceCurve(
         term=UNMODELLED_FORCE,
         joint=part.joint,
         enters=part.enters.value,
-        depends_on=(coordinate.name, *also),
+        depends_on=(coordinate.name, *velocity),
         acts=coordinate.acts,
         x=curve.x,
         value=curve.value,
-        low=curve.value - curve.reach,
-        high=curve.value + curve.reach,
+        low=curve.value - curve.half_width,
+        high=curve.value + curve.half_width,
         unit=unit,
         x_unit=coordinate.unit,
-        formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
+        formula=closed_form(curve.x, curve.value, curve.covariance, curve.half_width),
         statement=_statement(chosen, curve, unit),
         evidence=evidence,
-        curved=chosen,
+        curve_fit=chosen,
         before=before,
         after=after,
-        share=_share(before.of_joint(part.joint), after.of_joint(part.joint)),
-        rows=rows_beside(chosen),
+        share=_explained_share(before.of_joint(part.joint), after.of_joint(part.joint)),
+        rows=estimates_beside_curve(chosen),
     )
 
 
-def _share(before: Score, after: Score) -> float:
-    """Share of the excess over the noise floor that the better model explains."""
+def _explained_share(before: Score, after: Score) -> float:
+    """Share of the mean square beyond the noise floor that the curve explains."""
     excess = before.mse - after.noise_floor**2
     return (before.mse - after.mse) / excess if excess > 0.0 else 0.0
 
 
-def _statement(chosen: Curved, curve: Band, unit: str) -> str:
-    """One or two sentences: over what, which way, how strong and where."""
+def _statement(chosen: CurveFit, curve: Band, unit: str) -> str:
+    """One or two sentences: the kind of force, its coordinate, its largest value and where that is."""
     coordinate = chosen.model.coordinate
     most = int(np.argmax(np.abs(curve.value)))
     joint = coordinate.part.joint
-    pushes = "a force" if joint is None else "a torque"
+    effort = "a force" if joint is None else "a torque"
     if coordinate.part.enters is Enters.DIFFERENCE:
-        pushes = "a difference of the output"
-    way = WAYS.get(coordinate.acts, pushes)
+        effort = "a difference of the output"
+    kind = FRICTION_NAMES.get(coordinate.acts, effort)
     where = "" if joint is None else f" on joint {joint}"
     text = (
-        f"Something that no named effect explains acts{where} as {way} that depends on {coordinate.name}: "
+        f"Something that no named effect explains acts{where} as {kind} that depends on {coordinate.name}: "
         f"{curve.value[most]:.3g} {unit} where it is strongest, at {curve.x[most]:.3g} {coordinate.unit}."
     )
-    if holds_shape(chosen):
+    if has_absorbed_shape(chosen):
         text += " It is zero where it is quietest: the model's own parameters can stand for the rest."
     return text.replace("-", "−")

@@ -1,4 +1,7 @@
-"""Torques on an arm's joints that no named term explains, joint by joint, each beside those before it."""
+"""Nonparametric torques on the joints of an arm, fitted joint by joint.
+
+Each torque is fitted beside those before it, worst joint first. ``force_curve.py`` fits a single one.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.diagnose.adequacy import residual_rms
-from labhil.diagnose.force_curve import ForceCurve, unmodelled
+from labhil.diagnose.force_curve import ForceCurve, find_joint_torque
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import SearchResult
@@ -16,55 +19,58 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.saved_curve import apply_curves
 from labhil.physics.extra_force import AcceptsExtraForce, MovedPart
 
-LEFT = 1.15
-"""RMS of a joint's residuals, in units of its noise, from which a torque on it is looked for.
 
-This is a linear problem, which the joint's motion poses thousands of times.
-"""
+def fit_joint_curves(
+    data: Data, result: SearchResult, *, min_rms: float = 1.15, certain_rms: float = 1.5
+) -> tuple[ForceCurve, ...]:
+    """Fit the torques on the joints of an arm that no named term explains.
 
-MUCH_LEFT = 1.5
-"""The same that is no imperfection of the noise: without a curve there the search goes on at other joints."""
+    The joint with the largest residuals comes first.
 
+    Args:
+        data: the data of the search.
+        result: the result of the search for named terms.
+        min_rms: RMS of a joint's residuals, in units of its noise, from which a torque is fitted. It is close
+            to 1: inverse dynamics is a linear problem with thousands of samples.
+        certain_rms: RMS that an imperfect estimate of the noise never reaches. Below it the first joint
+            without a torque ends the fitting, above it the next joint follows.
 
-def joint_curves(data: Data, result: SearchResult) -> tuple[ForceCurve, ...]:
-    """Torques that no named term explains.
-
-    The joints have their turns by what is left of them, until little is left or the worst of what is little
-    more than noise has none.
+    Returns:
+        The torques in the order in which they were fitted.
     """
     data = replace(data, held=result.final.held)
     model, curves = data.model, tuple[ForceCurve, ...]()
-    waiting = list(model.moved) if isinstance(model, AcceptsExtraForce) else []
-    while waiting:
-        part, most = _worst(data, result, curves, waiting)
-        if most < LEFT:
+    remaining = list(model.moved) if isinstance(model, AcceptsExtraForce) else []
+    while remaining:
+        part, rms = _worst_joint(data, result, curves, remaining)
+        if rms < min_rms:
             break
-        data_with_curves, final = _beside(data, result.final, curves)
-        curve = unmodelled(data_with_curves, final, part)
-        if curve is None and most < MUCH_LEFT:
+        data_with_curves, final = _refit_with_curves(data, result.final, curves)
+        curve = find_joint_torque(data_with_curves, final, part)
+        if curve is None and rms < certain_rms:
             break
         curves = curves if curve is None else (*curves, curve)
-        waiting.remove(part)
+        remaining.remove(part)
     return curves
 
 
-def strongest(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
-    """Those that bring held-out data closest to the noise first."""
+def sort_by_heldout_gain(curves: Sequence[ForceCurve]) -> list[ForceCurve]:
+    """Sort force curves by their likelihood gain on held-out data, the largest first."""
     return sorted(curves, key=lambda curve: -curve.evidence.heldout_loglik_gain)
 
 
-def _worst(
+def _worst_joint(
     data: Data, result: SearchResult, curves: Sequence[ForceCurve], parts: Sequence[MovedPart]
 ) -> tuple[MovedPart, float]:
-    """The part whose output leaves most, and how much that is, in units of the noise."""
-    rms = np.max(residual_rms(*_beside(data, result.final, curves)), axis=0)
+    """The part with the largest residuals, and their RMS in units of the noise."""
+    rms = np.max(residual_rms(*_refit_with_curves(data, result.final, curves)), axis=0)
     of_joint = dict(zip(data.search.output_joints, rms.tolist(), strict=True))
     worst = max(parts, key=lambda part: of_joint[part.joint])
     return worst, of_joint[worst.joint]
 
 
-def _beside(data: Data, final: Fitted, curves: Sequence[ForceCurve]) -> tuple[Data, Fitted]:
-    """Data whose model is under these curves, and a fit of it with the same terms."""
+def _refit_with_curves(data: Data, final: Fitted, curves: Sequence[ForceCurve]) -> tuple[Data, Fitted]:
+    """Refit the same terms to a model that has these curves as fixed forces."""
     if not curves:
         return data, final
     assert isinstance(data.model, AcceptsExtraForce)

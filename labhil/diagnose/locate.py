@@ -1,4 +1,7 @@
-"""Where a mismatch lives: in time, and along the physical coordinate that reveals it."""
+"""Location of a mismatch: when it occurs, and in which range of which physical coordinate.
+
+``statements.py`` puts this into sentences; ``report/plots.py`` draws contributions over their coordinate.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +17,26 @@ from labhil.physics.model import Metric, Model, Record, Windows, index_of
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 
-SHARE = 0.8
-"""Of the excess squared error that a regime has to hold."""
 
-BINS = 40
-BLOCKS = 12
-"""Into which a record of one window is cut to say when."""
+@dataclass(frozen=True, slots=True)
+class RegimeOptions:
+    """How ranges of a coordinate are chosen: people read them, so that they are few."""
 
-MOST_SAMPLES = 0.6
-"""Share of the samples beyond which a regime says nothing."""
+    share: float = 0.8  # of the excess that the ranges hold
+    max_samples: float = 0.6  # share of all samples from which ranges locate nothing
+    max_ranges: int = 3  # as many as people keep in mind
+    n_bins: int = 40  # of a coordinate, with equally many samples
+    max_relative_samples: float = 0.8  # over those of an earlier coordinate, for a later one to be preferred
 
-MOST_RUNS = 3
-"""Stretches of a coordinate that people can keep in mind."""
 
-AS_WELL = 0.05
-"""Share of an effect's variance by which a coordinate may say less of it than the best one does."""
-
-CLEARER = 0.8
-"""A coordinate comes before an earlier one when its regime has at most this share of that one's samples."""
+DEFAULT_OPTIONS = RegimeOptions()
 
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """A range of a coordinate where an effect lives, with the share of the excess squared error in it.
+    """A range of a coordinate where an effect acts, with the share of the excess squared error in it.
 
-    Where no coordinate shows it, it is a range of the effect's own force, and the coordinate is its term.
+    Where no coordinate locates an effect, it is a range of its force, and ``coordinate`` is its term.
     """
 
     coordinate: str
@@ -52,9 +50,9 @@ class Regime:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """Where the excess error is; ``enters`` says at which place of the chain the missing effect acts.
+    """Where the excess error is; ``enters`` is the part of the model where the missing effect acts.
 
-    Of several recordings, ``recordings`` are the numbers of those in whose own time ``times`` (s) are.
+    ``times`` (s) are begin and end of windows, in the time of the ``recordings`` where there are several.
     """
 
     channel: str
@@ -68,7 +66,7 @@ class Location:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Abscissa:
-    """What a curve is drawn over: the samples ``x`` (N,) of a coordinate, in ``unit``."""
+    """The horizontal axis of a plot: the samples ``x`` (N,) of a coordinate, in ``unit``."""
 
     name: str
     x: FloatArray
@@ -82,7 +80,7 @@ class Abscissa:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """Data that a search never saw, with scores on the same windows before and after."""
+    """Held-out data with the scores of baseline and final model on the same windows."""
 
     record: Record
     before: Score
@@ -90,28 +88,28 @@ class HeldOut:
 
     @property
     def motion(self) -> Motion:
-        """The scored samples as the better model has them."""
+        """The scored samples with the window states of the final model."""
         return self.record, self.after.windows.whole, self.after.states, self.after.windows.scored
 
     def error_reduction(self, joint: int | None) -> FloatArray:
-        """What the better model takes from the squared errors of each scored sample, in noise floors, (N,).
+        """Reduction of the squared error of each scored sample, in squared noise floors, (N,).
 
-        Of the outputs of a ``joint`` and of those that belong to none.
+        It is summed over the outputs of a ``joint`` and those that belong to none; None takes all outputs.
         """
         columns = [j for j, c in enumerate(self.after.channels) if joint is None or c.joint in (None, joint)]
-        return np.asarray(_excess(self.before, self.after)[:, columns].sum(axis=1))
+        return np.asarray(_error_reduction(self.before, self.after)[:, columns].sum(axis=1))
 
 
 Motion = tuple[Record, Windows, FloatArray, np.ndarray]
-"""A record, windows with their states, and which of their rows count."""
+"""A record, windows, their states, and a mask of the rows that count."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What one ``term`` adds along a motion, (N,), and the ``coordinates`` there, (N,) each.
+    """The contribution of one ``term`` along a motion: ``values`` (N,) and ``coordinates`` (N,) each.
 
-    ``unit`` is that of a force, "" of anything else; ``joint`` the one that it acts on, of several.
-    ``period`` is the coordinate along which it repeats, and how far.
+    ``unit`` is that of a force, "" of anything else; ``joint`` is the one that it acts on, of several.
+    ``period`` is the coordinate along which it repeats, and its period there.
     """
 
     term: str
@@ -122,35 +120,38 @@ class Contribution:
     joint: int | None
     period: tuple[str, float] | None = None
 
-    def regimes(self, explained: FloatArray | None = None) -> tuple[Regime, ...]:
-        """Where most of it lives, as one to three stretches of one coordinate; none if it is everywhere.
+    def regimes(
+        self, explained: FloatArray | None = None, options: RegimeOptions = DEFAULT_OPTIONS
+    ) -> tuple[Regime, ...]:
+        """Locate the contribution in ranges of one coordinate, or of its own force; () if it acts everywhere.
 
-        Where no coordinate holds it together, of a force its own sizes do: a ripple lives near its crests.
-        It lives where it is so large that 80 % of ``explained`` (N,) is there (default: of its squares).
+        There it is so large that the share of ``explained`` is inside: the error reduction by the term at
+        each sample, (N,), or its squares where that is None.
         """
         squares = self.values**2
         held = squares if explained is None or explained.sum() <= 0.0 else explained
-        large = _level_set(squares, held)
-        stretches = regimes({name: self.coordinates[name] for name in self.units}, large.astype(np.float64))
-        return tuple(self._complete(regime, held) for regime in stretches or self._force_ranges(large))
+        large = _level_set(squares, held, options.share)
+        along = {name: self.coordinates[name] for name in self.units}
+        ranges = regimes(along, large.astype(np.float64), options) or self._force_ranges(large, options)
+        return tuple(self._complete(regime, held) for regime in ranges)
 
-    def abscissa(self, stretches: Sequence[Regime]) -> Abscissa:
-        """The coordinate that it follows best; of several the one that its ``stretches`` are of.
+    def abscissa(self, ranges: Sequence[Regime], *, tolerance: float = 0.05) -> Abscissa:
+        """The coordinate that explains most of its variance; one period of it for a periodic effect.
 
-        An effect that repeats is laid over one period.
+        Of coordinates within the ``tolerance`` (share of the variance) it is that of its ``ranges``.
         """
         if self.period is not None:
             name, length = self.period
             return Abscissa(f"{name} modulo {length:.3g}", self.coordinates[name] % length, self.units[name])
-        followed = {name: _correlation_ratio(self.values, self.coordinates[name]) for name in self.units}
-        near = [name for name in followed if followed[name] > max(followed.values()) - AS_WELL]
-        lived = [regime.coordinate for regime in stretches if regime.coordinate in near]
-        name = (lived or near)[0]
+        ratios = {name: _correlation_ratio(self.values, self.coordinates[name]) for name in self.units}
+        near = [name for name in ratios if ratios[name] > max(ratios.values()) - tolerance]
+        located = [regime.coordinate for regime in ranges if regime.coordinate in near]
+        name = (located or near)[0]
         return Abscissa(name, self.coordinates[name], self.units[name])
 
-    def _force_ranges(self, large: np.ndarray) -> tuple[Regime, ...]:
-        """The sizes of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
-        if not self.unit or not 0.0 < np.mean(large) < MOST_SAMPLES:
+    def _force_ranges(self, large: np.ndarray, options: RegimeOptions) -> tuple[Regime, ...]:
+        """The ranges of a force where it is ``large`` (N,), by sign; none if that is nearly everywhere."""
+        if not self.unit or not 0.0 < np.mean(large) < options.max_samples:
             return ()
         signs = [self.values[large & (self.values < 0.0)], self.values[large & (self.values > 0.0)]]
         return tuple(
@@ -160,7 +161,7 @@ class Contribution:
         )
 
     def _complete(self, regime: Regime, held: FloatArray) -> Regime:
-        """Complete a regime by its effect, its unit and its share of ``held`` (N,)."""
+        """Add term, unit and share of ``held`` (N,) to a range."""
         over_force = regime.coordinate == self.term
         values = self.values if over_force else self.coordinates[regime.coordinate]
         inside = (values >= regime.low) & (values <= regime.high)
@@ -170,50 +171,57 @@ class Contribution:
         return replace(regime, share_of_excess=share, unit=unit, term=term, joint=joint)
 
 
-def _level_set(size: FloatArray, held: FloatArray) -> np.ndarray:
-    """Where a size (N,) is so large that the share of ``held`` (N,) is there, (N,) of bool."""
+def _level_set(size: FloatArray, held: FloatArray, share: float) -> np.ndarray:
+    """Mask (N,) of the largest sizes (N,) that together have a share of ``held`` (N,)."""
     order = np.argsort(-size, kind="stable")
-    enough = np.cumsum(held[order]) >= SHARE * held.sum()
+    enough = np.cumsum(held[order]) >= share * held.sum()
     return np.asarray((size >= size[order[int(np.argmax(enough))]]) & (size > 0.0))
 
 
 def locate_terms(
     final: Fitted, terms: Sequence[str], held_out: HeldOut, joint: int | None
 ) -> tuple[dict[str, Contribution], dict[str, tuple[Regime, ...]]]:
-    """The contribution of each of some terms to held-out data, and the regimes where it lives.
+    """Compute and locate the contributions of terms to held-out data, by term.
 
-    A term that belongs to no joint of an arm is located on the ``joint`` with the largest error.
+    Terms that belong to no joint of an arm are located on the ``joint``.
     """
-    shares = {term: contribution(final, term, held_out.motion, joint) for term in terms}
+    parts = {term: contribution(final, term, held_out.motion, joint) for term in terms}
     # where several terms explain the excess, no part of it belongs to one of them
-    explained = held_out.error_reduction(next(iter(shares.values())).joint) if len(shares) == 1 else None
-    return shares, {term: share.regimes(explained) for term, share in shares.items()}
+    explained = held_out.error_reduction(next(iter(parts.values())).joint) if len(parts) == 1 else None
+    return parts, {term: part.regimes(explained) for term, part in parts.items()}
 
 
 def contribution(
     final: Fitted, term: str, motion: Motion | None = None, joint: int | None = None
 ) -> Contribution:
-    """What a term of the model contributes where it acts, with the ``motion`` as it is (default: the fit's).
+    """Compute what a term contributes at each sample of a motion.
 
-    A force as a difference of forces; what acts on the way in as the force that it changes, or else as what
-    drives the motion; what acts on the way out as a difference of readings.
-    What belongs to no joint of an arm does so on ``joint`` (default: where it does most).
+    A force is a difference of forces. An effect at the input is the force that it changes, or else the
+    change of what drives the motion. An effect of the measurement is a difference of readings.
+
+    Args:
+        final: the final fit.
+        term: key of the term.
+        motion: the samples; None takes those of the fit.
+        joint: joint of a term that belongs to no joint of an arm; None takes the one where it is largest.
     """
     model, problem = final.problem.model, final.problem
     if motion is None:
         all_rows = np.ones(len(problem.windows.rows), dtype=bool)
         motion = problem.record, problem.windows, final.solution.point.states, all_rows
     record, windows, states, counted = motion
-    less = without_sizes(model, final.theta, term)
+    reduced = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
-    driven = model.drive_coordinates(less, record, windows, along)
-    values = model.generalised_force(final.theta, along) - model.generalised_force(less, {**along, **driven})
+    driven = model.drive_coordinates(reduced, record, windows, along)
+    values = model.generalised_force(final.theta, along) - model.generalised_force(
+        reduced, {**along, **driven}
+    )
     unit = model.force_unit if isinstance(model, AcceptsExtraForce) and np.any(values) else ""
     if not np.any(values) and driven:
         values = np.column_stack([along[name] - driven[name] for name in driven])
     if not np.any(values):
         values = model.simulate(final.theta, record, windows, states)
-        values = values - model.simulate(less, record, windows, states)
+        values = values - model.simulate(reduced, record, windows, states)
     values = values.reshape(len(windows.rows), -1)[counted]
     along = {name: column[counted] for name, column in along.items()}
     term_joint = model.terms[term].joint
@@ -223,12 +231,12 @@ def contribution(
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
-    """The vector with a term's sizes at neutral; what builds on the term keeps its own."""
-    less = theta.copy()
+    """Set the sizes of a term to zero in a parameter vector; terms that build on it keep theirs."""
+    reduced = theta.copy()
     for i, parameter in enumerate(model.parameters):
         if parameter.term == term and not parameter.shape:
-            less[i] = 0.0
-    return less
+            reduced[i] = 0.0
+    return reduced
 
 
 def _of_one_joint(
@@ -240,7 +248,7 @@ def _of_one_joint(
     unit: str,
     joint: int | None,
 ) -> Contribution:
-    """The column of the joint that is acted on, with that joint's coordinates where each has its own."""
+    """The contribution of a joint's column, with that joint's coordinates where each has its own."""
     strongest = int(np.argmax(np.sum(values**2, axis=0)))
     column = joint if joint is not None and joint < values.shape[1] else strongest
     units = {}
@@ -256,7 +264,7 @@ def _of_one_joint(
 
 
 def _period(model: Model, theta: FloatArray, term: str, units: Mapping[str, str]) -> tuple[str, float] | None:
-    """Along which of these coordinates a term repeats, and how far; None where it does not."""
+    """The coordinate along which a term repeats, and its period; None of other terms."""
     order = model.terms[term].repeats
     if order is None:
         return None
@@ -266,30 +274,34 @@ def _period(model: Model, theta: FloatArray, term: str, units: Mapping[str, str]
     return (name, 2.0 * np.pi / times) if name in units and times > 0.0 else None
 
 
-def regimes(coordinates: Mapping[str, FloatArray], excess: FloatArray) -> tuple[Regime, ...]:
-    """The stretches of one coordinate that hold 80 % of ``excess`` (N,) with the fewest samples.
+def regimes(
+    coordinates: Mapping[str, FloatArray], excess: FloatArray, options: RegimeOptions = DEFAULT_OPTIONS
+) -> tuple[Regime, ...]:
+    """Find the ranges of one coordinate that hold most of an excess with the fewest samples.
 
-    Coordinates come in the order of their importance. None is named along which the excess takes 60 % of the
-    samples or more.
+    Args:
+        coordinates: samples of each coordinate, (N,), in the order of their importance.
+        excess: the excess at each sample, (N,).
+        options: how ranges are chosen; () where every coordinate needs too many samples.
     """
-    best: tuple[float, tuple[Regime, ...]] = (MOST_SAMPLES, ())
+    best: tuple[float, tuple[Regime, ...]] = (options.max_samples, ())
     for name, values in coordinates.items():
         if np.ptp(values) <= 0.0 or not np.any(excess):
             continue
-        samples, stretches = _densest(values, excess)
-        needed = best[0] if not best[1] else CLEARER * best[0]
+        samples, ranges = _densest_ranges(values, excess, options)
+        needed = best[0] if not best[1] else options.max_relative_samples * best[0]
         if samples < needed:
             total = float(excess.sum())
             located = tuple(
                 Regime(name, low, high, float(excess[(values >= low) & (values <= high)].sum()) / total)
-                for low, high in stretches
+                for low, high in ranges
             )
             best = (samples, located)
     return best[1]
 
 
 def _correlation_ratio(values: FloatArray, coordinate: FloatArray) -> float:
-    """The share of the variance of ``values`` (N,) that their means in bins of a ``coordinate`` (N,) have."""
+    """Pearson's correlation ratio: share of the variance of values (N,) between bins of a coordinate (N,)."""
     if np.ptp(coordinate) <= 0.0:
         return 0.0
     _, place = _quantile_bins(coordinate)
@@ -298,38 +310,36 @@ def _correlation_ratio(values: FloatArray, coordinate: FloatArray) -> float:
     return float(np.var(mean[place]) / max(np.var(values), 1e-300))
 
 
-def _quantile_bins(values: FloatArray) -> tuple[FloatArray, np.ndarray]:
-    """Edges of bins of equally many samples, and which bin each of ``values`` (N,), not all alike, is in."""
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
+def _quantile_bins(values: FloatArray, n_bins: int = DEFAULT_OPTIONS.n_bins) -> tuple[FloatArray, np.ndarray]:
+    """Edges of bins of equally many samples, and the bin of each of ``values`` (N,), which must vary."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, n_bins + 1)))
     return edges, np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
 
 
-def _densest(values: FloatArray, excess: FloatArray) -> tuple[float, list[tuple[float, float]]]:
-    """Share of the samples in the densest stretches that hold the share, and their bounds.
-
-    Bins of equally many samples are taken in the order of their density, and gaps filled until few runs are
-    left.
-    """
-    edges, place = _quantile_bins(values)
+def _densest_ranges(
+    values: FloatArray, excess: FloatArray, options: RegimeOptions
+) -> tuple[float, list[tuple[float, float]]]:
+    """Share of the samples in the ranges with the densest excess, and the bounds of these ranges."""
+    edges, place = _quantile_bins(values, options.n_bins)
     weight = np.bincount(place, excess, len(edges) - 1)
     count = np.bincount(place, minlength=len(edges) - 1)
     chosen = np.zeros(len(weight), dtype=bool)
     for k in np.argsort(-weight / np.maximum(count, 1)):
-        if weight[chosen].sum() >= SHARE * weight.sum():
+        if weight[chosen].sum() >= options.share * weight.sum():
             break
         chosen[k] = True
-    chosen = _in_few_runs(chosen, count)
+    chosen = _fill_gaps(chosen, count, options.max_ranges)
     begins, ends = _runs(chosen)
-    stretches = [(float(edges[a]), float(edges[b])) for a, b in zip(begins, ends, strict=True)]
-    return float(count[chosen].sum() / len(values)), stretches
+    ranges = [(float(edges[a]), float(edges[b])) for a, b in zip(begins, ends, strict=True)]
+    return float(count[chosen].sum() / len(values)), ranges
 
 
-def _in_few_runs(chosen: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """The gaps of the fewest samples between chosen bins filled until at most three runs are left."""
+def _fill_gaps(chosen: np.ndarray, count: np.ndarray, max_runs: int) -> np.ndarray:
+    """Fill gaps between chosen bins, those of fewest samples first, until few runs remain."""
     while True:
         begins, ends = _runs(chosen)
         narrow = [k for k in range(len(begins) - 1) if begins[k + 1] - ends[k] <= 1]
-        if len(begins) <= MOST_RUNS and not narrow:
+        if len(begins) <= max_runs and not narrow:
             return chosen
         gaps = [count[ends[k] : begins[k + 1]].sum() for k in range(len(begins) - 1)]
         k = narrow[0] if narrow else int(np.argmin(gaps))
@@ -337,22 +347,23 @@ def _in_few_runs(chosen: np.ndarray, count: np.ndarray) -> np.ndarray:
 
 
 def _runs(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First bin of every run of chosen bins, and the one after its last."""
+    """First bin of each run of chosen bins, and the bin after its last."""
     steps = np.diff(np.r_[0, chosen.astype(np.int64), 0])
     return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
 
 
 def times(
-    before: Score, after: Score, record: Record, most: int = 5
+    before: Score, after: Score, record: Record, most: int = 5, n_blocks: int = 12
 ) -> tuple[tuple[tuple[float, float], ...], tuple[int, ...]]:
-    """The scored windows that together hold half of the excess squared error, worst first.
+    """List the ``most`` scored windows that together hold half of the error reduction, worst first.
 
-    Begin and end (s) of each, and, where there are several, the numbers of the recordings in whose time.
+    A recording of a single window is cut into ``n_blocks``. Returned are begin and end (s) of each, and,
+    where there are several recordings, the number of each one's recording.
     """
-    excess = _excess(before, after).sum(axis=1)
+    excess = _error_reduction(before, after).sum(axis=1)
     pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
     if len(pieces) == 1 or after.metric is Metric.INVERSE_DYNAMICS:
-        blocks = max(BLOCKS // len(pieces), 1)
+        blocks = max(n_blocks // len(pieces), 1)
         pieces = [block for piece in pieces for block in np.array_split(piece, blocks)]
     sums = np.array([excess[piece].sum() for piece in pieces])
     order = np.argsort(sums)[::-1]
@@ -368,15 +379,15 @@ def times(
     return tuple(spans), tuple(numbers) if len(record.begins) > 1 else ()
 
 
-def _excess(before: Score, after: Score) -> FloatArray:
-    """What a better model takes from the squared errors of each scored sample, in noise floors, (N, c)."""
+def _error_reduction(before: Score, after: Score) -> FloatArray:
+    """Reduction of the squared errors of each scored sample, in squared noise floors, (N, c)."""
     floors = np.array([channel.noise_floor for channel in after.channels])
     return np.asarray((before.errors / floors) ** 2 - (after.errors / floors) ** 2)
 
 
 def recording_shares(before: Score, after: Score) -> str:
-    """A sentence: which of several recordings the excess squared error is in; nothing of one."""
-    excess = _excess(before, after).sum(axis=1)
+    """A sentence with the share of each of several recordings in the error reduction; "" of one recording."""
+    excess = _error_reduction(before, after).sum(axis=1)
     sums = np.array([max(float(excess[recording.places].sum()), 0.0) for recording in after.recordings])
     if not np.any(sums):
         return ""

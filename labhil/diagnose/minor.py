@@ -51,7 +51,9 @@ def without_minor(data: Data, result: SearchResult) -> SearchResult:
         least = min(small, key=lambda term: small[term])
         minor.append(Minor(least, small[least]))
         final = refit(data, result.final, without(data.model, result.final.terms, least), ())
-        result = result.ending(final, tuple(step for step in result.missing if step.terms[0] in final.terms))
+        result = result.with_steps(
+            final, tuple(step for step in result.missing if step.terms[0] in final.terms)
+        )
     return replace(result, minor=(*result.minor, *minor))
 
 

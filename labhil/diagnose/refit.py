@@ -1,4 +1,4 @@
-"""Refitting of more or fewer terms from where a fit stands."""
+"""Refit a model from where another fit ended: with more or fewer terms, or on other windows."""
 
 from __future__ import annotations
 
@@ -22,8 +22,21 @@ def refit(
     fresh: Sequence[str],
     *,
     thorough: bool = False,
+    iterations: int = 25,
 ) -> Fitted:
-    """Fit ``terms`` from where a fit stands; those in ``fresh`` begin at each of their own starts."""
+    """Fit a set of terms, starting where another fit ended.
+
+    Args:
+        data: the data of the search.
+        current: the fit to start from.
+        terms: keys of the terms to fit.
+        fresh: those of the terms that are new; the fit starts at each of their start values in turn.
+        thorough: whether the initial states of windows are searched thoroughly.
+        iterations: steps of least squares, at most.
+
+    Returns:
+        The best of the fits.
+    """
     return fit_terms(
         data.model,
         data.search,
@@ -33,14 +46,24 @@ def refit(
         start=with_only(data.model, current.theta, terms),
         states=current.solution.point.states,
         starts=starts_for_added_terms(current, fresh) if fresh else [{}],
-        iterations=25,
+        iterations=iterations,
         thorough=thorough,
         held=data.held,
     )
 
 
-def on_windows(data: Data, fitted: Fitted) -> Fitted:
-    """Refit on the data's windows and noise, beginning at states that fit these with the parameters kept."""
+def refit_on_windows(data: Data, fitted: Fitted, *, iterations: int = 25, tolerance: float = 1e-4) -> Fitted:
+    """Refit a model on the windows and with the noise of a search.
+
+    Args:
+        data: the data of the search, with the length of its windows.
+        fitted: the fit to start from; initial states are estimated at its parameters first.
+        iterations: steps of least squares, at most.
+        tolerance: relative change of the cost at which the fit stops.
+
+    Returns:
+        The refitted model; ``fitted`` itself where windows and noise are the same.
+    """
     old = fitted.problem
     same = old.record is data.search and np.array_equal(old.sigma, data.sigma)
     if same and abs(fitted.window - data.window) < 1e-9:
@@ -50,10 +73,19 @@ def on_windows(data: Data, fitted: Fitted) -> Fitted:
     states = grow_states(problem, fitted.solution.point.z, FIRST_SECTION_IN_HORIZONS * data.model.horizon)
     return fit_terms(
         data.model, data.search, fitted.terms, data.window, data.sigma, start=fitted.theta, new_terms=(),
-        states=states, iterations=25, tolerance=1e-4, held=data.held,
+        states=states, iterations=iterations, tolerance=tolerance, held=data.held,
     )  # fmt: skip
 
 
 def without(model: Model, terms: Sequence[str], term: str) -> tuple[str, ...]:
-    """These terms less one and what builds on it."""
+    """Remove a term, and all terms that build on it, from a list.
+
+    Args:
+        model: the model that defines the terms.
+        terms: keys of terms.
+        term: key of the term to remove.
+
+    Returns:
+        The remaining keys in the same order.
+    """
     return tuple(t for t in terms if t != term and term not in model.terms[t].with_terms)

@@ -1,4 +1,7 @@
-"""The steps and the result of a search for missing terms."""
+"""The result of a structure search: terms with their evidence, rivals, and fits.
+
+``structures/stages.py`` makes it, ``conclude.py`` and ``statements.py`` turn it into an answer.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from labhil.diagnose.collapsed import Collapsed
-from labhil.diagnose.curve import Curved
+from labhil.diagnose.curve import CurveFit
 from labhil.diagnose.evidence import Evidence
 from labhil.identify.fitted import Fitted
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One accepted addition with its evidence; ``p_search`` is corrected for all candidates looked at.
+    """An addition that the data support.
 
-    ``probability`` is that of all likely structures that have it, where these were compared.
+    Attributes:
+        terms: keys of the added terms; the first one names it.
+        evidence: its evidence.
+        p_search: p value on the search data, corrected for the number of candidates.
+        probability: posterior probability of all structures that have it, where structures were compared.
     """
 
     terms: tuple[str, ...]
@@ -28,9 +35,13 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """A term that would do about as well in the place of another.
+    """A term that explains the data about as well in the place of another one.
 
-    ``delta_bic`` has the held-out data in it: −2 times the log odds against it.
+    Attributes:
+        term: key of the rival.
+        instead_of: key of the named term.
+        delta_bic: 2 times the log odds of the named term over the rival.
+        probability: posterior probability of the rival.
     """
 
     term: str
@@ -41,7 +52,7 @@ class Rival:
 
 @dataclass(frozen=True, slots=True)
 class Minor:
-    """A term that was seen, and the ``share`` of the mismatch that it explains: too little to be named."""
+    """A term that explains too little to be named: only the ``share`` of the mismatch."""
 
     term: str
     share: float
@@ -49,7 +60,7 @@ class Minor:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """What a structure that was refitted estimates: ``values`` by key, with its ``probability``."""
+    """Estimates of a refitted structure: ``values`` by parameter key, and the structure's ``probability``."""
 
     probability: float
     values: Mapping[str, float]
@@ -57,22 +68,32 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class FittedCurve:
-    """A curve as it was refitted ``beside`` some terms, and its log odds over the likeliest named ones."""
+    """A force curve, the fit of the terms ``beside`` it, and its log odds over the likeliest named terms."""
 
-    curved: Curved
+    curve_fit: CurveFit
     beside: Fitted
     log_odds: float
 
 
 @dataclass(frozen=True, slots=True)
 class SearchResult:
-    """Where a search ended; ``errors`` are standard errors by key that its fits by themselves cannot know.
+    """The result of a structure search.
 
-    ``collapsed`` are sizes of the rig that gave way in the baseline. ``curve`` is a force without a name that
-    is likelier than more names, fitted beside those that are left. ``minor`` are terms that explain
-    too little, ``open`` those that are about as likely as not. ``disturbed`` says that by the evidence
-    something lasts beside the likeliest structure. ``alternatives`` are that and all others that were
-    refitted. ``complete`` is False where it was ended early, with the best so far.
+    Attributes:
+        baseline: the fit of the baseline.
+        final: the fit of baseline and named terms.
+        missing: the named terms, strongest first.
+        rivals: terms that explain the data about as well in the place of a named one.
+        p_value: p value of the baseline on the search data.
+        n_candidates: number of candidate terms.
+        errors: standard errors by parameter key that the covariance of a fit does not contain.
+        collapsed: sizes of the rig that collapsed in the baseline.
+        complete: False where the user ended the search early; the result is then the best so far.
+        curve: a force curve that is likelier than further named terms, fitted beside the named ones.
+        minor: terms that explain too little to be named.
+        open: terms that are about as likely as not.
+        disturbed: whether the evidence favours a lasting disturbance beside the likeliest structure.
+        alternatives: the likeliest structure and all others that were refitted.
     """
 
     baseline: Fitted
@@ -80,7 +101,7 @@ class SearchResult:
     missing: tuple[Step, ...]
     rivals: tuple[Rival, ...]
     p_value: float
-    looks: int
+    n_candidates: int
     errors: Mapping[str, float] = field(default_factory=dict)
     collapsed: tuple[Collapsed, ...] = ()
     complete: bool = True
@@ -92,36 +113,55 @@ class SearchResult:
 
     @property
     def without_claims(self) -> SearchResult:
-        """The same search if it names nothing."""
+        """The same search without named terms."""
         return replace(self, final=self.baseline, missing=(), rivals=())
 
-    def ending(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
-        """The same search if it ends at ``final`` with these of its steps, and their rivals."""
+    def with_steps(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
+        """Keep some of the named terms and their rivals.
+
+        Args:
+            final: the fit of baseline and kept terms.
+            steps: the kept terms.
+
+        Returns:
+            The reduced result; without any step it ends at the baseline.
+        """
         named = {step.terms[0] for step in steps}
         rivals = tuple(rival for rival in self.rivals if rival.instead_of in named)
         return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.without_claims
 
     def between_structures(self, key: str) -> float:
-        """RMS distance of other likely structures' estimates of a parameter from the final one.
+        """RMS difference between other likely structures' estimates of a parameter and the final one.
 
-        The part of an estimate's variance that is between models (Hoeting and others 1999).
+        This is the between-model part of the variance in Bayesian model averaging (Hoeting and others, Stat.
+        Sci. 14, 1999).
+
+        Args:
+            key: key of the parameter.
+
+        Returns:
+            RMS in SI units; 0 where no other structure has the parameter.
         """
         estimates = self.final.estimates
-        having = [alternative for alternative in self.alternatives if key in alternative.values]
-        if key not in estimates or not having:
+        with_key = [alternative for alternative in self.alternatives if key in alternative.values]
+        if key not in estimates or not with_key:
             return 0.0
         squares = [
             alternative.probability * (alternative.values[key] - estimates[key]) ** 2
-            for alternative in having
+            for alternative in with_key
         ]
-        return float(np.sqrt(sum(squares) / sum(alternative.probability for alternative in having)))
+        return float(np.sqrt(sum(squares) / sum(alternative.probability for alternative in with_key)))
 
     @property
     def possible(self) -> frozenset[str]:
-        """Terms that may be present though not named: rivals, open ones, those that explain little."""
-        named = (rival.term for rival in self.rivals)
-        return frozenset((*named, *self.open, *(minor.term for minor in self.minor)))
+        """Keys of terms that may be present though not named: rivals, open and minor ones."""
+        rivals = (rival.term for rival in self.rivals)
+        return frozenset((*rivals, *self.open, *(minor.term for minor in self.minor)))
 
     def step(self, term: str) -> Step:
-        """The step that added a term; StopIteration where it was none that counts."""
+        """The step that added a term.
+
+        Raises:
+            StopIteration: if no step added it.
+        """
         return next(step for step in self.missing if step.terms[0] == term)

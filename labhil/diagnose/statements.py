@@ -1,4 +1,7 @@
-"""The result of a search in words: terms, rivals, where they live, and what could still hide."""
+"""Entries of the answer, with their sentences: terms, curves, rivals, location and exclusion limits.
+
+``diagnosis.py`` assembles them; the data classes are in ``answer.py``.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,8 @@ from scipy import stats
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
-from labhil.diagnose.collapsed import NOISE
-from labhil.diagnose.conclude import MISNAMED
+from labhil.diagnose.collapsed import COMPLETE_FIT_NOISE
+from labhil.diagnose.conclude import DOUBTFUL_EXCESS
 from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.minor import LEAST_SHARE
@@ -25,50 +28,57 @@ from labhil.physics.model import Model, Record
 from labhil.physics.terms import Enters, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
-WIDER = (
+AUGMENTED_SEARCH = (
     " The searched recording does not tell it by itself: every other part of the held-out one was searched, "
     "too, and figures are of the parts between."
 )
 
 
-def missing(
+def missing_term(
     model: Model, step: Step, result: SearchResult, final: list[Estimate], excess: float, claims: int
 ) -> Missing:
-    """One missing term of so many ``claims``, with its parameters among the rows ``final``.
+    """The entry of a missing term.
 
-    ``excess`` is the final RMSE of the worst output over its noise floor.
+    Args:
+        model: the model.
+        step: the step of the search that added it.
+        result: the result of the search.
+        final: rows of the final parameter table.
+        excess: final RMSE over the noise floor, of the worst output.
+        claims: number of claims of the diagnosis.
     """
     (key,) = step.terms
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
     sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip() for row in rows)
-    among = 1.0 if step.probability is None else step.probability
+    posterior = 1.0 if step.probability is None else step.probability
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
         term=term.name,
         joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_how_known(result.final, rows)}",
+        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_size_note(result.final, rows)}",
         equation=term.equation,
-        probability=claim_probability(step.evidence, excess, claims) * among,
+        probability=claim_probability(step.evidence, excess, claims) * posterior,
         parameters=rows,
         evidence=step.evidence,
     )
 
 
 def _unit(row: Estimate) -> str:
+    """Unit of an estimate, "" of a dimensionless one."""
     return "" if row.unit == "1" else row.unit
 
 
-def _how_known(fitted: Fitted, rows: Sequence[Estimate]) -> str:
-    """A sentence on sizes that are not identifiable each by itself."""
-    together = _combined_size(fitted, rows)
-    if together or any(row.identifiable for row in rows):
-        return together
+def _size_note(fitted: Fitted, rows: Sequence[Estimate]) -> str:
+    """A sentence on sizes that are not identifiable individually; "" if some are."""
+    combined = _combined_size(fitted, rows)
+    if combined or any(row.identifiable for row in rows):
+        return combined
     return " These data show that it is there, not how large it is."
 
 
 def _combined_size(fitted: Fitted, rows: Sequence[Estimate]) -> str:
-    """The sum or difference of two sizes where only that is known: how wide a dead zone is, not where."""
+    """The sum or difference of two sizes where only that is known, as the width of a dead zone."""
     if len(rows) != 2 or rows[0].unit != rows[1].unit or any(row.significant for row in rows):
         return ""
     keys = [fitted.problem.model.parameters[place].key for place in fitted.problem.free]
@@ -84,20 +94,28 @@ def _combined_size(fitted: Fitted, rows: Sequence[Estimate]) -> str:
 
 
 def sum_or_difference(values: FloatArray, covariance: FloatArray) -> tuple[str, float, float]:
-    """Which of both is known better of two ``values``: its name, itself and its standard error."""
-    ways = {"sum": np.array([1.0, 1.0]), "difference": np.array([1.0, -1.0])}
-    variances = {name: float(signs @ covariance @ signs) for name, signs in ways.items()}
-    name = min(variances, key=lambda way: variances[way])
-    return name, float(ways[name] @ values), float(np.sqrt(max(variances[name], 0.0)))
+    """Choose the better known of sum and difference of two values.
+
+    Args:
+        values: both values, (2,).
+        covariance: their covariance, (2, 2).
+
+    Returns:
+        "sum" or "difference", its value and its standard error.
+    """
+    combinations = {"sum": np.array([1.0, 1.0]), "difference": np.array([1.0, -1.0])}
+    variances = {name: float(signs @ covariance @ signs) for name, signs in combinations.items()}
+    name = min(variances, key=lambda combination: variances[combination])
+    return name, float(combinations[name] @ values), float(np.sqrt(max(variances[name], 0.0)))
 
 
 def _short(row: Estimate) -> str:
-    """A parameter's name within its term."""
+    """Name of a parameter within its term."""
     return keyed(row.name.partition(".")[2], None, row.recording)
 
 
 def missing_curve(force_curve: ForceCurve, excess: float, claims: int) -> Missing:
-    """The entry of a force that no named term explains; see :func:`missing`."""
+    """The entry of a force that no named term explains; arguments as of :func:`missing_term`."""
     formula = f"; about {force_curve.formula}" if force_curve.formula else ""
     return Missing(
         term=force_curve.term,
@@ -111,8 +129,8 @@ def missing_curve(force_curve: ForceCurve, excess: float, claims: int) -> Missin
     )
 
 
-def curve(force_curve: ForceCurve) -> Curve:
-    """The curve of a force as the answer states it."""
+def curve_entry(force_curve: ForceCurve) -> Curve:
+    """The curve of a force that no named term explains, without its fit."""
     return Curve(
         depends_on=force_curve.depends_on[0],
         acts=force_curve.acts.name.lower(),
@@ -129,7 +147,7 @@ def curve(force_curve: ForceCurve) -> Curve:
 
 
 def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, claims: int) -> RivalTerm:
-    """A rival with its probability and the excitation that would decide; see :func:`missing`."""
+    """The entry of a rival, with the excitation that would decide; arguments as of :func:`missing_term`."""
     step = result.step(rival.instead_of)
     term = model.terms[rival.term]
     return RivalTerm(
@@ -143,8 +161,8 @@ def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, 
     )
 
 
-def too_little(result: SearchResult) -> tuple[Undecided, ...]:
-    """Terms that show, but that an imperfect law of a larger one could stand for."""
+def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
+    """Entries of terms that explain no more than an imperfect law of a larger effect leaves."""
     share = f"{100.0 * LEAST_SHARE:.0f} %"
     reason = (
         f"below the noise and {share} of the mismatch, as what an imperfect law of a larger effect leaves"
@@ -153,15 +171,15 @@ def too_little(result: SearchResult) -> tuple[Undecided, ...]:
     return tuple(Undecided(*term, (), reason) for term in terms)
 
 
-def as_likely_as_not(result: SearchResult) -> tuple[Undecided, ...]:
-    """Terms that are neither named nor a rival's, and that the searched data leave open."""
+def open_terms(result: SearchResult) -> tuple[Undecided, ...]:
+    """Entries of terms that are about as likely as not, and neither named nor rivals."""
     listed = {*result.final.terms, *(rival.term for rival in result.rivals)}
     reason = "these data speak neither for nor against"
     return tuple(Undecided(*unkeyed(term), (), reason) for term in result.open if term not in listed)
 
 
-def unobservable(model: Model) -> tuple[Undecided, ...]:
-    """Terms of which no recording of this rig can speak, with the reason."""
+def unobservable_terms(model: Model) -> tuple[Undecided, ...]:
+    """Entries of terms that no recording of this rig can show, with the reason."""
     return tuple(Undecided(*unkeyed(key), (), reason) for key, reason in model.unobservable_terms.items())
 
 
@@ -172,11 +190,20 @@ def location(
     held_out: Record,
     curves: Sequence[ForceCurve],
     *,
-    wider: bool,
+    augmented: bool,
 ) -> locate.Location | None:
-    """Where the mismatch lives; None where there is none. The strongest of the ``curves`` comes first.
+    """Locate the mismatch in time and along a coordinate.
 
-    ``wider``: half of the held-out data were searched, too.
+    Args:
+        result: the result of the search.
+        before: score of the baseline on held-out data.
+        after: score of the final model on the same windows.
+        held_out: the held-out data.
+        curves: forces that no named term explains, the strongest first.
+        augmented: whether the search had half of the held-out data.
+
+    Returns:
+        The location, or None without any missing effect.
     """
     if result.missing:
         place = _named_location(result, before, after, held_out)
@@ -185,11 +212,14 @@ def location(
     else:
         return None
     return replace(
-        place, statement=place.statement + (WIDER if wider else locate.recording_shares(before, after))
+        place,
+        statement=place.statement
+        + (AUGMENTED_SEARCH if augmented else locate.recording_shares(before, after)),
     )
 
 
 def _named_location(result: SearchResult, before: Score, after: Score, held_out: Record) -> locate.Location:
+    """The location of named terms."""
     model = result.final.problem.model
     strongest = model.terms[result.missing[0].terms[0]]
     scores = locate.HeldOut(held_out, before, after)
@@ -202,13 +232,13 @@ def _named_location(result: SearchResult, before: Score, after: Score, held_out:
         joint=joint,
         enters=strongest.enters.value,
         times=times,
-        regimes=tuple(regime for stretches in regimes.values() for regime in stretches),
-        statement=statement(keyed(channel, joint), strongest, regimes),
+        regimes=tuple(regime for ranges in regimes.values() for regime in ranges),
+        statement=location_statement(keyed(channel, joint), strongest, regimes),
         recordings=recordings,
     )
 
 
-KINDS = {
+ERROR_KINDS = {
     Enters.RIG: "a wrong size of the rig",
     Enters.FORCE: "a missing force",
     Enters.INPUT: "an effect at the input",
@@ -218,27 +248,36 @@ KINDS = {
     Enters.LOAD: "a missing load",
     Enters.DIFFERENCE: "a difference between simulation and measurement",
 }
-"""What an error is, by where the effect behind it enters."""
+"""What an error is, by where its cause enters the model."""
 
 
-def statement(channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.Regime, ...]]) -> str:
-    """Say in two sentences which effect is the strongest, where it enters, and where an effect acts."""
-    begin = f"The error in {channel} is {KINDS[strongest.enters]}, mostly {strongest.key}."
+def location_statement(
+    channel: str, strongest: Term, regimes: Mapping[str, tuple[locate.Regime, ...]]
+) -> str:
+    """State in two sentences which effect is the strongest, where it enters, and where an effect acts.
+
+    Args:
+        channel: the output with the largest error.
+        strongest: the strongest missing term.
+        regimes: ranges of each missing term.
+    """
+    error = f"The error in {channel} is {ERROR_KINDS[strongest.enters]}, mostly {strongest.key}."
     named = next(((term, ranges) for term, ranges in regimes.items() if ranges), None)
     if named is None:
-        return f"{begin} It is spread over all that was visited."
-    term, stretches = named
-    share = sum(regime.share_of_excess for regime in stretches)
-    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in stretches).replace("-", "−")
-    coordinate = stretches[0].coordinate
+        return f"{error} It is spread over all that was visited."
+    term, ranges = named
+    share = sum(regime.share_of_excess for regime in ranges)
+    between = " or ".join(f"between {r.low:.3g} and {r.high:.3g}" for r in ranges).replace("-", "−")
+    coordinate = ranges[0].coordinate
     at = "where it is" if coordinate == term else f"at {coordinate}"
-    effect = f"{100 * share:.0f} % of the effect of {term} is {at} {between} {stretches[0].unit}".rstrip()
-    return f"{begin} {effect}."
+    effect = f"{100 * share:.0f} % of the effect of {term} is {at} {between} {ranges[0].unit}".rstrip()
+    return f"{error} {effect}."
 
 
 def _curve_location(
     result: SearchResult, before: Score, after: Score, held_out: Record, force_curve: ForceCurve
 ) -> locate.Location:
+    """The location of a force that no named term explains."""
     name, model = force_curve.depends_on[0], force_curve.model
     record, windows, states, counted = locate.HeldOut(held_out, before, after).motion
     motion = model.coordinates(force_curve.fit.theta, record, windows, states)
@@ -255,25 +294,25 @@ def _curve_location(
             replace(regime, unit=force_curve.x_unit, term=force_curve.term, joint=force_curve.joint)
             for regime in regimes
         ),
-        statement=f"The error in {keyed(channel, joint)} is {KINDS[Enters(force_curve.enters)]} that "
+        statement=f"The error in {keyed(channel, joint)} is {ERROR_KINDS[Enters(force_curve.enters)]} that "
         f"follows {name}.{_remaining_joints(after)}",
         recordings=recordings,
     )
 
 
-def _remaining_joints(after: Score) -> str:
-    """A sentence: which joints still leave more than noise, since a curve over one coordinate may not do."""
+def _remaining_joints(after: Score, min_excess: float = DOUBTFUL_EXCESS) -> str:
+    """A sentence on the joints that still leave more than noise; "" if none do."""
     ratios = {
         keyed(c.channel, c.joint): c.rmse / c.noise_floor for c in after.channels if c.joint is not None
     }
     remaining = [
-        f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > MISNAMED
+        f"{key} {ratio:.1f} times its noise floor" for key, ratio in ratios.items() if ratio > min_excess
     ]
     return f" That is not all: it leaves {', '.join(remaining)}." if remaining else ""
 
 
 def _channel(before: Score, after: Score) -> tuple[str, int | None]:
-    """The output that gains most, in units of its noise floor."""
+    """The output whose mean square error falls most, in squared noise floors."""
     gains = [(b.mse - a.mse) / a.noise_floor**2 for b, a in zip(before.channels, after.channels, strict=True)]
     most = before.channels[int(np.argmax(gains))]
     return most.channel, most.joint
@@ -282,12 +321,16 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
 def exclusions(
     absent: AbsentEffects, possible: Collection[str]
 ) -> tuple[tuple[Excluded, ...], tuple[Undecided, ...]]:
-    """The largest size of every absent term that could hide beside the final model (99 %).
+    """Compute the largest size of every absent term that the data could hide (99 %).
 
-    And the terms that could hide at any size. ``possible`` are keys of terms that may well be present: they
-    are in neither.
+    Args:
+        absent: the terms that the final model lacks.
+        possible: keys of terms that may be present, which get no entry.
+
+    Returns:
+        The limits, and the terms that the data could hide at any size.
     """
-    at_bound, motion = _sizes_at_bound(absent.fitted), _motion(absent.fitted)
+    at_bound, motion = _sizes_at_bound(absent.fitted), _output_variation(absent.fitted)
     reason = (
         f"nothing can be excluded beside a model whose {at_bound[0]} is at its bound"
         if at_bound
@@ -306,17 +349,17 @@ def exclusions(
 
 
 def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float]]:
-    """Linearised estimate of every absent term beside the final model, ± its 99 % error, in SI units.
+    """Largest size of every absent term: magnitude of its linearised estimate plus its 99 % error, SI units.
 
-    Residuals are correlated within a window; the error is the larger of that by noise and that by the
-    differences between windows (clustered errors: Liang and Zeger 1986).
+    Residuals are correlated within a window, so that the error is the larger of that from noise and that
+    from differences between windows (cluster-robust errors: Liang and Zeger, Biometrika 73, 1986).
     """
     problem, residuals, slopes = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
     basis, _ = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
     for effect in absent.effects:
         column = effect.response - basis @ (basis.T @ effect.response)
         power = float(column @ column)
-        if power <= 1e-12:  # a little of it does nothing: a threshold that is not reached
+        if power <= 1e-12:  # a small size has no effect below a threshold
             continue
         value = -float(column @ residuals) / power
         contributions = column * (residuals + value * column)
@@ -325,16 +368,16 @@ def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float
         yield effect, float((abs(value) + stats.norm.ppf(0.995) * error) * effect.parameter.scale)
 
 
-def _motion(fitted: Fitted) -> float:
-    """How much the outputs move at all, as a length of residuals."""
+def _output_variation(fitted: Fitted) -> float:
+    """Norm of the outputs about their mean, in units of the noise."""
     outputs = fitted.problem.record.outputs[fitted.problem.windows.rows] / fitted.problem.sigma
     return float(np.linalg.norm(outputs - outputs.mean(axis=0)))
 
 
 def _is_beyond_linear(effect: AbsentEffect, size: float, motion: float) -> bool:
-    """Whether an effect of that size is more than it can be, or moves outputs as much as they move at all.
+    """Whether a size is above its bound, or its response larger than all variation of the outputs.
 
-    Responses are no longer linear there, and a limit would exclude nothing.
+    Responses are no longer linear there, so that a limit would exclude nothing.
     """
     parameter = effect.parameter
     if size > max(abs(parameter.lower), abs(parameter.upper)):
@@ -342,14 +385,14 @@ def _is_beyond_linear(effect: AbsentEffect, size: float, motion: float) -> bool:
     return bool(np.linalg.norm(effect.response) * size / parameter.scale > motion)
 
 
-def _sizes_at_bound(fitted: Fitted) -> list[str]:
-    """The rig's own sizes that a fit took to a bound without coming to the noise there.
+def _sizes_at_bound(fitted: Fitted, min_noise: float = COMPLETE_FIT_NOISE) -> list[str]:
+    """Keys of the rig's own sizes at a bound, of a fit that leaves more than noise.
 
-    Beside them responses say nothing: an input that has no effect may have any dead zone. One that these data
-    do not show, as a motor's inductance, may be there and harm nothing.
+    Responses mean nothing beside them: an input without effect may have any dead zone. In a fit to the noise
+    a size at its bound is one that the data do not show, such as the inductance of a motor.
     """
     problem = fitted.problem
-    if fitted.noise < NOISE:
+    if fitted.noise < min_noise:
         return []
     sizes = [
         problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_positive_constant(j)

@@ -1,8 +1,9 @@
-"""Does a recording contradict an accepted model: a gate, with a stated probability of a false alarm.
+"""Verification: does a recording contradict an accepted model, at a given probability of a false alarm?
 
-Three questions, each of which gets a third of that probability: is the windowed simulation with the values
-as they are worse than noise and the values' own errors explain; does the model, refitted to the recording,
-leave residuals that go with the input; and do the refitted values differ from the accepted ones.
+Three tests share that probability equally (Bonferroni's correction): is the windowed simulation with the
+accepted values worse than noise and the errors of the values explain; are the residuals of the refitted model
+correlated with the input; and do the refitted values differ from the accepted ones? The statistics are in
+``contradiction.py``.
 """
 
 from __future__ import annotations
@@ -31,16 +32,27 @@ from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 
 ALPHA = 1e-3
-QUESTIONS = 3
-MOST_WINDOWS = 5
+"""Default level α: the probability that a recording contradicts a model that is right."""
+
+N_TESTS = 3
+"""Number of tests that share the level: simulation, residuals, values."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelVerdict:
-    """One output against the model: RMSE and floor in ``unit``, their ratio, and what noise rarely exceeds.
+    """The tests of one output.
 
-    ``rmse_p`` answers whether the simulation is too bad, ``structure_p`` whether the refitted model leaves
-    residuals that go with the input. ``allowed`` is the ratio that counts as noise.
+    Attributes:
+        channel: name of the output.
+        joint: its joint, of an arm.
+        unit: unit of RMSE and floor.
+        rmse: RMSE of the simulation with the accepted values.
+        noise_floor: its noise floor.
+        ratio: RMSE over noise floor.
+        allowed: ratio that counts as noise.
+        limit: ratio that noise and the errors of the values rarely exceed.
+        rmse_p: p value that the simulation is no worse than these explain.
+        structure_p: p value that the residuals of the refitted model are not correlated with the input.
     """
 
     channel: str
@@ -57,9 +69,10 @@ class ChannelVerdict:
 
 @dataclass(frozen=True, slots=True)
 class ValueChange:
-    """A parameter as accepted and as this recording would have it; ``std_error`` is of the difference.
+    """A parameter as accepted (``before``) and as refitted (``after``).
 
-    ``p_value`` is corrected for the number of parameters; ``known`` says whether both know it at all.
+    ``std_error`` is that of the difference, ``z`` the difference over it. ``p_value`` is corrected for the
+    number of parameters; ``changed`` is whether it is significant.
     """
 
     name: str
@@ -75,7 +88,7 @@ class ValueChange:
 
 @dataclass(frozen=True, slots=True)
 class WorstWindow:
-    """A scored stretch (begin, end; s) with its RMSE over the noise floor, mean of the channels."""
+    """A scored window (begin, end; s) with its RMSE over the noise floor, mean of the channels."""
 
     begin: float
     end: float
@@ -84,11 +97,23 @@ class WorstWindow:
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """The answer: ``consistent`` unless the smallest p value, times the questions, is under ``alpha``.
+    """The answer of a verification.
 
-    ``values_p`` is that of all values together; ``reasons`` say what contradicts, a sentence each;
-    ``notes`` what the answer had to do without; ``adequacy`` says whether the values as they are explain the
-    recording, which is another question than whether it contradicts a model that never fitted to the noise.
+    Attributes:
+        consistent: whether the p value is at least ``alpha``.
+        alpha: level of all tests together.
+        p_value: smallest p value of the tests, times their number.
+        channels: the tests of each output.
+        values_p: p value that no value has changed, of all values together.
+        changes: each value, accepted and refitted.
+        worst: the windows that are simulated worst.
+        score: score of the accepted values.
+        refit: the model refitted to the recording.
+        window: length of the windows of that fit, s.
+        reasons: a sentence for each contradiction.
+        notes: sentences on information that was not available.
+        adequacy: whether the accepted values explain the recording; a recording may be consistent with a
+            model that never fitted to the noise.
     """
 
     consistent: bool
@@ -114,14 +139,26 @@ def verify(
     alpha: float = ALPHA,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Verification:
-    """Hold a ``model.prepare``d record against a model with values; no data are held out, none are needed.
+    """Test whether a recording contradicts an accepted model.
 
-    Raises ModelFileError when the values do not fit the model, RecordingError when the record is too short.
+    Args:
+        model: the model.
+        record: the recording as ``model.prepare`` returns it; no part of it is held out.
+        accepted: the accepted values with their covariance.
+        alpha: probability of a false alarm.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The answer.
+
+    Raises:
+        ModelFileError: if the values do not fit the model.
+        RecordingError: if the recording is too short.
     """
     theta = accepted.vector(model)
     sigma = noise_of(record)
     progress("simulating with the values as they are")
-    marks = score(model, theta, record, sigma)
+    accepted_score = score(model, theta, record, sigma)
     progress("refitting the model to this recording")
     window = min(accepted.window or WINDOW_IN_HORIZONS * model.horizon, float(record.t[-1] - record.t[0]))
     refit = _refit(model, record, accepted, theta, window, sigma)
@@ -129,11 +166,11 @@ def verify(
     robust, _, jacobian = covariances(refit)
     keys = [model.parameters[i].key for i in refit.problem.free]
     before = accepted.covariance_of(keys)
-    channels = _channels(model, record, accepted, marks, theta, before, refit, jacobian)
+    channels = _channels(model, record, accepted, accepted_score, theta, before, refit, jacobian)
     values_p, changes = _changes(refit, theta, before + robust, alpha)
     p_values = [min(1.0, len(channels) * min(c.rmse_p for c in channels))]
     p_values += [min(1.0, len(channels) * min(c.structure_p for c in channels)), values_p]
-    p_value = float(min(1.0, QUESTIONS * min(p_values)))
+    p_value = float(min(1.0, N_TESTS * min(p_values)))
     return Verification(
         consistent=p_value >= alpha,
         alpha=alpha,
@@ -141,20 +178,23 @@ def verify(
         channels=channels,
         values_p=values_p,
         changes=changes,
-        worst=_worst(marks, record),
-        score=marks,
+        worst=_worst_windows(accepted_score, record),
+        score=accepted_score,
         refit=refit,
         window=window,
-        reasons=_reasons(channels, values_p, changes, alpha / QUESTIONS),
+        reasons=_reasons(channels, values_p, changes, alpha / N_TESTS),
         notes=_notes(accepted, model),
-        adequacy=adequacy_of([marks]),
+        adequacy=adequacy_of([accepted_score]),
     )
 
 
 def _refit(
     model: Model, record: Record, accepted: Accepted, theta: FloatArray, window: float, sigma: FloatArray
 ) -> Fitted:
-    """The model's free parameters on this record, from the accepted values."""
+    """Refit the free parameters to the recording, from the accepted values.
+
+    The noise of inverse dynamics follows from the residuals, in two rounds.
+    """
     dynamics = model.metric is Metric.INVERSE_DYNAMICS
     length = float(record.t[-1] - record.t[0]) if dynamics else window
     fitted = _fit(model, record, accepted, theta, length, sigma)
@@ -168,7 +208,7 @@ def _refit(
 def _fit(
     model: Model, record: Record, accepted: Accepted, theta: FloatArray, length: float, sigma: FloatArray
 ) -> Fitted:
-    """Least squares from ``theta``; one parameter of a direction that the data do not know stays there."""
+    """Fit by least squares from ``theta``; of each undetermined direction one parameter is held there."""
     windows = fit_windows(record, length)
     free = free_parameter_indices(model, accepted.terms)
     problem = Problem(model, record, windows, free, theta, sigma)
@@ -192,20 +232,21 @@ def _channels(
     model: Model,
     record: Record,
     accepted: Accepted,
-    marks: Score,
+    accepted_score: Score,
     theta: FloatArray,
     covariance: FloatArray,
     refit: Fitted,
     jacobian: FloatArray,
 ) -> tuple[ChannelVerdict, ...]:
+    """The tests of each output, by simulation and by residuals."""
     sigma, free = noise_of(record), refit.problem.free
-    scored = Problem(model, record, marks.windows.whole, free, theta, sigma)
-    slopes = contradiction.scored_slopes(scored, marks) / scored.scale
+    scored = Problem(model, record, accepted_score.windows.whole, free, theta, sigma)
+    slopes = contradiction.scored_slopes(scored, accepted_score) / scored.scale
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     solution = refit.solution
     structure = contradiction.structure_p_value(refit.problem, solution.point, solution.residuals, jacobian)
     verdicts = []
-    for j, channel in enumerate(marks.channels):
+    for j, channel in enumerate(accepted_score.channels):
         ratio_key = keyed(channel.channel, channel.joint)
         reached = float(refit.problem.sigma[j]) / channel.noise_floor
         dynamics = model.metric is Metric.INVERSE_DYNAMICS
@@ -213,7 +254,7 @@ def _channels(
         channel_slopes = slopes[j :: len(sigma)] * sigma[j]
         limited = NOISE_FLOOR_FACTOR * allowed
         p_value, limit = contradiction.excess_p_value(
-            marks, j, channel_slopes, finite, limited, allowed > 1.0
+            accepted_score, j, channel_slopes, finite, limited, allowed > 1.0
         )
         verdicts.append(
             ChannelVerdict(
@@ -235,7 +276,7 @@ def _channels(
 def _changes(
     refit: Fitted, theta: FloatArray, covariance: FloatArray, alpha: float
 ) -> tuple[float, tuple[ValueChange, ...]]:
-    """p value of all differences together, and a row for each parameter."""
+    """p value of all differences together, and the test of each parameter."""
     free = refit.problem.free
     difference = refit.theta[free] - theta[free]
     effective = effective_samples(refit)
@@ -256,27 +297,28 @@ def _changes(
                 std_error=error,
                 z=z,
                 p_value=p_value,
-                changed=p_value < alpha / QUESTIONS,
+                changed=p_value < alpha / N_TESTS,
             )
         )
     return together, tuple(rows)
 
 
-def _worst(marks: Score, record: Record) -> tuple[WorstWindow, ...]:
-    """The scored stretches that are simulated worst, the worst first."""
-    floor = np.array([channel.noise_floor for channel in marks.channels])
-    stretches = []
-    for w in np.unique(marks.window):
-        rows = marks.window == w
-        ratio = float(np.mean(np.sqrt(np.mean(marks.errors[rows] ** 2, axis=0)) / floor))
-        times = record.t[marks.rows[rows]]
-        stretches.append(WorstWindow(float(times[0]), float(times[-1]), ratio))
-    return tuple(sorted(stretches, key=lambda stretch: -stretch.ratio)[:MOST_WINDOWS])
+def _worst_windows(accepted_score: Score, record: Record, most: int = 5) -> tuple[WorstWindow, ...]:
+    """The ``most`` scored windows with the largest errors, the worst first."""
+    floor = np.array([channel.noise_floor for channel in accepted_score.channels])
+    windows = []
+    for w in np.unique(accepted_score.window):
+        rows = accepted_score.window == w
+        ratio = float(np.mean(np.sqrt(np.mean(accepted_score.errors[rows] ** 2, axis=0)) / floor))
+        times = record.t[accepted_score.rows[rows]]
+        windows.append(WorstWindow(float(times[0]), float(times[-1]), ratio))
+    return tuple(sorted(windows, key=lambda window: -window.ratio)[:most])
 
 
 def _reasons(
     channels: tuple[ChannelVerdict, ...], values_p: float, changes: tuple[ValueChange, ...], level: float
 ) -> tuple[str, ...]:
+    """A sentence for each test below its level."""
     reasons = []
     threshold = level / len(channels)
     for c in channels:
@@ -293,12 +335,13 @@ def _reasons(
             )
     if values_p < level:
         names = [keyed(c.name, c.joint) for c in changes if c.changed]
-        say = ", ".join(names) or "no single one beyond doubt, but a combination of them"
-        reasons.append(f"Values have changed (p = {values_p:.2g}): {say}.")
+        listed = ", ".join(names) or "no single one beyond doubt, but a combination of them"
+        reasons.append(f"Values have changed (p = {values_p:.2g}): {listed}.")
     return tuple(reasons)
 
 
 def _notes(accepted: Accepted, model: Model) -> tuple[str, ...]:
+    """A sentence on each item that the file of the accepted model lacks."""
     notes = []
     if accepted.covariance is None:
         notes.append(f"{accepted.name} holds no errors of its values: they are taken as exact.")

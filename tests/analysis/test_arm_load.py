@@ -1,4 +1,4 @@
-"""An arm that nobody knows the masses of, with and without a load: told as a load, in kg."""
+"""Changed inertial parameters of an arm are stated as a payload, in kg."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_constants_follow_from_what_the_controller_plans_whatever_friction_it_ad
     assert controller_constants(record) is None
 
 
-def test_a_load_is_what_it_adds_to_the_grouped_parameters(tmp_path: Path) -> None:
+def test_a_payload_adds_the_point_mass_to_the_grouped_parameters(tmp_path: Path) -> None:
     (tmp_path / "links.toml").write_text(LINKS)
     links = load_links(tmp_path / "links.toml")
     random = np.random.default_rng(7)
@@ -92,7 +92,7 @@ def test_a_load_is_what_it_adds_to_the_grouped_parameters(tmp_path: Path) -> Non
 
 @pytest.mark.extended
 @pytest.mark.parametrize("mass", [MASS, 0.0])
-def test_changed_inertia_is_told_as_the_load_that_explains_it(mass: float, tmp_path: Path) -> None:
+def test_changed_inertia_is_stated_as_the_payload_that_explains_it(mass: float, tmp_path: Path) -> None:
     empty = acquired(3, 0.0)
     model = model_of(empty, tmp_path)
     options = Options(intervals=Intervals.WALD)

@@ -1,4 +1,4 @@
-"""Where several structures are likely, an interval holds what each of them estimates."""
+"""Variance between likely structures in the errors of the final parameter table."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_variance_between_structures_is_added_to_that_within(found: SearchRe
     assert wider.ci99[0] < row.ci99[0] < row.ci99[1] < wider.ci99[1]
 
 
-def test_structures_without_a_parameter_say_nothing_of_it(found: SearchResult) -> None:
+def test_structures_without_a_parameter_do_not_count(found: SearchResult) -> None:
     own = found.final.estimates[KEY]
     others = (Alternative(0.5, {}), Alternative(0.5, {KEY: 1.1 * own}))
     assert replace(found, alternatives=others).between_structures(KEY) == pytest.approx(0.1 * own)

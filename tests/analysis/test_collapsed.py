@@ -1,4 +1,4 @@
-"""Sizes of the rig that give way in a baseline, and values whose own errors a change has to beat."""
+"""Collapsed baselines, and errors of values beside which a change has to be significant."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from one_input_rigs import replay, rig_of, staircase
 import labhil as lh
 from labhil.analysis.results import finite
 from labhil.diagnose.accepted import Accepted
-from labhil.diagnose.begin import data_of
-from labhil.diagnose.collapsed import NEAR, bound_near_nominal, find_collapsed
+from labhil.diagnose.begin import prepare_data
+from labhil.diagnose.collapsed import NEAR_FACTOR, bound_near_nominal, find_collapsed
 from labhil.diagnose.diagnosis import _changes, diagnose
 from labhil.identify.fitted import fit_terms
 from labhil.identify.statistics import estimates_from_errors
@@ -72,7 +72,7 @@ def offset(seconds: float, seed: int) -> Record:
 
 @pytest.mark.extended
 @pytest.mark.timeout(300)
-def test_an_offset_that_the_whole_motion_needs_is_named_and_no_curve_takes_its_place():
+def test_an_offset_on_which_the_whole_motion_depends_is_named_instead_of_a_curve():
     record = offset(50.0, 1)
     model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)
     learn, judge = split(record, 0.3, model.horizon)
@@ -87,12 +87,12 @@ def test_an_offset_that_the_whole_motion_needs_is_named_and_no_curve_takes_its_p
     assert found.curve is None
 
 
-def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
+def test_sizes_known_only_as_a_ratio_have_not_collapsed():
     u = staircase(12.0, 0.01, 0.6, 6.0, 1)
     terms, noise = ["viscous_friction", "coulomb_friction"], {"speed_noise": 0.02}
     record = replay("dc_motor", u, terms, noise=noise, seed=1, outputs=("speed",)).record
     model = DcMotorModel(rig_of("dc_motor"), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     fitted = fit_terms(
         model, record, ("viscous_friction",), data.window, data.sigma, start=data.begin, iterations=5
     )
@@ -103,10 +103,10 @@ def test_sizes_that_are_known_as_a_ratio_only_have_not_given_way():
     assert find_collapsed(data, replace(fitted, theta=theta)) == ()
 
 
-def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nominal_value():
+def test_a_gain_at_its_bound_has_collapsed_and_is_bounded_near_nominal():
     record = tilted(6.0, 1)
     model = BallBeamModel(parse_rig('[rig]\nkind = "ball_beam"\n', Path("rig.toml")), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     place = [p.key for p in model.parameters].index("acceleration_per_radian")
 
     def at(gain: float):
@@ -121,17 +121,17 @@ def test_a_gain_that_fell_to_its_bound_has_given_way_and_is_kept_near_its_nomina
     assert "far from its nominal or typical 7.007 m/s²" in lost.statement
     assert find_collapsed(data, at(0.5 * GAIN)) == ()
     near = bound_near_nominal(model, [lost]).parameters[place]
-    assert near.lower == pytest.approx(GAIN / NEAR) and near.upper == pytest.approx(GAIN * NEAR)
+    assert near.lower == pytest.approx(GAIN / NEAR_FACTOR) and near.upper == pytest.approx(GAIN * NEAR_FACTOR)
     assert model.parameters[place].lower == 1e-3
 
 
-def test_a_value_that_was_held_has_no_interval():
+def test_a_held_value_has_no_interval():
     (row,) = estimates_from_errors([SIZE], np.array([2.0]), np.array([0.0]))
     assert not row.identifiable and not row.significant
     assert finite(row.ci99) == [None, None] and finite(row.std_error) is None
 
 
-def test_a_change_has_to_beat_the_errors_of_both_values():
+def test_a_change_has_to_exceed_the_errors_of_both_values():
     (row,) = estimates_from_errors([SIZE], np.array([-10.5]), np.array([0.3]))
     row = replace(row, identifiable=True)
 
@@ -161,7 +161,7 @@ def geared(seconds: float = 10.0) -> lh.Recording:
 
 @pytest.mark.long
 @pytest.mark.timeout(600)
-def test_a_constant_load_that_a_motor_s_sizes_gave_way_to_is_found():
+def test_a_constant_load_that_collapsed_sizes_of_a_motor_absorb_is_found():
     found = lh.diagnose(geared(), baseline=["viscous_friction"])
     # a motor without dry friction cannot tell the two apart
     named = {effect.term for effect in found.missing} | {rival.term for rival in found.rivals}

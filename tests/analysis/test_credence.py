@@ -1,4 +1,4 @@
-"""Stated probabilities follow what a diagnosis knows of itself."""
+"""Calibrated probabilities of claims, and effective numbers of samples."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ def evidence(delta_bic):
     return Evidence(delta_bic, 1e-6, 100.0)
 
 
-def test_strong_evidence_that_leaves_nothing_is_nearly_sure():
+def test_a_claim_with_strong_evidence_and_only_noise_left_is_nearly_certain():
     assert claim_probability(evidence(-1000.0), 1.0, 1) > 0.95
 
 
-def test_what_is_left_and_what_stands_beside_it_make_a_claim_doubtful():
+def test_remaining_error_and_further_claims_make_a_claim_doubtful():
     alone = claim_probability(evidence(-100.0), 1.0, 1)
     assert alone > claim_probability(evidence(-100.0), 1.0, 2) > claim_probability(evidence(-100.0), 1.0, 3)
     assert alone > claim_probability(evidence(-100.0), 1.5, 1) > claim_probability(evidence(-100.0), 2.5, 1)
@@ -33,7 +33,7 @@ def test_a_profile_that_ends_at_an_edge_reaches_as_far_as_curvature_says():
     assert _with_min_width((0.9, 1.1), (-1.0, 3.0), free) == (0.2, 3.0)
 
 
-def test_data_are_worth_as_many_samples_as_their_residuals_are_independent():
+def test_correlated_residuals_count_as_fewer_samples():
     white = np.random.default_rng(1).standard_normal((4000, 1))
     assert independent_samples(white) == pytest.approx(4000, rel=0.1)
     assert independent_samples(np.repeat(white[::4], 4, axis=0)) < 0.3 * 4000

@@ -1,4 +1,4 @@
-"""What is named, where it lives and what is said of it, on recordings of the plant."""
+"""Diagnoses of plant recordings: named terms, their location, statements and plots."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def test_a_changed_value_is_a_change_and_no_missing_physics(null):
     assert change.p_value < 1e-6
 
 
-def test_of_a_baseline_that_is_right_nothing_is_said(null):
+def test_a_complete_baseline_gives_an_empty_answer(null):
     assert null.p_value > 5e-4
     assert null.final_terms == null.baseline_terms == BASELINE
     assert null.after is null.before
     assert 0.85 < null.after.rmse / null.after.noise_floor < 1.15
 
 
-def test_what_is_not_there_is_excluded_down_to_little(null):
+def test_absent_effects_are_excluded_down_to_small_sizes(null):
     hidden = {item.term: item for item in null.excluded}
     assert "viscous_friction" not in hidden
     assert 0.0 < hidden["coulomb_friction"].largest_hidden < 0.005
@@ -93,7 +93,7 @@ def test_dry_friction_is_found_and_nothing_else(dry):
 
 
 @pytest.mark.extended
-def test_the_model_that_is_left_reaches_the_floor_on_data_it_never_saw(dry):
+def test_the_final_model_reaches_the_noise_floor_on_held_out_data(dry):
     assert dry.data == "test"
     assert dry.before.rmse > 10.0 * dry.before.noise_floor
     assert dry.after.rmse < 1.15 * dry.after.noise_floor
@@ -112,7 +112,7 @@ def test_every_effect_that_is_named_is_supported_by_both_recordings(dry):
 
 
 @pytest.mark.extended
-def test_the_stribeck_peak_lives_at_low_speed(dry):
+def test_the_stribeck_peak_is_located_at_low_speed(dry):
     location = dry.location
     assert (location.channel, location.enters) == ("ball_position", "force")
     (regime,) = [r for r in location.regimes if r.coordinate == "ball_velocity"]
@@ -125,7 +125,7 @@ def test_the_stribeck_peak_lives_at_low_speed(dry):
 
 
 @pytest.mark.extended
-def test_every_regime_says_whose_it_is_and_every_effect_is_drawn_over_its_own_coordinate(dry):
+def test_regimes_name_their_effect_and_effects_are_drawn_over_their_coordinate(dry):
     terms = {item.term for item in dry.missing}
     assert {regime.term for regime in dry.location.regimes} <= terms
     assert all(regime.joint is None for regime in dry.location.regimes)
@@ -134,7 +134,7 @@ def test_every_regime_says_whose_it_is_and_every_effect_is_drawn_over_its_own_co
     assert {f"Left out: {term}" for term in terms} < set(titles)
 
 
-def test_where_nothing_is_missing_nothing_is_drawn_of_it(null):
+def test_no_effect_is_drawn_where_none_is_missing(null):
     titles = [axes.get_title(loc="left") for axes in diagnosis_figure(null).axes]
     assert len(titles) == 4
     assert not any(title.startswith("Left out") for title in titles)
@@ -161,8 +161,8 @@ def test_regimes_hold_four_fifths_of_the_excess_in_few_samples():
     assert locate.regimes({"ball_position": x}, np.ones_like(x)) == ()
 
 
-def test_a_regime_may_be_in_two_stretches():
-    """What acts beyond a limit both ways lives at both ends."""
+def test_a_regime_may_have_two_ranges():
+    """An effect beyond a limit on both sides is located at both ends."""
     x = np.linspace(-1.0, 1.0, 4001)
     low, high = locate.regimes({"x": x}, np.maximum(np.abs(x) - 0.8, 0.0) ** 2)
     assert (low.low, high.high) == pytest.approx((-1.0, 1.0), abs=0.01)
@@ -171,7 +171,7 @@ def test_a_regime_may_be_in_two_stretches():
     assert low.share_of_excess + high.share_of_excess >= 0.8
 
 
-def test_what_no_coordinate_holds_together_lives_at_sizes_of_its_own_force():
+def test_an_effect_that_no_coordinate_locates_is_located_by_its_force():
     """A ripple of many waves: near its crests, where four fifths of the squares of a sine are."""
     x = np.linspace(-1.0, 1.0, 4001)
     wave = 3.0 * np.sin(200.0 * x)
@@ -188,7 +188,7 @@ def test_what_no_coordinate_holds_together_lives_at_sizes_of_its_own_force():
     assert replace(share, values=np.sign(wave)).regimes() == ()
 
 
-def test_an_effect_that_lives_everywhere_is_drawn_over_what_it_follows():
+def test_an_effect_that_acts_everywhere_is_drawn_over_the_coordinate_that_it_follows():
     x = np.linspace(-1.0, 1.0, 4001)
     v = np.cos(400.0 * x)
     along, units = {"x": x, "v": v}, {"x": "m", "v": "m/s"}
@@ -203,7 +203,7 @@ def test_an_effect_that_lives_everywhere_is_drawn_over_what_it_follows():
     assert bent.abscissa(bent.regimes()).name == "v"
 
 
-def test_what_repeats_is_drawn_over_one_period():
+def test_a_periodic_effect_is_drawn_over_one_period():
     x = np.linspace(-1.0, 1.0, 4001)
     wave = locate.Contribution("torque_ripple[1]", np.sin(200.0 * x), "N·m", {"q_1": x}, {"q_1": "rad"}, 1)
     folded = replace(wave, period=("q_1", 2.0 * math.pi / 200.0)).abscissa(())
@@ -211,7 +211,7 @@ def test_what_repeats_is_drawn_over_one_period():
     assert np.sin(200.0 * folded.x) == pytest.approx(wave.values, abs=1e-9)
 
 
-def test_correlated_residuals_are_worth_fewer():
+def test_correlated_residuals_count_as_fewer_samples():
     random = np.random.default_rng(2)
     white = random.standard_normal(20_000)
     slow = np.empty_like(white)
@@ -223,7 +223,7 @@ def test_correlated_residuals_are_worth_fewer():
     assert independent_samples(np.column_stack([slow, slow])) == pytest.approx(40_000 * 0.2 / 1.8, rel=0.15)
 
 
-def test_where_nothing_moves_nothing_is_decided(model, acquire):
+def test_a_recording_at_rest_decides_nothing(model, acquire):
     still = acquire(DRY, 4, amplitude=0.0, duration=20.0)
     still = replace(still, inputs=np.zeros_like(still.inputs))
     answer = diagnose(model, still, still, heldout_is_test=True, baseline=BASELINE)
@@ -336,7 +336,7 @@ def test_numbers_that_are_not_finite_become_null(null):
     assert isinstance(lost, Estimate)
 
 
-def test_where_too_little_was_searched_that_is_said(model, acquire):
+def test_too_short_a_recording_is_not_decidable(model, acquire):
     slight, test = acquire(BASELINE, 5, duration=0.9 * model.horizon), acquire(BASELINE, 6, duration=20.0)
     found = diagnose(model, slight, test, heldout_is_test=True, baseline=BASELINE)
     assert found.verdict == "not_decidable"
@@ -358,7 +358,7 @@ def test_one_more_effect_beside_known_dry_friction_is_named(model, acquire, effe
 
 
 @pytest.mark.extended
-def test_what_only_the_held_out_recording_shows_is_looked_for_there(model, acquire):
+def test_an_effect_that_only_the_held_out_recording_shows_is_searched_there(model, acquire):
     terms = (*BASELINE, "sensor_nonlinearity")
     slight = acquire(terms, 5, amplitude=0.1, duration=40.0)
     wide = acquire(terms, 6, amplitude=0.6, frequencies=TEST_TONES, duration=60.0)

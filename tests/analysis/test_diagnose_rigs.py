@@ -1,4 +1,4 @@
-"""Diagnoses of every kind of rig: what a plant of other code conceals is named, and nothing else."""
+"""Diagnoses of every kind of rig: the concealed effect of an independent plant is named, and no other."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def diagnosed(kind, concealed=(), values=None, seed=1):
         pytest.param("solenoid", marks=pytest.mark.extended),
     ],
 )
-def test_where_nothing_is_concealed_nothing_is_found(kind):
+def test_no_effect_is_found_where_none_is_concealed(kind):
     found = diagnosed(kind)
     assert found.verdict == "no_mismatch"
     assert found.missing == ()
@@ -85,7 +85,7 @@ def test_where_nothing_is_concealed_nothing_is_found(kind):
         pytest.param("solenoid", ("magnetic_hysteresis",), "magnetic", marks=pytest.mark.long),
     ],
 )
-def test_what_is_concealed_is_named_located_and_modelled(kind, concealed, enters):
+def test_a_concealed_effect_is_named_located_and_modelled(kind, concealed, enters):
     found = diagnosed(kind, concealed)
     assert found.verdict == "missing_physics"
     assert [item.term for item in found.missing] == list(concealed)
@@ -102,7 +102,7 @@ def test_a_hold_without_width_is_no_stribeck_peak():
 
 
 @pytest.mark.extended
-def test_what_others_build_on_is_not_told_where_it_is_hardly_there():
+def test_a_term_that_others_build_on_is_not_named_where_it_is_negligible():
     found = diagnosed(
         "dc_motor",
         ("stribeck_friction",),
@@ -113,8 +113,8 @@ def test_what_others_build_on_is_not_told_where_it_is_hardly_there():
 
 
 @pytest.mark.long
-def test_play_in_a_drive_is_named_though_its_size_is_not_found_to_the_noise():
-    """Long windows of a drive with play have minima of their own: the answer stands on short ones."""
+def test_play_in_a_drive_is_named_although_its_size_is_uncertain():
+    """The cost of long windows of a drive with play has many minima: short ones give the answer."""
     found = diagnosed("axis", ("backlash",))
     assert [item.term for item in found.missing] == ["backlash"]
     assert found.location.enters == "input"
@@ -160,7 +160,7 @@ def test_a_payload_is_weighed():
 
 
 @pytest.mark.extended
-def test_an_arm_without_surprises_has_none():
+def test_an_arm_without_concealed_effects_has_none():
     assert arm_diagnosed((), {}).verdict == "no_mismatch"
 
 

@@ -1,4 +1,4 @@
-"""Where a model leaves more than noise, intervals hold the truth although it is incomplete."""
+"""Bias by model discrepancy: intervals of an incomplete model contain the true values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def estimate(model, acquire, missing: str | None, seed: int) -> tuple[float, flo
 
 @pytest.mark.extended
 @pytest.mark.parametrize("missing", MISSING)
-def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, missing: str) -> None:
+def test_an_interval_of_an_incomplete_model_contains_the_true_value(model, acquire, missing: str) -> None:
     for seed in SEEDS:
         value, error, moved = estimate(model, acquire, missing, seed)
         assert abs(value - TRUE) > ALPHA_QUANTILE * error  # the fit alone is sure of what is wrong
@@ -45,12 +45,12 @@ def test_an_interval_of_an_incomplete_model_holds_the_truth(model, acquire, miss
         assert moved < 0.5 * TRUE
 
 
-def test_what_counts_as_known_is_not_moved(model, acquire) -> None:
+def test_known_estimates_do_not_shift(model, acquire) -> None:
     record = acquire(("viscous_friction", "coulomb_friction"), 1, parameters=MISSING_DRY, duration=15.0)
     fitted = fit_terms(model, record, ("viscous_friction",), 2.0, noise_of(record))
     assert set(discrepancy_shifts(absent_effects(fitted))) == set(fitted.estimates)
     assert KEY not in discrepancy_shifts(absent_effects(fitted), known={KEY})
 
 
-def test_of_a_complete_model_nothing_moves_the_estimates(model, acquire) -> None:
+def test_estimates_of_a_complete_model_do_not_shift(model, acquire) -> None:
     assert [estimate(model, acquire, None, seed)[2] for seed in SEEDS] == [0.0] * len(SEEDS)

@@ -1,4 +1,4 @@
-"""How large an effect may be that stays hidden: by noise alone, and beside what the model leaves."""
+"""Exclusion limits of absent effects, with noise alone and with other model errors."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose.begin import data_of
+from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.statements import exclusions
 from labhil.identify.fitted import fit_terms
@@ -21,13 +21,13 @@ CHANNELS = (("speed", "rad/s"), ("current", "A"))
 
 def limits(record: Record) -> dict[str, float]:
     model = model_for(default_rig("dc_motor"), record)
-    data = data_of(model, record, record)
+    data = prepare_data(model, record, record)
     found = fit_terms(model, record, DRY, data.window, data.sigma, start=data.begin, iterations=8)
     stated, _ = exclusions(absent_effects(found), ())
     return {item.term: item.largest_hidden for item in stated}
 
 
-def test_what_a_model_leaves_hides_more_than_as_large_a_noise():
+def test_model_errors_hide_larger_effects_than_noise_of_the_same_size():
     random = np.random.default_rng(2)
     u = levels(1500, 40, 5.0, random)
     clean = driven("dc_motor", u, 0.01, {}, DRY, 50.0, False, random, CHANNELS)[0]

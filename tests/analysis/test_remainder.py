@@ -1,4 +1,4 @@
-"""What an answer says that it explains, and where the rest of the error is."""
+"""The share of the error that an answer explains, and the regime of the rest."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def remainder(rig, record, names=("coulomb_friction",)):
     return find_remainder(names, model, theta_of(model, TRUE), record, before, after)
 
 
-def test_a_name_that_explains_everything_leaves_noise(rig):
+def test_only_noise_remains_beside_a_complete_answer(rig):
     found = remainder(rig, recorded(rig, lambda along: 0.0))
     assert found.explained > 0.99
     assert found.noise_floors < 1.1
@@ -60,7 +60,7 @@ def test_a_name_that_explains_everything_leaves_noise(rig):
     assert found.statement.endswith("what remains is noise.")
 
 
-def test_what_remains_is_told_with_its_size_and_its_place(rig):
+def test_the_remaining_error_is_stated_with_its_size_and_regime(rig):
     def bump(along):
         return np.where(np.abs(along["ball_velocity"]) < 0.02, 2e-3, 0.0)
 
@@ -74,5 +74,5 @@ def test_what_remains_is_told_with_its_size_and_its_place(rig):
     assert "near reversals" in found.statement
 
 
-def test_where_nothing_is_named_nothing_is_explained(rig):
+def test_there_is_no_remainder_without_named_effects(rig):
     assert remainder(rig, recorded(rig, lambda along: 0.0), names=()) is None

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate
 
 from labhil.analysis.dataset import load_dataset
-from labhil.diagnose.begin import data_of, fit_baseline
+from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.structures.disturbance import Disturbance
 from labhil.diagnose.structures.marginal import (
     KAPPA_GRID,
@@ -132,6 +132,6 @@ def test_the_terms_of_a_shipped_recording_are_found() -> None:
     material = load_dataset(
         ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"
     )
-    data = data_of(material.model, material.train, material.test)
+    data = prepare_data(material.model, material.train, material.test)
     found = search_structures(data, fit_baseline(data, ["viscous_friction"]), lambda text: None)
     assert {step.terms[0] for step in found.missing} == {"coulomb_friction", "stribeck_friction", "dead_zone"}

@@ -1,4 +1,4 @@
-"""Physics that stands in no list of terms: its coordinate, its curve, and what it is worth."""
+"""Nonparametric forces of effects outside the catalogue: coordinate, curve and evidence."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def held_balls(terms: tuple[str, ...], parameters: Mapping[str, float]) -> tuple
 
 
 def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tuple[Data, Fitted]:
-    """A search that ended with no more than its baseline."""
+    """Data of a search and the fitted baseline."""
     model = model_for(parse_rig(rig, Path("rig.toml")), record)
     begin = start_theta(model)
     window = 0.375 * model.horizon
@@ -86,7 +86,7 @@ def fitted(rig: str, terms: tuple[str, ...], record: Record, test: Record) -> tu
 
 
 def curve_of(data: Data, final: Fitted, baseline: tuple[str, ...]) -> FittedCurve | None:
-    """The likeliest force over a coordinate beside or in the place of what a fit names."""
+    """The likeliest force curve beside or instead of the terms of a fit."""
     noise = estimate_spectral_noise(final.problem, final.solution.residuals)
     return CurveSearch(data, baseline, noise.correlation).run(final)
 
@@ -155,10 +155,10 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
         ({}, (), True),
     ],
 )
-def test_a_curve_takes_the_place_of_what_imitates_it_only(
+def test_a_curve_replaces_only_terms_that_imitate_it(
     hidden: Mapping[str, float], named: tuple[str, ...], stays: bool
 ) -> None:
-    """A magnet is no sum of springs; where a spring is, a curve has no more to say."""
+    """A magnet is no sum of springs; a curve is no likelier than a spring that is there."""
     effects = tuple({key.partition(".")[0] for key in hidden})
     data, base = fitted(BALL_BEAM_RIG, BALL_TERMS, *held_balls(effects, hidden))
     final = refit(replace(data, window=2.0 * data.window), base, (*base.terms, *named), named, thorough=True)
@@ -168,13 +168,13 @@ def test_a_curve_takes_the_place_of_what_imitates_it_only(
     else:
         assert found is not None
         assert not set(named) & set(found.beside.terms)
-        assert found.curved.model.coordinate.name == "ball_position"
+        assert found.curve_fit.model.coordinate.name == "ball_position"
 
 
 @pytest.mark.extended
 @pytest.mark.parametrize("rig", ["axis", "ball_beam"])
-def test_nothing_is_found_where_nothing_is(rig: str) -> None:
-    """A model that has all there is leaves nothing to explain."""
+def test_a_complete_model_has_no_curve(rig: str) -> None:
+    """A complete model leaves only noise."""
     if rig == "axis":
         records = [held_axis((), {"constant_force.force": -0.5}, seed, 3000) for seed in (3, 4)]
         data, final = fitted(AXIS_RIG, AXIS_TERMS, *records)
@@ -188,7 +188,7 @@ def test_nothing_is_found_where_nothing_is(rig: str) -> None:
 @pytest.mark.parametrize("kind", ["ball_beam", "axis", "dc_motor", "solenoid"])
 @pytest.mark.parametrize("acts", [CurveArgument.TIME, CurveArgument.POSITION])
 def test_no_force_changes_nothing(kind: str, acts: CurveArgument) -> None:
-    """A force that is zero everywhere gives the same numbers to the last bit."""
+    """A force that is zero everywhere gives the same numbers, bit by bit."""
     case: Case = CASES[kind]
     record = case.simulate(1, False).record
     model = model_for(parse_rig(case.rig, Path("rig.toml")), record)
@@ -203,7 +203,7 @@ def test_no_force_changes_nothing(kind: str, acts: CurveArgument) -> None:
 
 
 @pytest.mark.extended
-def test_a_magnet_beside_a_shaft_is_found_though_nothing_tells_the_angle() -> None:
+def test_a_magnet_beside_a_shaft_is_found_although_no_channel_measures_the_angle() -> None:
     """The measured speed says how far it turned; where the test began is found by what it shows."""
     hidden = {"hidden_magnet.pull": 0.15, "hidden_magnet.width": 0.4}
     noise = {"speed_noise": 0.03, "current_noise": 0.03}

@@ -1,4 +1,4 @@
-"""A torque on a joint that stands in no list of terms: on which joint, over what, and how strong."""
+"""Nonparametric torques on the joints of an arm: joint, coordinate and size."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import pytest
 from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
 from labhil.diagnose.adequacy import exceeds_noise, residual_rms
-from labhil.diagnose.begin import data_of, fit_baseline
+from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.joint_curves import joint_curves
+from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import SearchResult
 from labhil.errors import ModelFileError
@@ -76,14 +76,14 @@ def sprung(record: Record, joint: int) -> Record:
 
 
 def searched(*records: Record) -> tuple[Data, Fitted]:
-    """A search that found no named term."""
+    """Torques beside the baseline, of a search without named terms."""
     model = ArmModel(RIG, records[0])
-    data = data_of(model, *(model.prepare(record) for record in records))
+    data = prepare_data(model, *(model.prepare(record) for record in records))
     return data, fit_baseline(data, [term.key for term in terms_named(model, arm.TERMS)])
 
 
 def curves_of(data: Data, base: Fitted) -> tuple[ForceCurve, ...]:
-    return joint_curves(data, SearchResult(base, base, (), (), 1.0, 1))
+    return fit_joint_curves(data, SearchResult(base, base, (), (), 1.0, 1))
 
 
 def within(found: ForceCurve, law: Law) -> float:
@@ -125,7 +125,7 @@ def test_each_torque_is_found_on_its_joint_within_its_band() -> None:
         assert curve.share >= 0.9
 
 
-def test_nothing_is_found_where_nothing_is() -> None:
+def test_a_complete_model_has_no_torque() -> None:
     data, base = searched(plain(1), plain(2))
     assert not exceeds_noise(data, residual_rms(data, base))
     assert curves_of(data, base) == ()
@@ -149,8 +149,8 @@ def test_curves_of_a_file_are_part_of_the_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.extended
-def test_a_whole_diagnosis_tells_of_it(tmp_path: Path) -> None:
-    """Term, joint, place and picture; named terms that only stood in for it are gone."""
+def test_a_diagnosis_states_the_torque(tmp_path: Path) -> None:
+    """Term, joint, location and plot; named terms that only imitated it are gone."""
     records = [rubbed(plain(seed), 5) for seed in (1, 2)]
     model = ArmModel(RIG, records[0])
     search, test = (model.prepare(record) for record in records)

@@ -1,12 +1,12 @@
-"""When a wider search may add to an answer: of data that go where the searched ones never were."""
+"""Augmented search: when terms of a search with held-out data replace those of the first search."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from labhil.diagnose.augmented import adds_beyond_doubt, goes_elsewhere, leave_more
-from labhil.diagnose.begin import data_of
+from labhil.diagnose.augmented import adds_certain_terms, exceeds_search_residuals, leaves_searched_range
+from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search_result import Step
 from labhil.physics.model import Record
@@ -22,22 +22,22 @@ def turning(speeds, seed):
 
 
 @pytest.mark.parametrize(
-    ("largest", "elsewhere"),
+    ("largest", "outside"),
     [(5.0, False), (5.0 + 1e-3, False), (5.5, True), (-5.0, True)],
 )
-def test_readings_beyond_all_that_was_searched_go_elsewhere(largest, elsewhere):
+def test_held_out_data_that_often_lie_outside_leave_the_searched_range(largest, outside):
     swing = 0.5 * (1.0 - np.cos(np.linspace(0.0, 12.0 * np.pi, 1000)))
     searched, held_out = turning(5.0 * swing, 1), turning(largest * swing, 2)
     model = model_for(default_rig("dc_motor"), searched)
-    assert goes_elsewhere(data_of(model, searched, held_out)) == elsewhere
+    assert leaves_searched_range(prepare_data(model, searched, held_out)) == outside
 
 
-def test_a_reading_or_two_beyond_are_not_elsewhere():
+def test_single_readings_outside_do_not_leave_the_searched_range():
     swing = 0.5 * (1.0 - np.cos(np.linspace(0.0, 12.0 * np.pi, 1000)))
     further = 5.0 * swing
     further[500:550] += 3.0
     model = model_for(default_rig("dc_motor"), turning(swing, 1))
-    assert not goes_elsewhere(data_of(model, turning(5.0 * swing, 1), turning(further, 2)))
+    assert not leaves_searched_range(prepare_data(model, turning(5.0 * swing, 1), turning(further, 2)))
 
 
 def steps(**delta_bics):
@@ -55,9 +55,9 @@ def steps(**delta_bics):
         ([], steps(spring_force=-353.0), False),
     ],
 )
-def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added):
-    """Where more than noise is left, evidence that is merely strong may be of what is left."""
-    assert adds_beyond_doubt(first, then) == added
+def test_terms_are_added_with_overwhelming_evidence_only(first, then, added):
+    """Where more than noise remains, merely strong evidence may stem from other errors."""
+    assert adds_certain_terms(first, then) == added
 
 
 @pytest.mark.parametrize(
@@ -71,5 +71,5 @@ def test_more_data_add_to_an_answer_what_is_beyond_doubt_only(first, then, added
         ([300.0, 1.0], [310.0, 1.6], True),  # of the second output
     ],
 )
-def test_held_out_data_say_more_where_they_leave_more(searched, held_out, more):
-    assert leave_more(np.array([searched, held_out])) == more
+def test_held_out_residuals_count_where_they_exceed_those_of_the_search(searched, held_out, more):
+    assert exceeds_search_residuals(np.array([searched, held_out])) == more

@@ -82,7 +82,7 @@ def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> Sea
         disturbed=state.refitted[best].log_evidence - state.refitted[best].undisturbed > min_log_odds,
         alternatives=alternatives(state),
     )
-    return result.ending(result.final, result.missing)
+    return result.with_steps(result.final, result.missing)
 
 
 def _fit_of_part(stage: Stage, structure: Structure) -> Fitted:
@@ -127,7 +127,7 @@ def validate_claims(stage: Stage, result: SearchResult) -> SearchResult:
             weakest = max(doubtful, key=lambda step: step.evidence.p_value)
             kept = frozenset(without(stage.data.model, result.final.terms, weakest.terms[0])) - baseline
             steps = tuple(step for step in result.missing if step.terms[0] in kept)
-            result = result.ending(_fit_of_part(stage, kept), steps)
+            result = result.with_steps(_fit_of_part(stage, kept), steps)
             tested = _terms(doubtful) & kept or _terms(result.missing)
         elif tested == _terms(result.missing):
             break
@@ -143,12 +143,12 @@ def _terms(steps: Sequence[Step]) -> Structure:
 def _validate(stage: Stage, result: SearchResult, tested: Structure) -> tuple[Step, ...]:
     """The steps, those of ``tested`` with the gain on held-out data over the final model without the term."""
     data, final = stage.data, result.final
-    after = data.judge(final.theta)
+    after = data.score_held_out(final.theta)
 
     def validate(step: Step) -> Step:
         terms = without(data.model, final.terms, step.terms[0])
         reduced = _fit_of_part(stage, frozenset(terms) - frozenset(result.baseline.terms))
-        gain, p_value = best_heldout_gain(data.judge(reduced.theta), after)
+        gain, p_value = best_heldout_gain(data.score_held_out(reduced.theta), after)
         return replace(step, evidence=Evidence(step.evidence.delta_bic, p_value, gain))
 
     return tuple(validate(step) if step.terms[0] in tested else step for step in result.missing)

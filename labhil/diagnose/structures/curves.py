@@ -12,8 +12,15 @@ from itertools import combinations
 
 import numpy as np
 
-from labhil.diagnose.curve import deepen, fix_gauge, glance, refine, restart, with_spline
-from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, with_placed
+from labhil.diagnose.curve import (
+    add_spline,
+    fit_linearised_curve,
+    fix_gauge,
+    refine,
+    refine_with_states,
+    restart,
+)
+from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, position_variants
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
 from labhil.diagnose.structures.enumerate import MIN_RELEVANCE, Choice, Enumeration, Structure
@@ -83,7 +90,7 @@ class CurveSearch:
             The refitted curve, or None where the odds do not favour one over the named structure.
         """
         best: FittedCurve | None = None
-        for begin in with_placed(fitted):
+        for begin in position_variants(fitted):
             model = begin.problem.model
             for part in model.moved if isinstance(model, AcceptsExtraForce) else ():
                 candidate = self._search_part(begin, part)
@@ -91,7 +98,9 @@ class CurveSearch:
                     best = candidate
         if best is None:
             return None
-        return replace(best, curved=fix_gauge(deepen(best.curved, self.options.final_iterations)))
+        return replace(
+            best, curve_fit=fix_gauge(refine_with_states(best.curve_fit, self.options.final_iterations))
+        )
 
     def _search_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         """The most probable curve on one moved part, or None."""
@@ -165,7 +174,7 @@ class CurveSearch:
         named_fit = self._without(fitted, choice.beside)
         problem, states = named_fit.problem, named_fit.solution.point.states
         along = problem.model.coordinates(named_fit.theta, problem.record, problem.windows, states)
-        first = glance(named_fit, choice.coordinate, choice.coordinate.values(along))
+        first = fit_linearised_curve(named_fit, choice.coordinate, choice.coordinate.values(along))
         curved = refine(restart(first), self.options.iterations)
         coordinates = len(problem.model.coordinate_units)
         enumeration = self._linearisation_at(curved.fitted, (), coordinates)
@@ -215,7 +224,7 @@ def _columns(fitted: Fitted, coordinates: Iterable[Coordinate]) -> list[tuple[Co
     for coordinate in coordinates:
         values = coordinate.values(along)
         if np.ptp(values) > 0.0:
-            extended, spline_problem, point = with_spline(fitted, coordinate, values)
+            extended, spline_problem, point = add_spline(fitted, coordinate, values)
             lin = spline_problem.linearise(point, fitted.solution.residuals)
             slopes = lin.by_parameters[:, -extended.spline.count :]
             name = f"force over {coordinate.name}, {coordinate.acts.name}"

@@ -13,7 +13,7 @@ import numpy as np
 from labhil.cores import side_by_side
 from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data
-from labhil.diagnose.refit import on_windows
+from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
 from labhil.diagnose.structures.curves import CurveSearch
@@ -56,7 +56,7 @@ def search_structures(
                 begin = finished[-1].leading_fits()
                 data, correlation = _with_estimated_noise(data, finished[-1].best)
             stage = replace(data, window=length)
-            begin = list(side_by_side(partial(on_windows, stage), begin))
+            begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
             # longer windows add up more of what is missing, and show no more of what acts slowly
@@ -70,7 +70,7 @@ def search_structures(
         return SearchResult(baseline, baseline, (), (), 1.0, n_candidates, complete=False)
     result = replace(conclude_search(finished[-1], options.min_log_odds, n_candidates), complete=complete)
     if result.missing and not predicts_better(
-        *(data.judge(f.theta) for f in (result.baseline, result.final))
+        *(data.score_held_out(f.theta) for f in (result.baseline, result.final))
     ):
         result = result.without_claims
     result = validate_claims(finished[-1], result)
@@ -124,16 +124,20 @@ def _with_force_curve(
         return result
     progress("a force over each coordinate in turn, next to the named terms or instead of them")
     shorter = replace(data, window=min(window_in_horizons * model.horizon, longest_window))
-    curve = CurveSearch(shorter, result.baseline.terms, correlation).run(on_windows(shorter, result.final))
+    curve = CurveSearch(shorter, result.baseline.terms, correlation).run(
+        refit_on_windows(shorter, result.final)
+    )
     if curve is None:
         return result
-    extended = replace(data, model=curve.curved.model)
-    if not predicts_better(data.judge(result.final.theta), extended.judge(curve.curved.fitted.theta)):
+    extended = replace(data, model=curve.curve_fit.model)
+    if not predicts_better(
+        data.score_held_out(result.final.theta), extended.score_held_out(curve.curve_fit.fitted.theta)
+    ):
         return result
     steps = tuple(step for step in result.missing if step.terms[0] in curve.beside.terms)
     # structures without a curve are far less probable, and no alternatives
     return replace(
-        result.ending(_refit_without_position_state(shorter, curve.beside), steps),
+        result.with_steps(_refit_without_position_state(shorter, curve.beside), steps),
         curve=curve,
         alternatives=(),
     )
