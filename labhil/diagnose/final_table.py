@@ -6,7 +6,12 @@ import numpy as np
 
 from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.conclude import Conclusion
-from labhil.diagnose.contrasts import between_parts, between_recordings, on_held_out, scale_factor
+from labhil.diagnose.contrasts import (
+    contrast_with_held_out,
+    contrasts_of_halves,
+    refit_on_held_out,
+    scale_factor,
+)
 from labhil.diagnose.discrepancy import AbsentEffects, absent_effects, discrepancy_shifts
 from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly
@@ -57,9 +62,11 @@ def _scale(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | None) -
     """The factor of a fit's errors by which parts of its data, and held-out data where known, disagree."""
     if not _has_one_scale(fitted):
         return 1.0
-    contrasts = between_parts(fitted, table)
+    contrasts = contrasts_of_halves(fitted, table)
     return scale_factor(
-        contrasts if held_out_fit is None else [*contrasts, between_recordings(fitted, held_out_fit, table)]
+        contrasts
+        if held_out_fit is None
+        else [*contrasts, contrast_with_held_out(fitted, held_out_fit, table)]
     )
 
 
@@ -68,7 +75,7 @@ def on_held_out_of(conclusion: Conclusion) -> Fitted | None:
     if conclusion.curves or not (conclusion.result.complete and _has_one_scale(conclusion.result.final)):
         return None
     try:
-        return on_held_out(conclusion.data, conclusion.result.final)
+        return refit_on_held_out(conclusion.data, conclusion.result.final)
     except EndedEarly:
         return None
 

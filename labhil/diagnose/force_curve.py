@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.diagnose.adequacy import STANDS_IN
-from labhil.diagnose.closed_forms import closed_form
+from labhil.diagnose.closed_forms import fit_closed_form
 from labhil.diagnose.curve import (
     Band,
     Curved,
@@ -233,7 +233,7 @@ def _force_curve(data: Data, final: Fitted, chosen: Curved, evidence: Evidence) 
         high=curve.value + curve.reach,
         unit=unit,
         x_unit=coordinate.unit,
-        formula=closed_form(curve.x, curve.value, curve.covariance, curve.reach),
+        formula=fit_closed_form(curve.x, curve.value, curve.covariance, curve.reach),
         statement=_statement(chosen, curve, unit),
         evidence=evidence,
         curved=chosen,
