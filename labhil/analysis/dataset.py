@@ -15,8 +15,8 @@ from labhil.analysis.rig_choice import common_rig
 from labhil.analysis.still import constant
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
-from labhil.diagnose.intake import with_censored, without_spikes
-from labhil.diagnose.timing import all_faults, why_untimed
+from labhil.diagnose.intake import mark_censored, replace_outliers
+from labhil.diagnose.timing import detect_all_faults, unchecked_timing_note
 from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
@@ -87,11 +87,11 @@ class Dataset:
 
     def untimed(self) -> str | None:
         """Why the delay of the input's stamps could not be checked; None where it was."""
-        return why_untimed(self.model, self.measured)
+        return unchecked_timing_note(self.model, self.measured)
 
     def faults(self) -> tuple[Fault, ...]:
         """What is wrong with the data that are learnt from, and with what is held out of them."""
-        return all_faults(self.model, self.measured)
+        return detect_all_faults(self.model, self.measured)
 
     def doubts(self, *, misfit: bool) -> list[str]:
         """What the physics of the rig calls implausible: units, signs, times or columns; a text each.
@@ -164,7 +164,7 @@ def load_dataset(
     )
     if not test_paths and holdout == 0.0:
         with naming(training):
-            learn = model.prepare(without_spikes(measured))
+            learn = model.prepare(replace_outliers(measured))
         return Dataset(rig, model, learn, learn, False, measured, train_entries, held_out=False)
     if not test_paths:
         with naming(training):
@@ -178,9 +178,9 @@ def load_dataset(
         (recording, record, "test") for recording, record in zip(testing, test_records, strict=True)
     )
     with naming(training):
-        learn = model.prepare(without_spikes(measured))
+        learn = model.prepare(replace_outliers(measured))
     with naming(testing):
-        judge = model.prepare(without_spikes(test))
+        judge = model.prepare(replace_outliers(test))
         _refuse_horizon(rig, judge)
     return Dataset(rig, model, learn, judge, True, measured, (*train_entries, *test_entries))
 
@@ -261,7 +261,7 @@ def _annotate(record: Record, rig: RigFile) -> Record:
     """
     record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
     record = with_input_smoothing(record)
-    return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
+    return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
 
 
 def _cut_to_span(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
@@ -287,7 +287,7 @@ def _split_held_out(
     Raises RecordingError where too little is left of a recording.
     """
     # spikes are judged over the whole recording, as its faults are
-    halves = [split(record, holdout, model.horizon) for record in without_spikes(measured).recordings()]
+    halves = [split(record, holdout, model.horizon) for record in replace_outliers(measured).recordings()]
     if len(halves) > 1:
         # before they are joined, which an empty part would prevent
         for (learn, _), recording in zip(halves, recordings, strict=True):

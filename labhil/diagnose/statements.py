@@ -15,7 +15,7 @@ from labhil.diagnose.collapsed import NOISE
 from labhil.diagnose.conclude import MISNAMED
 from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.minor import LEAST_SHARE
+from labhil.diagnose.minor import MIN_EXPLAINED_SHARE
 from labhil.diagnose.search_result import Rival, SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
@@ -145,7 +145,7 @@ def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, 
 
 def too_little(result: SearchResult) -> tuple[Undecided, ...]:
     """Terms that show, but that an imperfect law of a larger one could stand for."""
-    share = f"{100.0 * LEAST_SHARE:.0f} %"
+    share = f"{100.0 * MIN_EXPLAINED_SHARE:.0f} %"
     reason = (
         f"below the noise and {share} of the mismatch, as what an imperfect law of a larger effect leaves"
     )
