@@ -47,12 +47,12 @@ def saturation_fault(record: Record, channel: RecordedChannel, limit: float) -> 
     share = float(at_limit.mean())
     # mark_censored marks those of outputs, but not of an arm's
     is_censored = channel.name in record.output_names and channel.joint is None
-    counted = ", and count as that" if is_censored else ""
+    counted = ", and count as such" if is_censored else ""
     fault = fault_in_spans(
         record, channel, FaultKind.SATURATED, spans, share,
         f"{channel.label} is clipped at {limit:.6g}: {at_limit.sum()} samples ({format_percent(share)}) read "
-        f"exactly this value{format_spans(record, spans)}, although its noise should scatter them. They say "
-        f"only that it was there or beyond{counted}. Check the sensor's and the converter's range, or excite "
+        f"exactly this value{format_spans(record, spans)}, although its noise should scatter them. They are "
+        f"bounds of the true value{counted}. Check the sensor's and the converter's range, or excite "
         "less.",
     )  # fmt: skip
     return replace(fault, mended=is_censored and share <= TOLERATED_SHARE[FaultKind.SATURATED])
@@ -101,8 +101,8 @@ def dropout_fault(record: Record, channel: RecordedChannel, places: IntArray) ->
         record, channel, FaultKind.STUCK, spans, share,
         f"{channel.label} drops out to {channel.values[longest[0]]:.6g}{format_spans(record, spans)} "
         f"({format_percent(share)} of the samples), the longest time for {longest[1] - longest[0] + 1} "
-        "samples, and comes back at once: nothing that moves does. Check cable, sensor and converter; "
-        f"{advice}.",
+        "samples, and comes back from one sample to the next, which no motion does. Check cable, sensor and "
+        f"converter; {advice}.",
     )  # fmt: skip
     return replace(fault, mended=mended)
 
@@ -153,7 +153,8 @@ def zero_step_fault(record: Record, channel: RecordedChannel, place: int) -> Fau
     return fault_in_spans(
         record, channel, FaultKind.ZERO_STEP, [(place - 1, place)], share,
         f"{channel.label} jumps by {height:+.4g} from one sample to the next at {record.t[place]:.4g} s and "
-        "stays there: no body does, so the sensor slipped or its zero was set anew. Use one side of it only.",
+        "stays there, which no body does: the sensor slipped, or its zero was set again. Use the data on one "
+        "side of the jump only.",
     )  # fmt: skip
 
 
@@ -171,9 +172,9 @@ def wrap_fault(record: Record, channel: RecordedChannel, wraps: Wraps) -> Fault:
     times = tuple((float(record.t[i - 1]), float(record.t[i])) for i in wraps.places)
     count = len(wraps.places)
     statement = (
-        f"{channel.label} begins anew {count} time{'s' if count > 1 else ''}, by steps of "
-        f"{wraps.period:.7g}, first at {times[0][1]:.4g} s: an encoder that wraps. Import the table again "
-        f"with `[channels] {channel.name} = {{ …, unwrap = {wraps.period:.7g} }}`."
+        f"{channel.label} wraps {count} time{'s' if count > 1 else ''}, by {wraps.period:.7g}, first at "
+        f"{times[0][1]:.4g} s, as an encoder does that starts again. Import the table again with"
+        f" `[channels] {channel.name} = {{ …, unwrap = {wraps.period:.7g} }}`."
     )
     share = count / len(record)
     return Fault(FaultKind.WRAPPED, channel.name, channel.joint, times, share, statement)

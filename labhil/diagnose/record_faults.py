@@ -117,7 +117,7 @@ def non_finite_faults(record: Record) -> list[Fault]:
             channel = RecordedChannel(name, None, x, 0.0, record.inputs)
             share = float(bad.mean())
             statement = (
-                f"{name} is no finite number at {bad.sum()} samples ({format_percent(share)})"
+                f"{name} is NaN or infinite at {bad.sum()} samples ({format_percent(share)})"
                 f"{format_spans(record, spans)}. Drop these rows where the table is imported."
             )
             faults.append(fault_in_spans(record, channel, FaultKind.NOT_FINITE, spans, share, statement))
@@ -137,9 +137,9 @@ def clock_drift_faults(record: Record) -> list[Fault]:
     return [
         Fault(
             FaultKind.CLOCK_DRIFT, pair.rate, None, span, 1.0,
-            f"{pair.rate} and the derivative of {pair.position} part: the one lags by "
-            f"{1e3 * pair.before:.3g} ms at the beginning and by {1e3 * pair.after:.3g} ms at the end. "
-            "Stamp both by one clock.",
+            f"The lag of {pair.rate} behind the derivative of {pair.position} changes from "
+            f"{1e3 * pair.before:.3g} ms at the beginning to {1e3 * pair.after:.3g} ms at the end: their "
+            "clocks drift apart. Stamp both by one clock.",
         )
         for pair in detect_lag_changes(record)
     ]  # fmt: skip
@@ -161,7 +161,7 @@ def excitation_faults(record: Record, sigma: FloatArray, *, min_spread_in_noise:
     faults = []
     if not np.any(np.ptp(record.inputs, axis=0) > 0.0):
         names = ", ".join(record.input_names)
-        statement = f"No input changes ({names}): nothing can be learnt of how the rig answers. Excite it."
+        statement = f"No input changes ({names}): the response of the rig cannot be estimated. Excite it."
         faults.append(Fault(FaultKind.NO_EXCITATION, record.input_names[0], None, span, 1.0, statement))
     for j, spread in enumerate(np.std(record.outputs, axis=0)):
         name, joint = record.channel(j)
@@ -201,8 +201,8 @@ def lead_faults(record: Record) -> list[Fault]:
     count = f"{lead.samples:.2g}"
     samples = f"{count} sample{'' if count == '1' else 's'} ({lead.samples * record.period:.3g} s)"
     statement = (
-        f"{name} answers {source} {samples} before {source} changes (p = {lead.p_value:.1g}): no rig does, "
-        f"so the stamps of {source} are late. Stamp both by one clock, or import the table again with "
+        f"{name} responds to {source} {samples} before {source} changes (p = {lead.p_value:.1g}), which no "
+        f"rig does: the stamps of {source} are late. Stamp both by one clock, or import the table again with "
         f"`[channels] {source} = {{ …, shift = {shift:.6g} }}`."
     )
     return [Fault(FaultKind.LEAD, name, joint, span, 1.0, statement)]

@@ -164,7 +164,7 @@ def unchecked_timing_note(model: Model, record: Record) -> str | None:
     if measured:
         name, reason = measured[0], "it is measured, and the filter and the noise of its sensor shift it, too"
     elif len(record.begins) > 1:
-        name, reason = " or ".join(record.input_names), "only a recording by itself is looked at"
+        name, reason = " or ".join(record.input_names), "only a single recording is compared"
     else:
         return None
     return f"Whether {name} is stamped a sample or two late was not checked by the model: {reason}."
@@ -175,7 +175,7 @@ def _late_input_fault(record: Record, name: str, samples: int) -> Fault:
     shift = -samples * record.period
     count = f"{samples} sample{'s' if samples > 1 else ''}"
     statement = (
-        f"The outputs answer {name} {-shift:.3g} s ({count}) before it changes: "
+        f"The outputs respond to {name} {-shift:.3g} s ({count}) before it changes: "
         f"the model fits to the noise with {name} as much earlier, and not as it is stamped. Stamp both by "
         f"one clock, or import the table again with `[channels] {name} = {{ …, shift = {shift:.6g} }}`."
     )
