@@ -15,8 +15,8 @@ from labhil.analysis.results import Source
 from labhil.analysis.rig_choice import common_rig
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
-from labhil.diagnose.intake import with_censored, without_spikes
-from labhil.diagnose.timing import all_faults, why_untimed
+from labhil.diagnose.intake import mark_censored, replace_outliers
+from labhil.diagnose.timing import detect_all_faults, unchecked_timing_note
 from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
@@ -99,11 +99,11 @@ class Dataset:
 
     def untimed(self) -> str | None:
         """Why the delay of the input's stamps could not be checked; None where it was."""
-        return why_untimed(self.model, self.measured)
+        return unchecked_timing_note(self.model, self.measured)
 
     def faults(self) -> tuple[Fault, ...]:
         """Faults of the training recordings, held-out parts included."""
-        return all_faults(self.model, self.measured)
+        return detect_all_faults(self.model, self.measured)
 
     def doubts(self, *, misfit: bool) -> list[str]:
         """Describe what is implausible by the rig's physics: units, signs, times or columns; a text each.
@@ -185,7 +185,7 @@ def load_dataset(
     )
     if not test_paths and holdout == 0.0:
         with naming(training):
-            train = model.prepare(without_spikes(measured))
+            train = model.prepare(replace_outliers(measured))
         return Dataset(rig, model, train, train, False, measured, train_entries, held_out=False)
     if not test_paths:
         with naming(training):
@@ -199,9 +199,9 @@ def load_dataset(
         (recording, record, "test") for recording, record in zip(testing, test_records, strict=True)
     )
     with naming(training):
-        train = model.prepare(without_spikes(measured))
+        train = model.prepare(replace_outliers(measured))
     with naming(testing):
-        test = model.prepare(without_spikes(measured_test))
+        test = model.prepare(replace_outliers(measured_test))
         _refuse_horizon(rig, test)
     return Dataset(rig, model, train, test, True, measured, (*train_entries, *test_entries))
 
@@ -298,7 +298,7 @@ def _annotate(record: Record, rig: RigFile) -> Record:
     """
     record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
     record = with_input_smoothing(record)
-    return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
+    return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
 
 
 def _cut_to_span(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
@@ -324,7 +324,7 @@ def _split_held_out(
     RecordingError where a recording is too short for that.
     """
     # spikes are found in the whole recording, as its faults are
-    parts = [split(record, holdout, model.horizon) for record in without_spikes(measured).recordings()]
+    parts = [split(record, holdout, model.horizon) for record in replace_outliers(measured).recordings()]
     if len(parts) > 1:
         # before they are joined, which an empty part would prevent
         for (train, _), recording in zip(parts, recordings, strict=True):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from labhil.diagnose.hold import evident_hold
-from labhil.diagnose.timing import all_faults, better_hold
+from labhil.diagnose.hold import detect_hold
+from labhil.diagnose.timing import detect_all_faults, estimate_hold
 from labhil.identify.windows import FEWEST_SAMPLES, with_least_noise
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for, record_of_samples, unusable_values
@@ -32,7 +32,7 @@ def check_table(
     table, record, lines = _with_holds(table, record, progress)
     record = with_least_noise(record)
     model = model_for(table.rig, record)
-    return table, [*lines, *(f"! {fault.statement}" for fault in all_faults(model, record))]
+    return table, [*lines, *(f"! {fault.statement}" for fault in detect_all_faults(model, record))]
 
 
 def _with_holds(
@@ -59,10 +59,10 @@ def _choose_hold(
     channel = table.rig.channels.get(name)
     if channel is not None and channel.hold is not None:
         return default, f"{name}: {WORDS[default]} between samples, as [channels] states"
-    hold, why = evident_hold(record.inputs[:, place]), "it jumps between levels"
+    hold, why = detect_hold(record.inputs[:, place]), "it jumps between levels"
     if hold is None and len(record.input_names) == 1:
         progress(f"comparing {name} held and straight between samples")
-        hold, why = better_hold(model_for(table.rig, record), record), "since a model predicts better so"
+        hold, why = estimate_hold(model_for(table.rig, record), record), "since a model predicts better so"
     if hold is None:
         hold, why = default, f"as is usual for {table.rig.kind.name}"
     key = f'[channels] {name} = {{ …, hold = "{"linear" if hold is Hold.ZERO else "zero"}" }} says otherwise'

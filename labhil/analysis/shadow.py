@@ -15,7 +15,7 @@ import numpy as np
 from labhil.analysis.agreement import Agreement
 from labhil.analysis.saved_model import Reference
 from labhil.analysis.simulate import model_on
-from labhil.diagnose.intake import with_censored
+from labhil.diagnose.intake import mark_censored
 from labhil.errors import RecordingError
 from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.score import score
@@ -234,7 +234,7 @@ class Shadow:
                 f"{', '.join(self._stream.names())}"
             )
         record = record.with_holds({n: c.hold for n, c in self._rig.channels.items() if c.hold})
-        return record if any(joint is not None for joint in record.output_joints) else with_censored(record)
+        return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
 
     def _simulate(self, t: FloatArray, values: FloatArray, begin: float, lead: float) -> Stretch:
         """Simulate from ``begin`` on, s; an empty stretch where that is not possible."""

@@ -12,7 +12,7 @@ from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.saved_model import Reference, SavedModel, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import validate
-from labhil.diagnose.intake import without_spikes
+from labhil.diagnose.intake import replace_outliers
 from labhil.errors import ModelFileError, OptionError, UnknownNameError
 from labhil.identify.fitted import start_theta, with_only
 from labhil.identify.score import Score, score
@@ -80,6 +80,6 @@ def model_on(
     foreign = [name for name in values if name not in known]
     if foreign:
         raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
-    record = with_noise_scales(model, model.prepare(without_spikes(measured)))
+    record = with_noise_scales(model, model.prepare(replace_outliers(measured)))
     theta = with_only(model, start_theta(model, values), set(terms_of(saved)) - set(without))
     return model, record, theta

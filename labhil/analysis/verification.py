@@ -14,8 +14,8 @@ from labhil.analysis.results import Source, finite, score_json
 from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.saved_model import Reference, accepted_of
 from labhil.analysis.schema import VerificationPart, validate
-from labhil.diagnose.intake import without_spikes
-from labhil.diagnose.timing import all_faults
+from labhil.diagnose.intake import replace_outliers
+from labhil.diagnose.timing import detect_all_faults
 from labhil.diagnose.verify import ALPHA, Verification, verify
 from labhil.errors import ModelFileError, OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
@@ -75,13 +75,13 @@ def verify_study(
         )
     model = under_kept_curve(model_for(rig, record), model_file)
     verification = verify(
-        model, model.prepare(without_spikes(record)), accepted, alpha=alpha, progress=progress
+        model, model.prepare(replace_outliers(record)), accepted, alpha=alpha, progress=progress
     )
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
     seconds = time.perf_counter() - began
     data = verification_json(verification, source, model_file, seconds)
     # a recording may contradict a model because of what is wrong with the recording
-    data["faults"] = finite([asdict(fault) for fault in all_faults(model, record)])
+    data["faults"] = finite([asdict(fault) for fault in detect_all_faults(model, record)])
     doubts = doubts_of(record, rig, misfit=not verification.consistent, time_column=recording.time_column)
     data["doubts"] = [doubt.statement for doubt in doubts]
     return VerificationResult(verification, tuple(recording.losses()), data)

@@ -1,169 +1,242 @@
-"""Wrong readings that come a few in a row, and readings that drop out to one value and come back.
+"""Bursts of a few wrong readings in a row, and dropouts: readings that jump to one value and come back.
 
-A burst differs from motion in both of its edges: a body that is thrown off its course does not return to it
-from one sample to the next. A rate may, where a part that rests slips, so a burst out of rest counts only
-where there are others like it elsewhere.
+A burst differs from motion at both of its edges: a disturbed body does not return to its course from one
+sample to the next. A rate may do so where a body at rest slips, so a burst out of rest counts only where
+there are others like it elsewhere. Single spikes are in :mod:`labhil.diagnose.jumps`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from labhil.diagnose.frozen import Runs, runs_of
+from labhil.diagnose.frozen import ConstantRuns, constant_runs
 from labhil.diagnose.jumps import (
-    AS_HIGH,
-    BEYOND_MOTION,
-    BEYOND_NOISE,
-    ENOUGH,
-    NOTABLE,
-    ROUNDS,
-    answers,
-    jump_sizes,
+    SPIKE_OPTIONS,
+    SpikeOptions,
+    input_jump_sizes,
+    may_be_responses,
     usual_change,
 )
-from labhil.signals import FloatArray, IntArray
-
-WIDEST = 8
-"""Samples of a burst at most. Longer ones show by their silence, as a channel that is stuck."""
-
-END = 3
-"""Samples of a burst at most with which a recording begins or ends."""
-
-LEAP = 2.0
-"""Its one edge, in largest changes elsewhere in the recording."""
-
-REST = 4.0
-"""A reading is where another is within so many standard deviations of its noise; a rate at zero rests."""
-
-AGREE = 0.5
-"""Share of a burst's height by which the readings on either side of it may differ."""
-
-LONG = 5.0
-"""A dropout lasts so many times as long as a reading usually stays: slow sensors repeat theirs."""
+from labhil.signals import BoolArray, FloatArray, IntArray
 
 NO_SPANS: IntArray = np.empty((0, 2), dtype=np.int64)
+"""First and last samples (k, 2) of no span at all."""
 
 
-def bursts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> IntArray:
-    """First and last samples of the bursts of two wrong readings or more in a channel (n,), (k, 2).
+@dataclass(frozen=True, slots=True)
+class BurstOptions:
+    """Limits between a burst or dropout and what a healthy channel does.
 
-    Single spikes are to be taken out before. ``sigma`` is the channel's noise, ``inputs`` (n, m) drive the
-    rig; a ``rate`` may slip, and may answer them at once.
+    Chosen on simulated recordings, clean and with faults; see ``tests/analysis/test_intake_bursts.py``.
+
+    Attributes:
+        max_samples: samples of a burst at most. A longer fault shows as a channel that is stuck.
+        max_end_samples: samples of a burst at most with which a recording begins or ends.
+        min_end_height_ratio: height of the one edge of such a burst over the largest change elsewhere in the
+            recording, at least.
+        max_rest_in_noise: largest distance, in standard deviations of the noise, at which two readings count
+            as equal and a rate as zero.
+        max_neighbour_difference: difference of the readings on either side of a burst at most, as a share of
+            its height.
+        min_dropout_length_ratio: length of a dropout over the usual length of runs of equal readings, at
+            least: slow sensors repeat readings.
+        spike: limits that bursts share with single spikes.
     """
-    if len(x) < 2 * WIDEST + 2:
+
+    max_samples: int = 8
+    max_end_samples: int = 3
+    min_end_height_ratio: float = 2.0
+    max_rest_in_noise: float = 4.0
+    max_neighbour_difference: float = 0.5
+    min_dropout_length_ratio: float = 5.0
+    spike: SpikeOptions = SPIKE_OPTIONS
+
+
+BURST_OPTIONS = BurstOptions()
+"""The limits that the intake works with."""
+
+
+def detect_bursts(
+    x: FloatArray, sigma: float, inputs: FloatArray, *, is_rate: bool, options: BurstOptions = BURST_OPTIONS
+) -> IntArray:
+    """Find bursts of two or more wrong readings in a row in a channel.
+
+    Args:
+        x: readings (n,), with single spikes already replaced.
+        sigma: standard deviation of the noise, in the unit of the channel.
+        inputs: inputs that drive the rig (n, m).
+        is_rate: whether the channel is no position: it may slip, and may follow the inputs at once.
+        options: limits of a burst.
+
+    Returns:
+        First and last sample of each burst (k, 2), in order.
+    """
+    if len(x) < 2 * options.max_samples + 2:
         return NO_SPANS
-    sizes, calm, certain = jump_sizes(inputs), x.copy(), []
-    doubtful = []
-    for _ in range(ROUNDS):
-        usual = usual_change(calm)
-        widths = range(2, WIDEST + 1)
-        spans = _disjoint(np.concatenate([_standing_out(calm, usual, sigma, width) for width in widths]))
+    sizes = input_jump_sizes(inputs, options.spike.min_input_jump_in_range)
+    cleaned, accepted = x.copy(), []
+    in_doubt = []
+    for _ in range(options.spike.max_passes):
+        usual = usual_change(cleaned)
+        widths = range(2, options.max_samples + 1)
+        spans = _disjoint(
+            np.concatenate([_burst_candidates(cleaned, usual, sigma, width, options) for width in widths])
+        )
         if not len(spans):
             break
-        near = _explained_by_inputs(sizes, spans[:, 0], spans[:, 1] + 1, rate=rate)
-        near |= rate & _start_from_rest(calm, sigma, spans)
-        certain += spans[~near].tolist()
-        doubtful += spans[near].tolist()
-        calm = without(calm, spans)
-    sure = np.array(certain, dtype=np.int64).reshape(-1, 2)
-    both = np.concatenate([sure, _alike(x, sure, np.array(doubtful, dtype=np.int64).reshape(-1, 2))])
-    return both[np.argsort(both[:, 0])]
+        is_doubtful = _explained_by_inputs(sizes, spans[:, 0], spans[:, 1] + 1, is_rate=is_rate)
+        is_doubtful |= is_rate & _start_from_rest(cleaned, sigma, spans, options.max_rest_in_noise)
+        accepted += spans[~is_doubtful].tolist()
+        in_doubt += spans[is_doubtful].tolist()
+        cleaned = interpolate_over(cleaned, spans)
+    certain = np.array(accepted, dtype=np.int64).reshape(-1, 2)
+    doubtful = np.array(in_doubt, dtype=np.int64).reshape(-1, 2)
+    bursts = np.concatenate([certain, _similar_bursts(x, certain, doubtful, options.spike)])
+    return bursts[np.argsort(bursts[:, 0])]
 
 
-def without(x: FloatArray, spans: IntArray) -> FloatArray:
-    """A channel (n,) with a straight line in the place of each span (k, 2), at an end its neighbour."""
-    kept = np.flatnonzero(~within(spans, len(x)))
-    return np.asarray(np.interp(np.arange(len(x)), kept, x[kept])) if len(kept) else x
+def detect_bursts_at_ends(
+    x: FloatArray, sigma: float, inputs: FloatArray, *, options: BurstOptions = BURST_OPTIONS
+) -> IntArray:
+    """Find the wrong readings with which a channel begins or ends.
 
+    They have one edge only, so it also has to be larger than all other changes of the channel.
 
-def at_ends(x: FloatArray, sigma: float, inputs: FloatArray) -> IntArray:
-    """The wrong readings that a channel (n,) begins or ends with, (k, 2).
+    Args:
+        x: readings (n,), with spikes and bursts already replaced.
+        sigma: standard deviation of the noise, in the unit of the channel.
+        inputs: inputs that drive the rig (n, m).
+        options: limits of a burst.
 
-    They have one edge only, so it has to be beyond all else that the channel does in the recording, too.
+    Returns:
+        First and last sample of each burst, (k, 2) with k ≤ 2.
     """
-    if len(x) < 2 * END + 2 * WIDEST:
+    if len(x) < 2 * options.max_end_samples + 2 * options.max_samples:
         return NO_SPANS
-    spans = [(0, width - 1) for width in _begins_with(x, sigma, inputs)]
-    spans += [(len(x) - width, len(x) - 1) for width in _begins_with(x[::-1], sigma, inputs[::-1])]
+    spans = [(0, width - 1) for width in _wrong_first_samples(x, sigma, inputs, options)]
+    spans += [
+        (len(x) - width, len(x) - 1) for width in _wrong_first_samples(x[::-1], sigma, inputs[::-1], options)
+    ]
     return np.array(spans, dtype=np.int64).reshape(-1, 2)
 
 
-def _begins_with(x: FloatArray, sigma: float, inputs: FloatArray) -> list[int]:
-    """How many wrong readings a channel begins with; none where it does not."""
+def detect_dropouts(
+    x: FloatArray, sigma: float, inputs: FloatArray, *, is_rate: bool, options: BurstOptions = BURST_OPTIONS
+) -> ConstantRuns:
+    """Find runs of equal readings that a channel jumps into and back out of.
+
+    A body comes to rest and leaves it gradually. What the inputs explain does not count.
+
+    Args:
+        x: readings (n,), with spikes and bursts already replaced.
+        sigma: standard deviation of the noise, in the unit of the channel.
+        inputs: inputs that drive the rig (n, m).
+        is_rate: whether the channel is no position. Such a channel may follow a piecewise constant input
+            from level to level, so only runs at zero, or at one value several times, count.
+        options: limits of a dropout.
+
+    Returns:
+        The dropouts.
+    """
+    runs = constant_runs(x)
+    usual_length = float(np.median(runs.length))
+    is_inner = (runs.start > 0) & (runs.stop < len(x))
+    runs = runs.select(is_inner & (runs.length >= options.min_dropout_length_ratio * usual_length))
+    if not len(runs.start):
+        return runs
+    rise, fall = x[runs.start] - x[runs.start - 1], x[runs.stop] - x[runs.start]
+    smaller, larger = np.sort([np.abs(rise), np.abs(fall)], axis=0)
+    min_height = np.maximum(
+        options.spike.min_height_in_noise * sigma,
+        options.spike.min_height_in_changes * _usual_change_around(x, runs.start, runs.stop),
+    )
+    # a reading that goes on by chance near the value of the run leaves it by little
+    runs = runs.select(
+        (rise * fall < 0.0) & (larger > min_height) & (smaller > options.max_rest_in_noise * sigma)
+    )
+    value, count = np.unique(x[runs.start], return_counts=True)
+    is_eligible = (value == 0.0) | (count > 1) | (not is_rate)
+    runs = runs.select(is_eligible[np.searchsorted(value, x[runs.start])])
+    sizes = input_jump_sizes(inputs, options.spike.min_input_jump_in_range)
+    return runs.select(~_explained_by_inputs(sizes, runs.start, runs.stop, is_rate=is_rate))
+
+
+def interpolate_over(x: FloatArray, spans: IntArray) -> FloatArray:
+    """Replace spans of a channel by a straight line between the readings on either side.
+
+    Args:
+        x: readings (n,).
+        spans: first and last sample of each span (k, 2). At an end of the channel the one neighbour is kept.
+
+    Returns:
+        The channel (n,) with the spans replaced.
+    """
+    kept = np.flatnonzero(~span_mask(spans, len(x)))
+    return np.asarray(np.interp(np.arange(len(x)), kept, x[kept])) if len(kept) else x
+
+
+def span_mask(spans: IntArray, n: int) -> BoolArray:
+    """Return which of ``n`` samples lie within the spans (k, 2) of first and last samples, (n,)."""
+    mask = np.zeros(n, dtype=bool)
+    for first, last in spans.tolist():
+        mask[first : last + 1] = True
+    return mask
+
+
+def _wrong_first_samples(x: FloatArray, sigma: float, inputs: FloatArray, options: BurstOptions) -> list[int]:
+    """The number of wrong readings with which a channel begins; empty where it begins with none."""
     change = np.abs(np.diff(x))
-    largest = float(change[END:].max())
-    for width in range(END, 0, -1):
-        edge = change[width - 1]
-        jumps = np.abs(np.diff(inputs[: width + 2], axis=0)) > NOTABLE * np.ptp(inputs, axis=0)
-        if edge > max(BEYOND_NOISE * sigma, LEAP * largest) and not jumps.any():
+    largest = float(change[options.max_end_samples :].max())
+    min_height = max(options.spike.min_height_in_noise * sigma, options.min_end_height_ratio * largest)
+    min_input_jump = options.spike.min_input_jump_in_range * np.ptp(inputs, axis=0)
+    for width in range(options.max_end_samples, 0, -1):
+        input_jumps = np.abs(np.diff(inputs[: width + 2], axis=0)) > min_input_jump
+        if change[width - 1] > min_height and not input_jumps.any():
             return [width]
     return []
 
 
-def within(spans: IntArray, n: int) -> np.ndarray:
-    """Which of ``n`` samples lie within the spans (k, 2), (n,)."""
-    marked = np.zeros(n, dtype=bool)
-    for first, last in spans.tolist():
-        marked[first : last + 1] = True
-    return marked
+def _explained_by_inputs(sizes: FloatArray, first: IntArray, after: IntArray, *, is_rate: bool) -> BoolArray:
+    """Whether input jumps of these ``sizes`` (n, m) may explain jumps away and back, (k,).
 
-
-def dropouts(x: FloatArray, sigma: float, inputs: FloatArray, *, rate: bool) -> Runs:
-    """Runs of equal readings of a channel (n,) that it jumps into and back out of.
-
-    A part that comes to rest, or starts from it, takes its time; what the inputs explain does not count. A
-    ``rate`` may follow a held input from level to level: there only zero counts, or one value each time.
+    ``first`` are the first samples away, ``after`` the first samples back. A rate may jump with an input and
+    then return by itself; a position needs an input jump at both edges.
     """
-    runs = runs_of(x)
-    usual = float(np.median(runs.length))
-    inner = (runs.first > 0) & (runs.last < len(x)) & (runs.length >= LONG * usual)
-    runs = runs.select(inner)
-    if not len(runs.first):
-        return runs
-    rise, fall = x[runs.first] - x[runs.first - 1], x[runs.last] - x[runs.first]
-    smaller, larger = np.sort([np.abs(rise), np.abs(fall)], axis=0)
-    least = np.maximum(BEYOND_NOISE * sigma, BEYOND_MOTION * _usual_around(x, runs.first, runs.last))
-    # readings that go on by chance near the one value that stands still for the sensor leave it by little
-    runs = runs.select((rise * fall < 0.0) & (larger > least) & (smaller > REST * sigma))
-    value, times = np.unique(x[runs.first], return_counts=True)
-    eligible = (value == 0.0) | (times > 1) | (not rate)
-    runs = runs.select(eligible[np.searchsorted(value, x[runs.first])])
-    return runs.select(~_explained_by_inputs(jump_sizes(inputs), runs.first, runs.last, rate=rate))
+    after = np.minimum(after, len(sizes) - 1)
+    edges = np.unique(np.concatenate([first, after]))
+    begins, ends = may_be_responses(sizes, first, edges), may_be_responses(sizes, after, edges)
+    return np.asarray(begins | ends if is_rate else begins & ends)
 
 
-def _explained_by_inputs(sizes: FloatArray, first: IntArray, behind: IntArray, *, rate: bool) -> np.ndarray:
-    """Whether jumps of an input, of :func:`jump_sizes`, may explain jumps away and back, (k,).
-
-    A rate may jump with an input and then go on by itself; a body is thrown off its course and back by two.
-    """
-    behind = np.minimum(behind, len(sizes) - 1)
-    edges = np.unique(np.concatenate([first, behind]))
-    begins, ends = answers(sizes, first, edges), answers(sizes, behind, edges)
-    return np.asarray(begins | ends if rate else begins & ends)
-
-
-def _usual_around(x: FloatArray, first: IntArray, behind: IntArray) -> FloatArray:
-    """How a channel usually changes around runs that begin at ``first`` and end before ``behind``, (r,)."""
+def _usual_change_around(x: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:
+    """How a channel usually changes around the runs ``start`` … ``stop`` − 1, (r,)."""
     change = usual_change(x)
-    return np.asarray(np.maximum(change[first - 1], change[np.minimum(behind, len(change) - 1)]))
+    return np.asarray(np.maximum(change[start - 1], change[np.minimum(stop, len(change) - 1)]))
 
 
-def _standing_out(x: FloatArray, usual: FloatArray, sigma: float, width: int) -> IntArray:
+def _burst_candidates(
+    x: FloatArray, usual: FloatArray, sigma: float, width: int, options: BurstOptions
+) -> IntArray:
     """Spans of ``width`` samples that all stand out from the line between their neighbours, (k, 2)."""
     n = len(x) - width - 1
     before, after = x[:n], x[width + 1 :]
     usual = np.maximum(usual[:n], usual[width : width + n])
-    least = np.maximum(BEYOND_NOISE * sigma, BEYOND_MOTION * usual)
+    min_height = np.maximum(
+        options.spike.min_height_in_noise * sigma, options.spike.min_height_in_changes * usual
+    )
     height = np.minimum(np.abs(x[1 : n + 1] - before), np.abs(after - x[width : width + n]))
     for k in range(1, width + 1):
         line = before + (after - before) * k / (width + 1)
         height = np.minimum(height, np.abs(x[k : k + n] - line))
-    before_first = np.flatnonzero((height > least) & (np.abs(after - before) < AGREE * height + 3.0 * sigma))
-    return np.column_stack([before_first + 1, before_first + width]).astype(np.int64)
+    neighbours_agree = np.abs(after - before) < options.max_neighbour_difference * height + 3.0 * sigma
+    sample_before = np.flatnonzero((height > min_height) & neighbours_agree)
+    return np.column_stack([sample_before + 1, sample_before + width]).astype(np.int64)
 
 
 def _disjoint(spans: IntArray) -> IntArray:
-    """Those spans (k, 2) that touch none before them, the narrower first."""
+    """The spans (k, 2) that touch no span earlier in the list, which begins with the narrowest."""
     chosen: list[list[int]] = []
     for first, last in spans.tolist():
         if all(last < a - 1 or first > b + 1 for a, b in chosen):
@@ -171,15 +244,15 @@ def _disjoint(spans: IntArray) -> IntArray:
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
 
 
-def _start_from_rest(x: FloatArray, sigma: float, spans: IntArray) -> np.ndarray:
-    """Which spans have readings of nothing on both sides, (k,)."""
+def _start_from_rest(x: FloatArray, sigma: float, spans: IntArray, max_rest_in_noise: float) -> BoolArray:
+    """Which spans have readings of zero, up to noise, on both sides, (k,)."""
     neighbours = np.maximum(np.abs(x[spans[:, 0] - 1]), np.abs(x[spans[:, 1] + 1]))
-    return np.asarray(neighbours <= REST * sigma)
+    return np.asarray(neighbours <= max_rest_in_noise * sigma)
 
 
-def _alike(x: FloatArray, sure: IntArray, doubtful: IntArray) -> IntArray:
-    """Those of the ``doubtful`` spans (k, 2) that are as high as the ``sure`` ones, and not more of them."""
-    if len(sure) < ENOUGH or len(doubtful) > len(sure):
+def _similar_bursts(x: FloatArray, certain: IntArray, doubtful: IntArray, options: SpikeOptions) -> IntArray:
+    """The ``doubtful`` spans (k, 2) that are as high as the ``certain`` ones; none where they are more."""
+    if len(certain) < options.min_certain or len(doubtful) > len(certain):
         return NO_SPANS
-    heights = [np.abs(x[spans[:, 0]] - x[spans[:, 0] - 1]) for spans in (sure, doubtful)]
-    return np.asarray(doubtful[heights[1] >= AS_HIGH * np.median(heights[0])])
+    heights = [np.abs(x[spans[:, 0]] - x[spans[:, 0] - 1]) for spans in (certain, doubtful)]
+    return np.asarray(doubtful[heights[1] >= options.min_relative_height * np.median(heights[0])])

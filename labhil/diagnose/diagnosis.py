@@ -30,12 +30,12 @@ from labhil.diagnose.intake import Fault, assess_usability
 from labhil.diagnose.joint_curves import sort_by_heldout_gain
 from labhil.diagnose.judge import COMBINED_ALPHA, Data, is_strongly_favoured
 from labhil.diagnose.load import explain_by_load
-from labhil.diagnose.minor import without_minor
+from labhil.diagnose.minor import drop_minor_terms
 from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
-from labhil.diagnose.timing import all_faults
+from labhil.diagnose.timing import detect_all_faults
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
@@ -84,7 +84,7 @@ def diagnose(
     terms = [term.key for term in terms_named(model, baseline)]
     data, base, ended_early = fit_baseline_and_noise(data, terms)
     record = data.search if measured is None else measured
-    faults = all_faults(model, record)
+    faults = detect_all_faults(model, record)
     refusal = _refuse_search(data, record, faults, ended_early)
     if refusal is not None:
         accept()  # the result is there, and stating it takes no time
@@ -164,7 +164,7 @@ def _refuse_search(
     data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
 ) -> tuple[str, str] | None:
     """Verdict and reason where the data cannot be searched; None where they can."""
-    if not assess_usability(measured, faults).fit:
+    if not assess_usability(measured, faults).is_usable:
         return "data_fault", "the data are at fault"
     if not _is_excited(data.search, data.sigma):
         return "not_decidable", "neither input nor output moves beyond the noise"
@@ -227,7 +227,7 @@ def _search(
             result = (
                 _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
             )
-        return without_minor(data, result)
+        return drop_minor_terms(data, result)
     except EndedEarly:
         accept()
         return replace(result, complete=False)

@@ -1,8 +1,11 @@
-"""What a fault of the data is, and how it is put into words."""
+"""A fault of the data as a value: its kind, where it is, the share of samples, and the message to people.
+
+The detectors are called in :mod:`labhil.diagnose.intake`; how much of a fault is tolerated stands here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -10,8 +13,8 @@ from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
 
-class Kind(StrEnum):
-    """What may be wrong with data."""
+class FaultKind(StrEnum):
+    """The kinds of fault that data may have."""
 
     NOT_FINITE = "not_finite"
     TIME_ORDER = "time_order"
@@ -30,17 +33,43 @@ class Kind(StrEnum):
     LEAD = "lead"
 
 
+TOLERATED_SHARE: Mapping[FaultKind, float] = {
+    FaultKind.NOT_FINITE: 0.0,
+    FaultKind.TIME_ORDER: 0.0,
+    FaultKind.GAP: 0.2,
+    FaultKind.STUCK: 0.01,
+    FaultKind.SATURATED: 0.5,
+    FaultKind.OUTLIER: 0.02,
+    FaultKind.ZERO_STEP: 0.0,
+    FaultKind.CLOCK_DRIFT: 0.0,
+    FaultKind.CLOCK_STEP: 0.0,
+    FaultKind.WRAPPED: 0.0,
+    FaultKind.LEAD: 0.0,
+    FaultKind.UNDERSAMPLED: 0.0,
+}
+"""Share of the samples up to which a fault is only reported. Kinds that are not listed are always tolerated.
+
+A reading at the end of a range is a one-sided bound on the true value and counts as one in residuals. Where
+more than half of a channel is clipped, not even its median is known.
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One fault of one channel (``channel`` "t" for the time itself).
+    """One fault of one channel.
 
-    ``times`` are spans (begin, end) in s of the record; ``share`` is the part of the samples that is
-    affected, for gaps that of the time which windows bridge; ``statement`` says what, where, when, how much
-    and what to do about it. Of several recordings ``recording`` is the one, in whose own time ``times`` are.
-    What is ``mended`` takes nothing from numbers that are calculated from the data.
+    Attributes:
+        kind: what is wrong.
+        channel: name of the channel, "t" for the time stamps themselves.
+        joint: number of the joint that the channel belongs to, None where it belongs to none.
+        times: spans (begin, end) in s of the recording.
+        share: share of the samples that are affected; for gaps the share of the time that windows bridge.
+        statement: message with what is wrong, where, when, how much, and what to do about it.
+        recording: number from 1 of the recording, in whose own time ``times`` are; None of a single one.
+        mended: whether the fault changes no number that is calculated from the data.
     """
 
-    kind: Kind
+    kind: FaultKind
     channel: str
     joint: int | None
     times: tuple[tuple[float, float], ...]
@@ -51,11 +80,18 @@ class Fault:
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """One column with what is known of it: its name, joint, values (n,) and noise.
+class RecordedChannel:
+    """One column of a recording with what is known of it.
 
-    ``drive`` (n, m) are the inputs that may move it at once; ``position`` says that it cannot jump,
-    ``rests`` that it may be silent at any value and leave it for a while: what drives it is not known.
+    Attributes:
+        name: name of the signal.
+        joint: number of its joint, None where it belongs to none.
+        values: readings (n,).
+        sigma: standard deviation of its noise, in its unit.
+        drive: inputs (n, m) that may move it from one sample to the next.
+        is_position: whether it is the position of a body, which cannot jump.
+        may_rest: whether it may stand still at any value and leave that for a while, since what drives it
+            is not recorded.
     """
 
     name: str
@@ -63,36 +99,56 @@ class Channel:
     values: FloatArray
     sigma: float
     drive: FloatArray
-    position: bool = False
-    rests: bool = False
+    is_position: bool = False
+    may_rest: bool = False
 
     @property
-    def called(self) -> str:
-        """How messages call it."""
+    def label(self) -> str:
+        """Name of the channel in messages."""
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
 
 
-def fault_of(
+def fault_in_spans(
     record: Record,
-    channel: Channel,
-    kind: Kind,
+    channel: RecordedChannel,
+    kind: FaultKind,
     spans: Sequence[tuple[int, int]],
     share: float,
     statement: str,
 ) -> Fault:
-    """A fault of a channel in some spans (first, last) of samples."""
+    """Return a fault of a channel whose place is given in samples.
+
+    Args:
+        record: the recording, for its time stamps.
+        channel: the channel that has the fault.
+        kind: what is wrong.
+        spans: first and last samples of each stretch.
+        share: share of the samples that are affected.
+        statement: message to people.
+
+    Returns:
+        The fault, with its spans in seconds.
+    """
     times = tuple((float(record.t[first]), float(record.t[last])) for first, last in spans)
     return Fault(kind, channel.name, channel.joint, times, share, statement)
 
 
-def when(record: Record, spans: Sequence[tuple[int, int]]) -> str:
-    """ " from 3.1 to 3.4 s", or how often and between which times."""
+def format_spans(record: Record, spans: Sequence[tuple[int, int]]) -> str:
+    """Return " at 3.1 s" or " from 3.1 to 3.4 s" of one span of samples, else their number and extent.
+
+    Args:
+        record: the recording, for its time stamps.
+        spans: first and last samples of each stretch, in order of time.
+
+    Returns:
+        A phrase for a message, with a space before it.
+    """
     first, last = record.t[spans[0][0]], record.t[spans[-1][1]]
     if len(spans) == 1:
         return f" at {first:.4g} s" if first == last else f" from {first:.4g} to {last:.4g} s"
     return f" {len(spans)} times between {first:.4g} and {last:.4g} s"
 
 
-def percent(share: float) -> str:
-    """A share as messages write it."""
+def format_percent(share: float) -> str:
+    """Return a share (0 to 1) in percent with two digits, as messages show it."""
     return f"{100 * share:.2g} %"

@@ -10,7 +10,12 @@ import numpy as np
 
 from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.conclude import Conclusion
-from labhil.diagnose.contrasts import between_parts, between_recordings, on_held_out, scale_factor
+from labhil.diagnose.contrasts import (
+    contrast_with_held_out,
+    contrasts_of_halves,
+    refit_on_held_out,
+    scale_factor,
+)
 from labhil.diagnose.discrepancy import AbsentEffects, absent_effects, discrepancy_shifts
 from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly
@@ -62,9 +67,11 @@ def _error_factor(fitted: Fitted, table: ParameterTable, held_out_fit: Fitted | 
     """Factor of a fit's errors by which parts of its data, and of held-out data if known, disagree."""
     if not _has_common_factor(fitted):
         return 1.0
-    contrasts = between_parts(fitted, table)
+    contrasts = contrasts_of_halves(fitted, table)
     return scale_factor(
-        contrasts if held_out_fit is None else [*contrasts, between_recordings(fitted, held_out_fit, table)]
+        contrasts
+        if held_out_fit is None
+        else [*contrasts, contrast_with_held_out(fitted, held_out_fit, table)]
     )
 
 
@@ -80,7 +87,7 @@ def refit_to_held_out(conclusion: Conclusion) -> Fitted | None:
     if conclusion.curves or not (conclusion.result.complete and _has_common_factor(conclusion.result.final)):
         return None
     try:
-        return on_held_out(conclusion.data, conclusion.result.final)
+        return refit_on_held_out(conclusion.data, conclusion.result.final)
     except EndedEarly:
         return None
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.diagnose.closed_forms import closed_form
+from labhil.diagnose.closed_forms import fit_closed_form
 from labhil.diagnose.curve import (
     Band,
     CurveFit,
@@ -291,7 +291,7 @@ def _force_curve(data: Data, final: Fitted, chosen: CurveFit, evidence: Evidence
         high=curve.value + curve.half_width,
         unit=unit,
         x_unit=coordinate.unit,
-        formula=closed_form(curve.x, curve.value, curve.covariance, curve.half_width),
+        formula=fit_closed_form(curve.x, curve.value, curve.covariance, curve.half_width),
         statement=_statement(chosen, curve, unit),
         evidence=evidence,
         curve_fit=chosen,

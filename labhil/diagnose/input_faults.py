@@ -1,67 +1,75 @@
-"""Faults of commands: samples that nobody can have intended.
+"""Outliers of commands: single samples that no operator or controller can have intended.
 
-A command may stand still, jump and be clipped as it likes. Faults are single samples that leave a smooth
-course, and values far outside of all other commands.
+A command may stand still, jump and be clipped. So only two patterns count: a single sample off a smooth
+course, and a single sample far outside the range of all others. Outliers of measured channels are in
+:mod:`labhil.diagnose.jumps`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from labhil.diagnose.hold import jumps_of_levels
-from labhil.diagnose.jumps import spikes
+from labhil.diagnose.hold import level_changes
+from labhil.diagnose.jumps import detect_spikes
 from labhil.signals import FloatArray, IntArray
 
-FAR_OUTSIDE = 5.0
-"""A lone sample is no command where it leaves the range of all others by this many times that range."""
 
-MOST_LONE = 0.01
-"""Of the samples: more of them are pulses, which somebody intended."""
+def detect_command_spikes(
+    u: FloatArray, *, max_share: float = 0.01, min_share_changing: float = 0.9
+) -> IntArray:
+    """Find single samples of a command that nobody can have intended.
 
-SMOOTH = 0.9
-"""Share of the changes of a smooth command that differ from zero."""
+    Args:
+        u: command (n,).
+        max_share: share of the samples above which outliers count as intended pulses.
+        min_share_changing: share of the changes from sample to sample that are not zero, from which a
+            command counts as smooth.
 
-USUAL = 0.98
-"""Quantile of a smooth command's changes that stands for them: a spike makes two, of spikes at most 2 %."""
-
-BEYOND_USUAL = 5.0
-"""A spike is so many times as large; a controller's kicks at a converter's steps come in all sizes below."""
-
-OF_RANGE = 0.2
-"""Share of the command's range that a spike has at least."""
-
-
-def spikes_of_commands(u: FloatArray) -> IntArray:
-    """Places of single samples of a command (n,) that nobody can have intended, (k,)."""
+    Returns:
+        Places of the outliers (k,), in order.
+    """
     change = np.diff(u)
     if len(u) < 40 or not np.any(change):
         return np.empty(0, dtype=np.int64)
-    places = [_far_outside(u)]
-    if np.mean(change != 0.0) >= SMOOTH and not len(jumps_of_levels(u)):
-        places.append(_off_course(u))
-    lone = np.unique(np.concatenate(places))
-    return lone if len(lone) <= MOST_LONE * len(u) else np.empty(0, dtype=np.int64)
+    places = [_far_outside_range(u, max_share)]
+    if np.mean(change != 0.0) >= min_share_changing and not len(level_changes(u)):
+        places.append(_off_smooth_course(u))
+    outliers = np.unique(np.concatenate(places))
+    return outliers if len(outliers) <= max_share * len(u) else np.empty(0, dtype=np.int64)
 
 
-def _off_course(u: FloatArray) -> IntArray:
-    """Single samples that leave a smooth course by more than it ever moves, (k,)."""
-    # no noise is known of a command: its changes are what a spike has to stand out of
-    places = spikes(u, 0.0, np.zeros((len(u), 1)))
+def _off_smooth_course(
+    u: FloatArray,
+    *,
+    change_quantile: float = 0.98,
+    min_height_in_changes: float = 5.0,
+    min_height_in_range: float = 0.2,
+) -> IntArray:
+    """Single samples (k,) that leave a smooth course by more than the command ever moves.
+
+    A spike makes two changes, so at most 2 % of the changes are of spikes. A controller's kicks at a
+    converter's steps have all heights below five times the usual change.
+    """
+    # no noise is known of a command: its changes are the scale that a spike exceeds
+    places = detect_spikes(u, 0.0, np.zeros((len(u), 1)))
     if not len(places):
         return places
-    least = max(BEYOND_USUAL * float(np.quantile(np.abs(np.diff(u)), USUAL)), OF_RANGE * float(np.ptp(u)))
+    usual_change = float(np.quantile(np.abs(np.diff(u)), change_quantile))
+    min_height = max(min_height_in_changes * usual_change, min_height_in_range * float(np.ptp(u)))
     height = np.minimum(np.abs(u[places] - u[places - 1]), np.abs(u[places + 1] - u[places]))
-    return np.asarray(places[height > least])
+    return np.asarray(places[height > min_height])
 
 
-def _far_outside(u: FloatArray) -> IntArray:
-    """Single samples far outside the range of all that are not of their kind, (k,)."""
-    few = max(1, int(MOST_LONE * len(u)))
+def _far_outside_range(
+    u: FloatArray, trimmed_share: float, *, min_distance_in_ranges: float = 5.0
+) -> IntArray:
+    """Single samples (k,) far outside the range of the others, ``trimmed_share`` cut off at both ends."""
+    n_trimmed = max(1, int(trimmed_share * len(u)))
     ordered = np.sort(u)
-    low, high = ordered[few], ordered[-few - 1]
+    low, high = ordered[n_trimmed], ordered[-n_trimmed - 1]
     if not high > low:
         return np.empty(0, dtype=np.int64)
-    reach = FAR_OUTSIDE * (high - low)
-    out = (u > high + reach) | (u < low - reach)
-    alone = out & ~np.r_[False, out[:-1]] & ~np.r_[out[1:], False]
-    return np.flatnonzero(alone).astype(np.int64)
+    margin = min_distance_in_ranges * (high - low)
+    is_out = (u > high + margin) | (u < low - margin)
+    is_isolated = is_out & ~np.r_[False, is_out[:-1]] & ~np.r_[is_out[1:], False]
+    return np.flatnonzero(is_isolated).astype(np.int64)

@@ -1,8 +1,10 @@
-"""Faults of the data, looked for before any physics is blamed.
+"""Checks of a recording before its physics is searched: faults of the data, and the samples that are sound.
 
-Every test is made for less than one false alarm in 10,000 clean recordings: where no probability can be
-stated (how fast may a body move?) it asks for what no body does. What a body may well do is no fault: a
-ball that rests, a plunger at its stop, a command that its limits clip.
+Each test aims at fewer than one false alarm in 10,000 clean recordings. Where no probability can be stated
+(how fast may a body move?) its limit is beyond what any body does. Normal behaviour is no fault: a ball that
+rests, a plunger at its stop, a command that its limits clip. The detectors are in ``bursts``, ``frozen``,
+``input_faults``, ``jumps``, ``lag``, ``lead`` and ``wraps`` beside this file; :mod:`labhil.diagnose.timing`
+adds the test that needs the rig's model.
 """
 
 from __future__ import annotations
@@ -12,109 +14,137 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.diagnose.bursts import NO_SPANS, at_ends, bursts, dropouts, within, without
-from labhil.diagnose.fault import Channel, Fault, Kind, fault_of, percent, when
-from labhil.diagnose.frozen import clipped_values, stuck_runs
-from labhil.diagnose.input_faults import spikes_of_commands
-from labhil.diagnose.jumps import spikes, zero_steps
-from labhil.diagnose.record_faults import clock_drifts, gaps, leads, no_excitation, not_finite, time_order
-from labhil.diagnose.wraps import Wraps, wraps_of
+from labhil.diagnose.bursts import (
+    NO_SPANS,
+    detect_bursts,
+    detect_bursts_at_ends,
+    detect_dropouts,
+    interpolate_over,
+    span_mask,
+)
+from labhil.diagnose.channel_faults import (
+    dropout_fault,
+    outlier_fault,
+    samples_in,
+    saturation_fault,
+    stuck_fault,
+    wrap_fault,
+    zero_step_fault,
+)
+from labhil.diagnose.fault import TOLERATED_SHARE, Fault, FaultKind, RecordedChannel
+from labhil.diagnose.frozen import detect_clipping_levels, detect_stuck_runs
+from labhil.diagnose.input_faults import detect_command_spikes
+from labhil.diagnose.jumps import detect_spikes, detect_zero_steps
+from labhil.diagnose.record_faults import (
+    clock_drift_faults,
+    excitation_faults,
+    gap_faults,
+    lead_faults,
+    non_finite_faults,
+    time_order_faults,
+)
+from labhil.diagnose.wraps import detect_wraps
 from labhil.identify.quantiser import converter_step
 from labhil.identify.windows import noise_of
 from labhil.physics.measured_input import MEASURED_INPUTS
 from labhil.physics.model import UNREAD, Record
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import BoolArray, FloatArray, IntArray
 
-TOLERATED = {
-    Kind.NOT_FINITE: 0.0,
-    Kind.TIME_ORDER: 0.0,
-    Kind.GAP: 0.2,
-    Kind.STUCK: 0.01,
-    Kind.SATURATED: 0.5,
-    Kind.OUTLIER: 0.02,
-    Kind.ZERO_STEP: 0.0,
-    Kind.CLOCK_DRIFT: 0.0,
-    Kind.CLOCK_STEP: 0.0,
-    Kind.WRAPPED: 0.0,
-    Kind.LEAD: 0.0,
-    Kind.UNDERSAMPLED: 0.0,
-}
-"""Shares up to which a fault is only reported; what is not listed never makes data unfit by itself.
-
-Readings at the end of a range still say "at least this", and count as that in residuals; where they are more
-than half of a channel, not even its median is known.
-"""
-
-WHOLE = (Kind.GAP, Kind.NO_EXCITATION, Kind.UNDERSAMPLED)
-"""Faults of no single samples."""
-
-UNMARKED = 0.01
-"""The same of readings at the end of a range that are not marked as censored: they count as readings."""
-
-LITTLE_DRIVEN = 0.1
-"""Share of the largest input up to which a plant is as good as not driven."""
-
-FEWEST_AGAINST = 20
-"""Samples that are driven the other way, from which a reading of zero is no rest."""
+NOT_OF_SAMPLES = (FaultKind.GAP, FaultKind.NO_EXCITATION, FaultKind.UNDERSAMPLED)
+"""Kinds of fault that make no single samples unsound."""
 
 
 @dataclass(frozen=True, slots=True)
-class Usable:
-    """What faults leave: whether the record is ``fit`` for a verdict, and which samples (n,) are sound."""
+class Usability:
+    """What faults leave of a recording.
 
-    fit: bool
-    sound: np.ndarray
+    Attributes:
+        is_usable: whether the data are sound enough for a verdict.
+        sound: marks (n,) of the samples that no fault affects.
+    """
+
+    is_usable: bool
+    sound: BoolArray
 
 
-def faults_of(record: Record) -> tuple[Fault, ...]:
-    """All faults of a record that was measured; those of several recordings each by itself."""
+def detect_faults(record: Record) -> tuple[Fault, ...]:
+    """Find all faults that a measured record shows by itself, each of its recordings by itself.
+
+    Args:
+        record: one or several recordings as they were measured. The filters of ``Model.prepare`` hide faults.
+
+    Returns:
+        The faults, with the number of the recording where there are several.
+    """
     if len(record.begins) == 1:
-        return faults(record, noise_of(record))
+        return detect_recording_faults(record, noise_of(record))
     return tuple(
         replace(fault, recording=number, statement=f"Recording {number}: {fault.statement}")
         for number, recording in enumerate(record.recordings(), 1)
-        for fault in faults(recording, noise_of(recording))
+        for fault in detect_recording_faults(recording, noise_of(recording))
     )
 
 
-def faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
-    """All faults that one recording shows; ``sigma`` (channels,) is the noise of its outputs.
+def detect_recording_faults(record: Record, sigma: FloatArray) -> tuple[Fault, ...]:
+    """Find all faults that one recording shows.
 
-    Give the record as it was measured, not ``Model.prepare``d: a filter hides these faults.
+    Args:
+        record: the recording as it was measured. The filters of ``Model.prepare`` hide faults.
+        sigma: standard deviation of the noise of each output, (channels,).
+
+    Returns:
+        The faults. Where samples are not finite, only those and the faults of the time stamps.
     """
     if len(record) < 2:
         return ()
-    detected = [*_of_stamps(record), *time_order(record), *gaps(record)]
-    broken = not_finite(record)
-    if broken:
-        return (*detected, *broken)
+    faults = [*_clock_faults(record), *time_order_faults(record), *gap_faults(record)]
+    non_finite = non_finite_faults(record)
+    if non_finite:
+        return (*faults, *non_finite)
     for channel in _measured_channels(record, sigma):
-        detected += _of_channel(record, channel)
-    detected += _of_commands(record)
-    return (*detected, *leads(record), *clock_drifts(record), *no_excitation(with_censored(record), sigma))
+        faults += _channel_faults(record, channel)
+    faults += _command_faults(record)
+    return (
+        *faults,
+        *lead_faults(record),
+        *clock_drift_faults(record),
+        *excitation_faults(mark_censored(record), sigma),
+    )
 
 
-def with_censored(record: Record) -> Record:
-    """Mark the readings of a record that stand at an end of their channel's range while the rig moves on.
+def mark_censored(record: Record) -> Record:
+    """Mark the readings that stand at an end of their channel's range while the rig moves on.
 
-    What is marked counts one-sidedly in residuals. The same record where there are none.
+    Marked readings count one-sidedly in residuals.
+
+    Args:
+        record: one or several recordings.
+
+    Returns:
+        The record with its marks ``censored`` set; the same object where there is nothing to mark.
     """
     if not len(record) or not np.isfinite(record.outputs).all():
         return record
     marks = np.zeros(record.outputs.shape, dtype=np.int64)
     for recording, span in zip(record.recordings(), record.spans, strict=True):
         for j, x in enumerate(recording.outputs.T):
-            for limit in _ends_of_range(recording, x, recording.inputs):
+            for limit in _range_limits(x, recording.inputs):
                 side = 1 if limit == x.max() else -1
                 marks[slice(*span), j][x == limit] = side
     return replace(record, censored=marks) if marks.any() else record
 
 
-def without_spikes(record: Record) -> Record:
-    """A record with a line between both neighbours in the place of each spike, burst or dropout of an output.
+def replace_outliers(record: Record) -> Record:
+    """Replace spikes, bursts and dropouts of outputs by a line between the readings on either side.
 
-    They are marked as unread, so that they leave no residuals. Where there are too many of them the record
-    stays as it was measured.
+    Replaced readings are marked as unread, so that they leave no residuals.
+
+    Args:
+        record: one or several recordings.
+
+    Returns:
+        The record without these readings. A channel with more of them than is tolerated stays as it was
+        measured; the same object where nothing is replaced.
     """
     if not len(record) or not np.isfinite(record.outputs).all():
         return record
@@ -124,223 +154,175 @@ def without_spikes(record: Record) -> Record:
         sigma = noise_of(recording) if len(recording) > 3 else np.zeros(outputs.shape[1])
         for j, channel in enumerate(_output_channels(recording, sigma)):
             for kind, wrong in _wrong_readings(channel):
-                if _samples_in(wrong) <= TOLERATED[kind] * len(recording):
-                    outputs[slice(*span), j] = without(outputs[slice(*span), j], wrong)
-                    marks[slice(*span), j][within(wrong, len(recording))] = UNREAD
+                if samples_in(wrong) <= TOLERATED_SHARE[kind] * len(recording):
+                    outputs[slice(*span), j] = interpolate_over(outputs[slice(*span), j], wrong)
+                    marks[slice(*span), j][span_mask(wrong, len(recording))] = UNREAD
     return replace(record, outputs=outputs, censored=marks) if np.any(marks == UNREAD) else record
 
 
-def assess_usability(record: Record, detected: Sequence[Fault]) -> Usable:
-    """Which samples of a record are sound, and whether enough of them are.
+def assess_usability(
+    record: Record, faults: Sequence[Fault], *, max_share_clipped_unmarked: float = 0.01
+) -> Usability:
+    """Decide which samples of a record are sound, and whether they suffice for a verdict.
 
-    A record is not fit when some fault affects more than is tolerated of its kind: then the verdict is
-    ``data_fault``. Other faults are only reported.
+    A record is not usable when some fault affects a larger share than ``TOLERATED_SHARE`` allows for its
+    kind. Other faults are only reported.
+
+    Args:
+        record: one or several recordings.
+        faults: their faults.
+        max_share_clipped_unmarked: share of clipped readings up to which a record is usable that has no
+            marks of them: there they count as true readings.
+
+    Returns:
+        Whether the record is usable, and its sound samples.
     """
     sound = np.ones(len(record), dtype=bool)
     for number, (recording, span) in enumerate(zip(record.recordings(), record.spans, strict=True), 1):
-        for fault in (f for f in detected if f.recording in (None, number)):
-            for begin, end in fault.times if fault.kind not in WHOLE else ():
+        for fault in (f for f in faults if f.recording in (None, number)):
+            for begin, end in fault.times if fault.kind not in NOT_OF_SAMPLES else ():
                 sound[slice(*span)] &= (recording.t < begin) | (recording.t > end)
-    tolerated = TOLERATED if record.censored is not None else {**TOLERATED, Kind.SATURATED: UNMARKED}
-    fit = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in detected)
-    return Usable(fit, sound)
+    tolerated = (
+        TOLERATED_SHARE
+        if record.censored is not None
+        else {**TOLERATED_SHARE, FaultKind.SATURATED: max_share_clipped_unmarked}
+    )
+    is_usable = all(fault.share <= tolerated.get(fault.kind, 1.0) for fault in faults)
+    return Usability(is_usable, sound)
 
 
-def _measured_channels(record: Record, sigma: FloatArray) -> list[Channel]:
-    """Outputs, the other channels, and the inputs where they are measured too (those of an arm's joints)."""
+def _measured_channels(record: Record, sigma: FloatArray) -> list[RecordedChannel]:
+    """Outputs, auxiliary channels, and the inputs that are measured too (those of an arm's joints)."""
     channels = _output_channels(record, sigma)
     auxiliary = {name: x for name, x in record.auxiliary.items() if not _is_planned(name)}
     channels += [
-        Channel(name, None, x, _noise(x), record.inputs, rests=True) for name, x in auxiliary.items()
+        RecordedChannel(name, None, x, _noise(x), record.inputs, may_rest=True)
+        for name, x in auxiliary.items()
     ]
-    arm = bool(record.output_joints and record.output_joints[0] is not None)
+    is_arm = bool(record.output_joints and record.output_joints[0] is not None)
     channels += [
-        Channel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), rests=True)
+        RecordedChannel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), may_rest=True)
         for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
-        if (arm and not _is_planned(name)) or name in MEASURED_INPUTS
+        if (is_arm and not _is_planned(name)) or name in MEASURED_INPUTS
     ]
     return channels
 
 
-def _output_channels(record: Record, sigma: FloatArray) -> list[Channel]:
+def _output_channels(record: Record, sigma: FloatArray) -> list[RecordedChannel]:
+    """The outputs of a recording with their noise."""
     return [
-        Channel(*record.channel(j), x, float(sigma[j]), record.inputs, record.output_units[j] in ("m", "rad"))
+        RecordedChannel(
+            *record.channel(j), x, float(sigma[j]), record.inputs, record.output_units[j] in ("m", "rad")
+        )
         for j, x in enumerate(record.outputs.T)
     ]
 
 
 def _is_planned(name: str) -> bool:
-    """Whether a channel holds the plan of a controller, which may stand still and jump as it likes."""
+    """Whether a channel holds the plan of a controller, which may stand still and jump freely."""
     return name.startswith("target_") or name.endswith("_command")
 
 
 def _noise(x: FloatArray) -> float:
+    """Standard deviation of the noise of one channel (n,); zero where it is too short to estimate."""
     single = Record(np.arange(len(x), dtype=np.float64), x[:, None], x[:, None], ("",), ("",), ("",))
     return float(noise_of(single)[0]) if len(x) > 3 else 0.0
 
 
-def _wrong_readings(channel: Channel) -> tuple[tuple[Kind, IntArray], tuple[Kind, IntArray]]:
-    """First and last samples (k, 2) of spikes and bursts of a channel that does not wrap, and of dropouts."""
-    x = channel.values
+def _wrong_readings(
+    channel: RecordedChannel,
+) -> tuple[tuple[FaultKind, IntArray], tuple[FaultKind, IntArray]]:
+    """First and last samples (k, 2) of spikes and bursts, and of dropouts; the channel may not wrap."""
+    x, is_rate = channel.values, not channel.is_position
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
-    lone = spikes(x, sigma, channel.drive, any_jump=channel.rests)
-    single = np.column_stack([lone, lone])
-    if channel.rests:
+    places = detect_spikes(x, sigma, channel.drive, any_jump=channel.may_rest)
+    spikes = np.column_stack([places, places])
+    if channel.may_rest:
         # a pulse may be intended, an amplifier may have been off, joints of an arm jolt each other
-        return (Kind.OUTLIER, single), (Kind.STUCK, NO_SPANS)
-    few = bursts(without(x, single), sigma, channel.drive, rate=not channel.position)
-    both = np.concatenate([single, few])
-    both = np.concatenate([both, at_ends(without(x, both), sigma, channel.drive)])
-    both = both[np.argsort(both[:, 0])]
-    away = dropouts(without(x, both), sigma, channel.drive, rate=not channel.position)
-    return (Kind.OUTLIER, both), (Kind.STUCK, np.column_stack([away.first, away.last - 1]))
+        return (FaultKind.OUTLIER, spikes), (FaultKind.STUCK, NO_SPANS)
+    bursts = detect_bursts(interpolate_over(x, spikes), sigma, channel.drive, is_rate=is_rate)
+    outliers = np.concatenate([spikes, bursts])
+    at_ends = detect_bursts_at_ends(interpolate_over(x, outliers), sigma, channel.drive)
+    outliers = np.concatenate([outliers, at_ends])
+    outliers = outliers[np.argsort(outliers[:, 0])]
+    runs = detect_dropouts(interpolate_over(x, outliers), sigma, channel.drive, is_rate=is_rate)
+    dropouts = np.column_stack([runs.start, runs.stop - 1])
+    return (FaultKind.OUTLIER, outliers), (FaultKind.STUCK, dropouts)
 
 
-def _samples_in(spans: IntArray) -> int:
-    return int(np.sum(spans[:, 1] - spans[:, 0] + 1))
-
-
-def _of_channel(record: Record, channel: Channel) -> list[Fault]:
-    """Stuck, saturated, spikes and steps of one channel."""
-    drive, wraps = channel.drive, wraps_of(channel.values) if channel.position else None
-    detected = [] if wraps is None else [wrap_fault(record, channel.name, channel.joint, wraps)]
+def _channel_faults(record: Record, channel: RecordedChannel) -> list[Fault]:
+    """Wraps, clipping, stuck readings, dropouts, outliers and zero steps of one channel."""
+    drive, wraps = channel.drive, detect_wraps(channel.values) if channel.is_position else None
+    faults = [] if wraps is None else [wrap_fault(record, channel, wraps)]
     x = channel.values if wraps is None else np.unwrap(channel.values, period=wraps.period)
     sigma = max(channel.sigma, converter_step(x) / np.sqrt(12.0))
-    (_, wrong), (_, away) = _wrong_readings(replace(channel, values=x))
-    calm = without(without(x, wrong), away)
-    limits = _ends_of_range(record, calm, drive)
-    detected += [_saturation_fault(record, channel, limit) for limit in limits]
-    runs = stuck_runs(calm, drive, rests=channel.rests)
-    runs = runs.select(~np.isin(calm[runs.first], limits))
-    if len(runs.first):
-        detected.append(_stuck_fault(record, channel, list(zip(runs.first, runs.last - 1, strict=True))))
-    if len(away):
-        detected.append(_dropout_fault(record, channel, away))
-    if len(wrong):
-        detected.append(_outlier_fault(record, channel, wrong))
-    if channel.position:
-        # what was stuck jumps when it comes loose
-        steps = np.setdiff1d(zero_steps(calm, sigma, drive), runs.last)
-        detected += [_zero_step_fault(record, channel, int(i)) for i in steps]
-    return detected
+    (_, outliers), (_, dropouts) = _wrong_readings(replace(channel, values=x))
+    cleaned = interpolate_over(interpolate_over(x, outliers), dropouts)
+    limits = _range_limits(cleaned, drive)
+    faults += [saturation_fault(record, channel, limit) for limit in limits]
+    runs = detect_stuck_runs(cleaned, drive, may_rest=channel.may_rest)
+    runs = runs.select(~np.isin(cleaned[runs.start], limits))
+    if len(runs.start):
+        faults.append(stuck_fault(record, channel, list(zip(runs.start, runs.stop - 1, strict=True))))
+    if len(dropouts):
+        faults.append(dropout_fault(record, channel, dropouts))
+    if len(outliers):
+        faults.append(outlier_fault(record, channel, outliers))
+    if channel.is_position:
+        # a channel that was stuck jumps when it comes loose
+        steps = np.setdiff1d(detect_zero_steps(cleaned, sigma, drive), runs.stop)
+        faults += [zero_step_fault(record, channel, int(i)) for i in steps]
+    return faults
 
 
-def _of_commands(record: Record) -> list[Fault]:
-    """Spikes of inputs that are commands, which may stand still, jump and be clipped."""
+def _command_faults(record: Record) -> list[Fault]:
+    """Outliers of the inputs that are commands; these may stand still, jump and be clipped."""
     measured = {channel.name for channel in _measured_channels(record, np.zeros(record.outputs.shape[1]))}
-    detected = []
+    faults = []
     for name, u in zip(record.input_names, record.inputs.T, strict=True):
-        places = spikes_of_commands(u) if name not in measured else np.empty(0, dtype=np.int64)
+        places = detect_command_spikes(u) if name not in measured else np.empty(0, dtype=np.int64)
         if len(places):
-            spans = np.column_stack([places, places])
-            detected.append(_outlier_fault(record, Channel(name, None, u, _noise(u), record.inputs), spans))
-    return detected
+            channel = RecordedChannel(name, None, u, _noise(u), record.inputs)
+            faults.append(outlier_fault(record, channel, np.column_stack([places, places])))
+    return faults
 
 
-def _ends_of_range(record: Record, x: FloatArray, drive: FloatArray) -> list[float]:
-    """Values at which a channel (n,) is clipped; a rig that rests there is no fault."""
-    return [limit for limit in clipped_values(x) if not _rests_at(x, limit, drive)]
+def _range_limits(x: FloatArray, drive: FloatArray) -> list[float]:
+    """Values at which a channel (n,) is clipped, without those at which the rig rests."""
+    return [limit for limit in detect_clipping_levels(x) if not _rests_at(x, limit, drive)]
 
 
-def _rests_at(x: FloatArray, value: float, drive: FloatArray) -> bool:
-    """Whether a rig stands still where its channel (n,) reads ``value``, and so reads no noise.
+def _rests_at(
+    x: FloatArray,
+    value: float,
+    drive: FloatArray,
+    *,
+    max_share_of_drive: float = 0.1,
+    min_samples_reversed: int = 20,
+) -> bool:
+    """Whether the rig rests while its channel (n,) reads ``value``, so that the reading shows no noise.
 
-    It does where nothing drives it. A rate of exactly zero is rest too, as dry friction has it; but a sensor
-    that knows one direction only reads zero as well, while the rig is driven the other way as hard as when it
-    moves.
+    It rests where no input exceeds ``max_share_of_drive`` of its maximum. It may also rest, by dry friction,
+    at a rate of exactly zero; but a sensor that measures one direction only reads zero, too, during at least
+    ``min_samples_reversed`` samples in which the rig is driven the other way as hard as when it moves.
     """
-    at = x == value
+    at_value = x == value
     size = np.abs(drive)
-    if bool(np.all(np.quantile(size[at], 0.95, axis=0) <= LITTLE_DRIVEN * size.max(axis=0))):
+    if bool(np.all(np.quantile(size[at_value], 0.95, axis=0) <= max_share_of_drive * size.max(axis=0))):
         return True
-    if value != 0.0 or at.all():
+    if value != 0.0 or at_value.all():
         return False
-    usual = np.median(drive[~at], axis=0)
-    against = -drive[at] * np.sign(usual)
-    return not bool(np.any((np.sum(against > np.abs(usual), axis=0) >= FEWEST_AGAINST) & (usual != 0.0)))
+    usual = np.median(drive[~at_value], axis=0)
+    reversed_drive = -drive[at_value] * np.sign(usual)
+    n_reversed = np.sum(reversed_drive > np.abs(usual), axis=0)
+    return not bool(np.any((n_reversed >= min_samples_reversed) & (usual != 0.0)))
 
 
-def _saturation_fault(record: Record, channel: Channel, limit: float) -> Fault:
-    at = channel.values == limit
-    edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8)))
-    spans = list(zip(edges[::2], edges[1::2] - 1, strict=True))
-    share = float(at.mean())
-    # with_censored marks those of outputs, but not of an arm's
-    counts = channel.name in record.output_names and channel.joint is None
-    counted = ", and count as that" if counts else ""
-    fault = fault_of(
-        record, channel, Kind.SATURATED, spans, share,
-        f"{channel.called} is clipped at {limit:.6g}: {at.sum()} samples ({percent(share)}) read exactly "
-        f"this value{when(record, spans)}, although its noise should scatter them. They say only that it was "
-        f"there or beyond{counted}. Check the sensor's and the converter's range, or excite less.",
-    )  # fmt: skip
-    return replace(fault, mended=counts and share <= TOLERATED[Kind.SATURATED])
-
-
-def _stuck_fault(record: Record, channel: Channel, spans: Sequence[tuple[int, int]]) -> Fault:
-    longest = max(spans, key=lambda span: span[1] - span[0])
-    share = sum(last - first + 1 for first, last in spans) / len(record)
-    value = channel.values[longest[0]]
-    return fault_of(
-        record, channel, Kind.STUCK, spans, share,
-        f"{channel.called} is stuck{when(record, spans)} ({percent(share)} of the samples), the longest "
-        f"time at {value:.6g} for {record.t[longest[1]] - record.t[longest[0]]:.3g} s, longer than rest or "
-        "rounding explains. Check cable, sensor and converter; cut these times out or record again.",
-    )  # fmt: skip
-
-
-def _dropout_fault(record: Record, channel: Channel, places: IntArray) -> Fault:
-    """Readings that jump to one value, stay there and jump back, in spans of samples (k, 2)."""
-    spans = [(int(first), int(last)) for first, last in places]
-    longest = max(spans, key=lambda span: span[1] - span[0])
-    share = _samples_in(places) / len(record)
-    mended = channel.name in record.output_names and share <= TOLERATED[Kind.STUCK]
-    advice = "these readings do not count" if mended else "cut these times out or record again"
-    fault = fault_of(
-        record, channel, Kind.STUCK, spans, share,
-        f"{channel.called} drops out to {channel.values[longest[0]]:.6g}{when(record, spans)} "
-        f"({percent(share)} of the samples), the longest time for {longest[1] - longest[0] + 1} samples, and "
-        f"comes back at once: nothing that moves does. Check cable, sensor and converter; {advice}.",
-    )  # fmt: skip
-    return replace(fault, mended=mended)
-
-
-def _outlier_fault(record: Record, channel: Channel, places: IntArray) -> Fault:
-    """Spikes and bursts, of which ``places`` (k, 2) are the first and last samples."""
-    x, count = channel.values, len(places)
-    off = np.abs(x - without(x, places))
-    worst = int(np.argmax(off))
-    share = _samples_in(places) / len(record)
-    widest = int(np.max(places[:, 1] - places[:, 0])) + 1
-    what = "single spike" if widest == 1 else f"spike{'s' if count > 1 else ''} of up to {widest} sample"
-    plural = "s" if count > 1 or widest > 1 else ""
-    mended = channel.name in record.output_names and share <= TOLERATED[Kind.OUTLIER]
-    advice = "they do not count" if mended else "leave these samples out"
-    fault = fault_of(
-        record, channel, Kind.OUTLIER, [(int(a), int(b)) for a, b in places], share,
-        f"{channel.called} has {count} {what}{plural} ({percent(share)} "
-        f"of the samples), the largest of {off[worst]:.4g} at {record.t[worst]:.4g} s, "
-        f"{off[worst] / max(channel.sigma, 1e-300):.0f} times the noise. Look for loose contacts and "
-        f"disturbed transmission; {advice}.",
-    )  # fmt: skip
-    return replace(fault, mended=mended)
-
-
-def _zero_step_fault(record: Record, channel: Channel, place: int) -> Fault:
-    height = channel.values[place] - channel.values[place - 1]
-    share = min(place, len(record) - place) / len(record)
-    return fault_of(
-        record, channel, Kind.ZERO_STEP, [(place - 1, place)], share,
-        f"{channel.called} jumps by {height:+.4g} from one sample to the next at {record.t[place]:.4g} s and "
-        "stays there: no body does, so the sensor slipped or its zero was set anew. Use one side of it only.",
-    )  # fmt: skip
-
-
-def _of_stamps(record: Record) -> list[Fault]:
-    """Faults of the clocks. A fault that does not bend the time of analysis is only reported."""
+def _clock_faults(record: Record) -> list[Fault]:
+    """Faults of the clocks. Those that leave the time of analysis as it is are only reported."""
     return [
         Fault(
-            kind=Kind(fault.kind.value),
+            kind=FaultKind(fault.kind.value),
             channel="t",
             joint=None,
             times=(),
@@ -348,36 +330,22 @@ def _of_stamps(record: Record) -> list[Fault]:
             statement=fault.statement[0].upper() + fault.statement[1:],
         )
         for fault in record.begins[0].clock_faults
-        if not fault.times or _any_inside(record, fault.times)
+        if not fault.times or _is_any_inside(record, fault.times)
     ]
 
 
-def _any_inside(record: Record, times: Sequence[float]) -> bool:
-    """Whether one of the steps, of which ``times`` are the first samples after them, has both sides here."""
+def _is_any_inside(record: Record, times: Sequence[float]) -> bool:
+    """Whether a clock step is inside the record; ``times`` are the first samples (s) behind each step."""
     return any(record.t[0] < t <= record.t[-1] for t in times)
 
 
-def wrap_fault(record: Record, name: str, joint: int | None, wraps: Wraps) -> Fault:
-    """A position that begins anew, with the key that undoes it."""
-    times = tuple((float(record.t[i - 1]), float(record.t[i])) for i in wraps.places)
-    where = name if joint is None else f"{name} of joint {joint}"
-    count = len(wraps.places)
-    say = (
-        f"{where} begins anew {count} time{'s' if count > 1 else ''}, by steps of {wraps.period:.7g}, first "
-        f"at {times[0][1]:.4g} s: an encoder that wraps. Import the table again with "
-        f"`[channels] {name} = {{ …, unwrap = {wraps.period:.7g} }}`."
-    )
-    return Fault(Kind.WRAPPED, name, joint, times, count / len(record), say)
-
-
 __all__ = [
-    "TOLERATED",
     "Fault",
-    "Kind",
-    "Usable",
+    "FaultKind",
+    "Usability",
     "assess_usability",
-    "faults",
-    "faults_of",
-    "with_censored",
-    "without_spikes",
+    "detect_faults",
+    "detect_recording_faults",
+    "mark_censored",
+    "replace_outliers",
 ]

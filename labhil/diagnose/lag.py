@@ -1,7 +1,8 @@
-"""Clocks that part: a rate channel against the derivative of its own position, piece by piece.
+"""Clock drift between a rate channel and the derivative of its own position.
 
 Only where a recording holds both does a shift in time between channels differ from physics. If the rate
-channel lags by τ, then dx/dt − v = τ·dv/dt.
+channel lags by τ, then dx/dt − v = τ·dv/dt. The lag τ is estimated piece by piece, and a line through the
+pieces is tested for a slope.
 """
 
 from __future__ import annotations
@@ -15,20 +16,21 @@ from scipy import stats
 from labhil.physics.model import Record
 from labhil.signals import FloatArray
 
-PAIRS: Mapping[str, str] = {"position": "velocity", "angle": "speed", "actual_q": "actual_qd"}
-"""Positions and their rates, by signal name; a joint's number is carried along."""
-
-PIECES = 12
-CHANCE = 1e-6
-"""p value under which the clocks part: the lag's errors are estimated from few pieces."""
-
-NOTABLE = 0.5
-"""Sample periods by which the lag must change over a recording to be worth saying."""
+RATE_OF_POSITION: Mapping[str, str] = {"position": "velocity", "angle": "speed", "actual_q": "actual_qd"}
+"""Name of the rate that belongs to each position; a joint's number follows both names."""
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
-    """How a rate channel's lag behind its position changes: from ``before`` to ``after`` (s)."""
+class LagChange:
+    """How the lag of a rate channel behind its position changes within a recording.
+
+    Attributes:
+        position: name of the position.
+        rate: name of its rate.
+        before: lag at the beginning in s.
+        after: lag at the end in s.
+        p_value: p value of a constant lag.
+    """
 
     position: str
     rate: str
@@ -37,55 +39,73 @@ class Parting:
     p_value: float
 
 
-def partings(record: Record) -> tuple[Parting, ...]:
-    """Pairs of position and rate whose lag drifts or steps within a record."""
-    results = [_parting(record, *pair) for pair in _pairs(record)]
-    return tuple(parting for parting in results if parting is not None)
+def detect_lag_changes(record: Record) -> tuple[LagChange, ...]:
+    """Find pairs of a position and its rate whose lag drifts or steps within a recording.
+
+    Args:
+        record: the recording; inputs, outputs and auxiliary channels may form pairs.
+
+    Returns:
+        One entry for each pair whose lag changes.
+    """
+    changes = [_lag_change(record, *pair) for pair in _position_rate_pairs(record)]
+    return tuple(change for change in changes if change is not None)
 
 
 def _columns(record: Record) -> dict[str, FloatArray]:
-    named = dict(zip(record.input_names, record.inputs.T, strict=True))
-    named.update(zip(record.output_names, record.outputs.T, strict=True))
-    return {**named, **record.auxiliary}
+    """All channels of a recording by name."""
+    columns = dict(zip(record.input_names, record.inputs.T, strict=True))
+    columns.update(zip(record.output_names, record.outputs.T, strict=True))
+    return {**columns, **record.auxiliary}
 
 
-def _pairs(record: Record) -> list[tuple[str, str]]:
+def _position_rate_pairs(record: Record) -> list[tuple[str, str]]:
+    """Names of the positions that are recorded together with their rates."""
     columns = _columns(record)
     pairs = []
     for name in columns:
         stem, _, joint = name.rpartition("_")
-        for position, rate in PAIRS.items():
+        for position, rate in RATE_OF_POSITION.items():
             partner = rate if name == position else f"{rate}_{joint}" if stem == position else None
             if partner in columns:
                 pairs.append((name, str(partner)))
     return pairs
 
 
-def _parting(record: Record, position: str, rate: str) -> Parting | None:
+def _lag_change(
+    record: Record,
+    position: str,
+    rate: str,
+    *,
+    n_pieces: int = 12,
+    alpha: float = 1e-6,
+    min_change_in_periods: float = 0.5,
+) -> LagChange | None:
+    """The change of a rate's lag; None where it is not significant or below half a sample period.
+
+    ``alpha`` is small because the errors of the lag are themselves estimated from few pieces.
+    """
     columns = _columns(record)
     x, v, t = columns[position], columns[rate], record.t
-    if len(t) < 50 * PIECES or np.ptp(v) == 0.0 or np.any(np.diff(t) <= 0.0):
+    if len(t) < 50 * n_pieces or np.ptp(v) == 0.0 or np.any(np.diff(t) <= 0.0):
         return None
-    behind, change = np.gradient(x, t) - v, np.gradient(v, t)
-    pieces = [_lag(behind[part], change[part]) for part in np.array_split(np.arange(len(t)), PIECES)]
+    mismatch, change = np.gradient(x, t) - v, np.gradient(v, t)
+    pieces = [_lag(mismatch[part], change[part]) for part in np.array_split(np.arange(len(t)), n_pieces)]
     lags = np.array([lag for lag in pieces if lag is not None])
-    if len(lags) < PIECES - 3:
+    if len(lags) < n_pieces - 3:
         return None
     line = stats.linregress(np.arange(len(lags)), lags)
     before, after = (float(line.intercept + line.slope * k) for k in (0, len(lags) - 1))
-    if line.pvalue > CHANCE or abs(after - before) < NOTABLE * record.period:
+    if line.pvalue > alpha or abs(after - before) < min_change_in_periods * record.period:
         return None
-    return Parting(position, rate, before, after, float(line.pvalue))
+    return LagChange(position, rate, before, after, float(line.pvalue))
 
 
-def _lag(behind: FloatArray, change: FloatArray) -> float | None:
-    """Lag (s) in one piece; None where the rate hardly changes."""
+def _lag(mismatch: FloatArray, change: FloatArray) -> float | None:
+    """Lag τ (s) of one piece from dx/dt − v = τ·dv/dt by least squares; None where the rate is constant."""
     change = change - change.mean()
     power = float(change @ change)
-    centred = behind - behind.mean()
+    centred = mismatch - mismatch.mean()
     if power <= 0.0:
         return None
     return float(change @ centred) / power
-
-
-__all__ = ["Parting", "partings"]

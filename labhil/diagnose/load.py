@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import Evidence, best_heldout_gain, bic, effective_samples, search_p_value
 from labhil.diagnose.judge import Data, is_supported
-from labhil.diagnose.minor import without_minor
+from labhil.diagnose.minor import drop_minor_terms
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
@@ -78,7 +78,7 @@ def explain_by_load(data: Data, result: SearchResult, accepted: Accepted | None)
     load = find_load(model, result.final, accepted)
     if load is None:
         return result
-    loaded = without_minor(data, _state_load(data, model, result, load, accepted))
+    loaded = drop_minor_terms(data, _state_load(data, model, result, load, accepted))
     return _refine_load(data, model, result, loaded, accepted)
 
 

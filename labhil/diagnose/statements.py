@@ -18,7 +18,7 @@ from labhil.diagnose.collapsed import COMPLETE_FIT_NOISE
 from labhil.diagnose.conclude import DOUBTFUL_EXCESS
 from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.minor import LEAST_SHARE
+from labhil.diagnose.minor import MIN_EXPLAINED_SHARE
 from labhil.diagnose.search_result import Rival, SearchResult, Step
 from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
@@ -163,7 +163,7 @@ def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, 
 
 def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
     """Entries of terms that explain no more than an imperfect law of a larger effect leaves."""
-    share = f"{100.0 * LEAST_SHARE:.0f} %"
+    share = f"{100.0 * MIN_EXPLAINED_SHARE:.0f} %"
     reason = (
         f"below the noise and {share} of the mismatch, as what an imperfect law of a larger effect leaves"
     )

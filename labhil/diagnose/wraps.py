@@ -1,11 +1,12 @@
-"""Positions that begin anew: an encoder that counts a turn, or a power of two of its steps, and starts again.
+"""Positions that wrap: an encoder that counts one turn, or 2ⁿ of its steps, and then starts again.
 
-All readings of such a sensor lie within one period, and every wrap is a step of one period less or more what
-the body moved meanwhile. A sensor that slips knows neither.
+All readings of such a sensor lie within one period, and every wrap is a step of one period, give or take the
+motion of the body meanwhile. A sensor that slips has neither property.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,66 +14,74 @@ import numpy as np
 from labhil.identify.quantiser import converter_step
 from labhil.signals import FloatArray, IntArray
 
-STANDS_OUT = 3.0
-"""A wrap is this many times as large as any other change from sample to sample."""
-
-MOST_WRAPS = 0.1
-"""Of the samples: of a body that turns within ten samples direction and wraps are hard to separate."""
-
-AGAIN_AND_AGAIN = 4
-"""Steps of one size from which they need no known period: a sensor does not slip so often by the same."""
-
-SMALLEST_COUNTER = 6
-"""Bits of the smallest counter: a power of two of fewer steps is met by chance."""
-
 TURNS = (2.0 * np.pi, 360.0, 1.0)
-"""A turn in rad, in degrees, and in turns."""
-
-NEAR = 0.01
-"""Share of a turn by which a period may be off that is read from a few wraps of a moving body."""
+"""One turn in rad, in degrees, and in turns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wraps:
-    """A position that wraps: the ``places`` (k,) of the first samples behind a wrap, and the ``period``."""
+    """Wraps of a position.
+
+    Attributes:
+        places: first sample behind each wrap (k,).
+        period: height of a wrap, in the unit of the position.
+    """
 
     places: IntArray
     period: float
 
 
-def wraps_of(x: FloatArray) -> Wraps | None:
-    """Where a position (n,) begins anew; None where it does not."""
+def detect_wraps(
+    x: FloatArray,
+    *,
+    min_height_ratio: float = 3.0,
+    max_share: float = 0.1,
+    min_wraps_of_unknown_period: int = 4,
+) -> Wraps | None:
+    """Find where a position wraps, and its period.
+
+    Args:
+        x: position (n,).
+        min_height_ratio: height of a wrap over the largest other change from sample to sample, at least.
+        max_share: share of the samples that may be wraps. Where a body turns once in fewer than ten
+            samples, direction and wraps cannot be separated.
+        min_wraps_of_unknown_period: steps of equal height from which the period need not be a known one:
+            a sensor does not slip so often by the same amount.
+
+    Returns:
+        Places and period of the wraps; None for a position that does not wrap.
+    """
     change = np.diff(x)
     size = np.abs(change)
-    most = int(MOST_WRAPS * len(size))
-    if most < 1 or not np.isfinite(x).all():
+    max_wraps = int(max_share * len(size))
+    if max_wraps < 1 or not np.isfinite(x).all():
         return None
     order = np.argsort(size)[::-1]
-    falls = size[order[:most]] / np.maximum(size[order[1 : most + 1]], 1e-300)
-    count = int(np.argmax(falls)) + 1
-    if falls[count - 1] < STANDS_OUT:
+    ratios = size[order[:max_wraps]] / np.maximum(size[order[1 : max_wraps + 1]], 1e-300)
+    count = int(np.argmax(ratios)) + 1
+    if ratios[count - 1] < min_height_ratio:
         return None
     places = np.sort(order[:count])
     if _is_dropout(x, places):
         return None
-    usual = float(size[order[count]])
+    largest_motion = float(size[order[count]])
     motion = 0.5 * (change[np.maximum(places - 1, 0)] + change[np.minimum(places + 1, len(change) - 1)])
-    clean = ~np.isin(np.maximum(places - 1, 0), places) & ~np.isin(places + 1, places)
-    periods = np.abs(change[places] - motion)[clean]
-    if not len(periods) or np.ptp(periods) > 2.0 * usual:
+    isolated = ~np.isin(np.maximum(places - 1, 0), places) & ~np.isin(places + 1, places)
+    periods = np.abs(change[places] - motion)[isolated]
+    if not len(periods) or np.ptp(periods) > 2.0 * largest_motion:
         return None
     period = float(np.median(periods))
-    named = _known_period(period, converter_step(x), usual)
-    if named is None and count < AGAIN_AND_AGAIN:
+    known_period = _known_period(period, converter_step(x), largest_motion)
+    if known_period is None and count < min_wraps_of_unknown_period:
         return None
-    period = period if named is None else named
-    return Wraps(places + 1, period) if np.ptp(x) <= period + usual else None
+    period = period if known_period is None else known_period
+    return Wraps(places + 1, period) if np.ptp(x) <= period + largest_motion else None
 
 
 def _is_dropout(x: FloatArray, places: IntArray) -> bool:
-    """Whether a reading (n,) goes away and comes back each time, and is one and the same value meanwhile.
+    """Whether a channel (n,) jumps to one and the same value each time and back.
 
-    What turns on through the end of a turn reads something else there every time.
+    A body that turns on through the end of a turn has another reading there each time.
     """
     if len(places) % 2:
         return False
@@ -80,14 +89,26 @@ def _is_dropout(x: FloatArray, places: IntArray) -> bool:
     return bool(np.ptp(away) == 0.0)
 
 
-def _known_period(period: float, step: float, slack: float) -> float | None:
-    """The turn or the power of two of a resolution that a period is, within ``slack``; None of others."""
-    for turn in TURNS:
-        if abs(period - turn) <= max(NEAR * turn, min(slack, 3.0 * NEAR * turn)):
+def _known_period(
+    period: float,
+    resolution: float,
+    slack: float,
+    *,
+    turns: Sequence[float] = TURNS,
+    tolerance: float = 0.01,
+    min_bits: int = 6,
+) -> float | None:
+    """The turn, or the 2ⁿ steps of a ``resolution``, that a ``period`` is within ``slack``; else None.
+
+    A period that is read from a few wraps of a moving body may be off by ``tolerance`` of a turn. A counter
+    of fewer than ``min_bits`` bits fits by chance.
+    """
+    for turn in turns:
+        if abs(period - turn) <= max(tolerance * turn, min(slack, 3.0 * tolerance * turn)):
             return turn
-    if step > 0.0:
-        bits = round(float(np.log2(period / step)))
-        counter = step * 2.0**bits
-        if bits >= SMALLEST_COUNTER and abs(period - counter) <= max(NEAR * counter, step):
+    if resolution > 0.0:
+        bits = round(float(np.log2(period / resolution)))
+        counter = resolution * 2.0**bits
+        if bits >= min_bits and abs(period - counter) <= max(tolerance * counter, resolution):
             return counter
     return None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labhil.analysis.schema import Fault
-from labhil.diagnose.fault import Kind
+from labhil.diagnose.fault import FaultKind
 
-HARMLESS = (Kind.GAP, Kind.NO_EXCITATION)
+HARMLESS = (FaultKind.GAP, FaultKind.NO_EXCITATION)
 """What takes nothing from the numbers of a fit but data."""
 
 

@@ -19,7 +19,7 @@ from labhil.analysis.schema import (
     Source,
 )
 from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
-from labhil.diagnose.fault import Kind
+from labhil.diagnose.fault import FaultKind
 from labhil.physics.terms import keyed, listed
 from labhil.report.absent import group_undecided, joints_table, limits_by_joint
 from labhil.report.faults import fault_lines
@@ -206,7 +206,7 @@ def _fit_notes(fit: FitPart) -> list[str]:
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
-    channels = tuple(f.statement.split()[0] for f in fit.faults if f.kind == Kind.UNDERSAMPLED)
+    channels = tuple(f.statement.split()[0] for f in fit.faults if f.kind == FaultKind.UNDERSAMPLED)
     notes += [note for note in fit.sampling if not note.startswith(channels)]
     if fit.verdict not in (None, "explained"):
         notes.append(_assumption(fit))

@@ -17,7 +17,7 @@ from one_input_rigs import Replay, replay, staircase
 from labhil.analysis.results import fit_json
 from labhil.analysis.schema import FitPart, validate
 from labhil.analysis.verdicts import fit_verdict
-from labhil.diagnose.intake import Kind, assess_usability, faults_of
+from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults
 from labhil.identify.adequacy import MAX_EXPLAINED_RATIO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
 from labhil.report.text import show_fit
@@ -87,9 +87,9 @@ def test_a_chopped_current_is_named(motor):
     outputs = motor.record.outputs.copy()
     outputs[:, 1] = np.abs(outputs[:, 1]) * (1.0 - (-1.0) ** np.arange(len(outputs)))
     chopped = replace(motor.record, outputs=outputs)
-    faults = faults_of(chopped)
-    assert [(fault.kind, fault.channel) for fault in faults] == [(Kind.UNDERSAMPLED, "current")]
-    assert "chopper" in faults[0].statement and not assess_usability(chopped, faults).fit
+    faults = detect_faults(chopped)
+    assert [(fault.kind, fault.channel) for fault in faults] == [(FaultKind.UNDERSAMPLED, "current")]
+    assert "chopper" in faults[0].statement and not assess_usability(chopped, faults).is_usable
     found = fit(motor.model, chopped, TERMS, options=FAST)
     assert any("current" in note and "chopper" in note for note in found.sampling)
     assert " * " not in shown(found)

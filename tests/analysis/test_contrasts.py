@@ -1,11 +1,17 @@
-"""Parts of the data agree on the values of a complete model; where they contradict, errors grow."""
+"""Parts of the data agree on the parameters of a complete model; where they do not, errors are scaled."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from labhil.diagnose.contrasts import Contrast, between_parts, between_recordings, on_held_out, scale_factor
+from labhil.diagnose.contrasts import (
+    Contrast,
+    contrast_with_held_out,
+    contrasts_of_halves,
+    refit_on_held_out,
+    scale_factor,
+)
 from labhil.diagnose.judge import Data
 from labhil.identify.fitted import Fitted, fit_terms, start_theta
 from labhil.identify.table import table_of
@@ -19,8 +25,8 @@ TRUE = 0.5
 def searched(model, acquire, terms, values, seed) -> tuple[Data, Fitted]:
     """A baseline fitted to one recording of a rig, with another recording held out."""
     record, other = (
-        acquire(terms, each, parameters={"position_noise": 1e-4, KEY: TRUE} | values, duration=15.0)
-        for each in (seed, seed + 100)
+        acquire(terms, recording_seed, parameters={"position_noise": 1e-4, KEY: TRUE} | values, duration=15.0)
+        for recording_seed in (seed, seed + 100)
     )
     data = Data(model, record, other, noise_of(record), noise_of(other), 2.0, start_theta(model))
     return data, fit_terms(model, record, ("viscous_friction",), 2.0, data.sigma, start=data.begin)
@@ -29,25 +35,27 @@ def searched(model, acquire, terms, values, seed) -> tuple[Data, Fitted]:
 def factor_and_error(data: Data, fitted: Fitted) -> tuple[float, float]:
     """The scale factor, and by how many standard errors the estimate is off."""
     table = table_of(fitted)
-    again = on_held_out(data, fitted)
-    assert again is not None
-    factor = scale_factor([*between_parts(fitted, table), between_recordings(fitted, again, table)])
+    held_out_fit = refit_on_held_out(data, fitted)
+    assert held_out_fit is not None
+    factor = scale_factor(
+        [*contrasts_of_halves(fitted, table), contrast_with_held_out(fitted, held_out_fit, table)]
+    )
     (row,) = [row for row in table.rows if row.key == KEY]
     return factor, abs(row.value - TRUE) / row.std_error
 
 
 @pytest.mark.extended
 def test_parts_of_a_complete_models_data_agree(model, acquire) -> None:
-    found = [factor_and_error(*searched(model, acquire, ("viscous_friction",), {}, s)) for s in SEEDS]
-    assert [factor for factor, _ in found] == [1.0] * len(SEEDS)
+    pairs = [factor_and_error(*searched(model, acquire, ("viscous_friction",), {}, s)) for s in SEEDS]
+    assert [factor for factor, _ in pairs] == [1.0] * len(SEEDS)
 
 
 @pytest.mark.extended
 def test_where_dry_friction_is_missing_slow_and_fast_windows_disagree(model, acquire) -> None:
     missing = {"coulomb_friction.level": 0.003}
     terms = ("viscous_friction", "coulomb_friction")
-    found = [factor_and_error(*searched(model, acquire, terms, missing, seed)) for seed in SEEDS]
-    assert all(factor > 2.0 for factor, _ in found)
+    pairs = [factor_and_error(*searched(model, acquire, terms, missing, seed)) for seed in SEEDS]
+    assert all(factor > 2.0 for factor, _ in pairs)
 
 
 @pytest.mark.extended
@@ -56,7 +64,7 @@ def test_the_size_of_a_contrast_is_that_of_the_normalised_difference() -> None:
     root = random.standard_normal((3, 3))
     covariance = root @ root.T
     drawn = random.multivariate_normal(np.zeros(3), covariance, 20_000)
-    sizes = [Contrast(each, covariance).chi_square for each in drawn]
+    sizes = [Contrast(difference, covariance).chi_square for difference in drawn]
     assert {dof for _, dof in sizes} == {3}
     assert np.mean([size for size, _ in sizes]) == pytest.approx(3.0, abs=0.06)
     unknown = Contrast(np.array([1.0, 9.0, 2.0]), np.diag([1.0, np.inf, 4.0]))

@@ -1,4 +1,4 @@
-"""Wrong readings in a row, dropouts, and holes in time: found, not counted, and no reason to doubt."""
+"""Bursts, dropouts and gaps in time: they are detected, leave no residuals, and raise no doubts of units."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.diagnose.intake import TOLERATED, Kind, assess_usability, faults_of, without_spikes
+from labhil.diagnose.fault import TOLERATED_SHARE
+from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults, replace_outliers
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.problem import Problem
 from labhil.identify.windows import MIN_HOLE_IN_PERIODS, fit_windows, noise_of, scored_windows, split
@@ -53,14 +54,14 @@ def test_wrong_readings_in_a_row_are_found_and_do_not_count(kind, width, sign):
     for place in places:
         x[place : place + width] += sign * 0.8 * np.ptp(record.outputs[:, 0])
     hit = with_first(record, x)
-    (fault,) = faults_of(hit)
-    assert fault.kind is Kind.OUTLIER
+    (fault,) = detect_faults(hit)
+    assert fault.kind is FaultKind.OUTLIER
     assert f"up to {width} samples" in fault.statement
     wrong = np.unique((np.sort(places)[:, None] + np.arange(width)).ravel())
-    counted = 3 * width <= TOLERATED[Kind.OUTLIER] * len(record)
-    assert fault.mended == counted == assess_usability(hit, (fault,)).fit
+    counted = 3 * width <= TOLERATED_SHARE[FaultKind.OUTLIER] * len(record)
+    assert fault.mended == counted == assess_usability(hit, (fault,)).is_usable
     if counted:
-        mended = without_spikes(hit)
+        mended = replace_outliers(hit)
         assert np.flatnonzero(mended.censored[:, 0] == UNREAD).tolist() == wrong.tolist()
         assert np.abs(mended.outputs - record.outputs).max() < 0.3 * np.ptp(record.outputs[:, 0])
 
@@ -72,10 +73,10 @@ def test_a_channel_that_drops_out_and_comes_back_is_named(length, value):
     record = with_first(record, record.outputs[:, 0] + 2.0)
     x = record.outputs[:, 0].copy()
     x[700 : 700 + length] = value
-    (fault,) = faults_of(with_first(record, x))
+    (fault,) = detect_faults(with_first(record, x))
     assert fault.times == ((record.t[700], record.t[700 + length - 1]),)
-    few = length / len(record) <= TOLERATED[Kind.STUCK]
-    assert fault.kind is (Kind.OUTLIER if length == 3 else Kind.STUCK)
+    few = length / len(record) <= TOLERATED_SHARE[FaultKind.STUCK]
+    assert fault.kind is (FaultKind.OUTLIER if length == 3 else FaultKind.STUCK)
     assert fault.mended is few
     assert "do not count" in fault.statement if few else f"drops out to {value:g}" in fault.statement
 
@@ -85,7 +86,7 @@ def test_a_sensor_that_drops_out_to_zero_does_not_wrap():
     x = np.round(record.outputs[:, 0] * 0.0 + 0.0064, 6) + 1e-7 * np.arange(len(record))
     for place in (100, 400, 801):
         x[place : place + 2] = 0.0
-    assert Kind.WRAPPED not in {fault.kind for fault in faults_of(with_first(record, x))}
+    assert FaultKind.WRAPPED not in {fault.kind for fault in detect_faults(with_first(record, x))}
 
 
 def test_a_pulse_that_every_large_step_of_the_input_makes_is_no_burst():
@@ -95,7 +96,7 @@ def test_a_pulse_that_every_large_step_of_the_input_makes_is_no_burst():
     x = record.outputs[:, 0].copy()
     for jump in jumps[:-1]:
         x[jump : jump + 2] += 0.3 * (record.inputs[jump, 0] - record.inputs[jump - 1, 0])
-    assert faults_of(with_first(record, x)) == ()
+    assert detect_faults(with_first(record, x)) == ()
 
 
 def test_slips_out_of_rest_are_no_bursts():
@@ -105,21 +106,21 @@ def test_slips_out_of_rest_are_no_bursts():
     for place in range(60, len(record) - 60, 90):
         x[place : place + 3] += 2.0
     ramp = replace(record, inputs=np.linspace(0.0, 1.0, len(record))[:, None])
-    assert Kind.OUTLIER not in {fault.kind for fault in faults_of(with_first(ramp, x))}
+    assert FaultKind.OUTLIER not in {fault.kind for fault in detect_faults(with_first(ramp, x))}
 
 
-def test_what_was_not_read_leaves_no_residual():
+def test_a_reading_marked_as_unread_leaves_no_residual():
     record = moving("dc_motor")
     x = record.outputs[:, 0].copy()
     x[300:303] += 50.0
-    mended = without_spikes(with_first(record, x))
+    mended = replace_outliers(with_first(record, x))
     model = model_for(default_rig("dc_motor"), mended)
     base = np.array([parameter.scale for parameter in model.parameters])
     problem = Problem(model, mended, fit_windows(mended, 1.0), np.empty(0, int), base, np.ones(2))
-    left = problem.residuals_at(base, problem.guess).reshape(-1, 2)
+    residuals = problem.residuals_at(base, problem.guess).reshape(-1, 2)
     at = np.isin(problem.windows.rows, [300, 301, 302])
-    assert not left[at, 0].any()
-    assert left[~at, 0].all()
+    assert not residuals[at, 0].any()
+    assert residuals[~at, 0].all()
 
 
 def test_windows_end_at_a_hole_and_bridge_a_lost_sample():
@@ -154,13 +155,13 @@ def test_a_chopped_current_that_looks_like_white_noise_is_named(period, sign):
     current = 4.0 * np.sign(duty) * conducting + 0.01 * random.standard_normal(len(t))
     names = (("voltage",), ("speed", "current"), ("rad/s", "A"), (Hold.ZERO,))
     record = Record(t, 12.0 * sign * duty[:, None], sign * np.column_stack([speed, current]), *names)
-    (fault,) = (each for each in faults_of(record) if each.channel == "current")
-    assert fault.kind is Kind.UNDERSAMPLED
-    assert "chopper" in fault.statement and not assess_usability(record, (fault,)).fit
+    (fault,) = (f for f in detect_faults(record) if f.channel == "current")
+    assert fault.kind is FaultKind.UNDERSAMPLED
+    assert "chopper" in fault.statement and not assess_usability(record, (fault,)).is_usable
     # as large a noise that goes both ways is noise
     noisy = speed + np.std(speed) * random.standard_normal(len(t))
     loud = replace(record, outputs=np.column_stack([noisy, speed]))
-    assert Kind.UNDERSAMPLED not in {each.kind for each in faults_of(loud)}
+    assert FaultKind.UNDERSAMPLED not in {fault.kind for fault in detect_faults(loud)}
 
 
 def test_counts_of_an_encoder_are_no_chopped_current():
@@ -170,26 +171,26 @@ def test_counts_of_an_encoder_are_no_chopped_current():
     counts = np.diff(np.floor(angle), prepend=0.0)
     names = (("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
     record = Record(t, np.repeat(random.uniform(0.0, 5.0, 40), 50)[:, None], counts[:, None] * 0.7, *names)
-    assert Kind.UNDERSAMPLED not in {fault.kind for fault in faults_of(record)}
+    assert FaultKind.UNDERSAMPLED not in {fault.kind for fault in detect_faults(record)}
 
 
-def test_what_is_held_out_is_a_share_of_the_time_that_was_recorded():
+def test_the_held_out_part_is_a_share_of_the_recorded_time():
     whole = moving("dc_motor")
     pause = replace(whole, t=whole.t + np.where(np.arange(len(whole)) >= 5, 300.0, 0.0))
-    for learn, judge in (split(whole, 0.3, 1.0), split(pause, 0.3, 1.0)):
-        assert len(learn) == pytest.approx(950, abs=2)
-        assert len(judge) == pytest.approx(450, abs=2)
+    for train, test in (split(whole, 0.3, 1.0), split(pause, 0.3, 1.0)):
+        assert len(train) == pytest.approx(950, abs=2)
+        assert len(test) == pytest.approx(450, abs=2)
 
 
 def test_long_holes_leave_the_rest_fit_for_a_verdict_and_many_lost_samples_do_not():
     record = moving("dc_motor")
     paused = without_rows(record, (200, 900))
-    (fault,) = faults_of(paused)
-    assert fault.kind is Kind.GAP and "47 % of the recording" in fault.statement
-    assert assess_usability(paused, (fault,)).fit
+    (fault,) = detect_faults(paused)
+    assert fault.kind is FaultKind.GAP and "47 % of the recording" in fault.statement
+    assert assess_usability(paused, (fault,)).is_usable
     torn = without_rows(record, *((k, k + 4) for k in range(20, 1480, 11)))
-    found = faults_of(torn)
-    assert not assess_usability(torn, found).fit
+    faults = detect_faults(torn)
+    assert not assess_usability(torn, faults).is_usable
 
 
 def test_accelerations_that_are_planned_may_stand_still_and_jump():
@@ -201,7 +202,7 @@ def test_accelerations_that_are_planned_may_stand_still_and_jump():
         input_names=(*record.input_names, "target_qdd_0"),
         input_holds=(*record.input_holds, Hold.LINEAR),
     )
-    assert faults_of(more) == faults_of(record) == ()
+    assert detect_faults(more) == detect_faults(record) == ()
 
 
 @pytest.mark.parametrize("kind", CHANNELS)
@@ -213,7 +214,7 @@ def test_wrong_readings_at_an_end_are_found(kind, width, at_the_end):
     places = np.arange(len(x) - width, len(x)) if at_the_end else np.arange(width)
     x[places] = 0.0
     hit = with_first(record, x)
-    (fault,) = faults_of(hit)
-    assert (fault.kind, fault.mended) == (Kind.OUTLIER, True)
+    (fault,) = detect_faults(hit)
+    assert (fault.kind, fault.mended) == (FaultKind.OUTLIER, True)
     assert fault.times == ((record.t[places[0]], record.t[places[-1]]),)
-    assert np.flatnonzero(without_spikes(hit).censored[:, 0] == UNREAD).tolist() == places.tolist()
+    assert np.flatnonzero(replace_outliers(hit).censored[:, 0] == UNREAD).tolist() == places.tolist()

@@ -1,4 +1,4 @@
-"""Rest, late inputs, wraps, censored readings and commands: what is a fault of the data, and what is none."""
+"""Rest, late inputs, wraps, censored readings and commands: which of them are faults of the data."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labhil.diagnose.hold import evident_hold
-from labhil.diagnose.intake import Kind, assess_usability, faults_of, with_censored, without_spikes
-from labhil.diagnose.lead import lead_of
-from labhil.diagnose.timing import all_faults, better_hold, late_input, why_untimed
-from labhil.diagnose.wraps import wraps_of
+from labhil.diagnose.hold import detect_hold
+from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults, mark_censored, replace_outliers
+from labhil.diagnose.lead import detect_lead
+from labhil.diagnose.timing import detect_all_faults, detect_late_input, estimate_hold, unchecked_timing_note
+from labhil.diagnose.wraps import detect_wraps
 from labhil.ending import Deadline
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
@@ -63,16 +63,16 @@ def counted(even: bool, seed=0) -> Record:
 def test_a_motor_that_stands_still_is_no_fault(even, sign):
     record = counted(even)
     record = replace(record, inputs=sign * record.inputs, outputs=sign * record.outputs)
-    assert faults_of(record) == ()
-    assert with_censored(record).censored is None
+    assert detect_faults(record) == ()
+    assert mark_censored(record).censored is None
 
 
 def test_a_sensor_that_knows_one_direction_only_is_clipped_at_zero():
     record = motor(stepped())
     outputs = record.outputs.copy()
     outputs[:, 0] = np.maximum(outputs[:, 0], 0.0)
-    found = faults_of(replace(record, outputs=outputs))
-    assert [(fault.kind, fault.channel) for fault in found] == [(Kind.SATURATED, "speed")]
+    faults = detect_faults(replace(record, outputs=outputs))
+    assert [(fault.kind, fault.channel) for fault in faults] == [(FaultKind.SATURATED, "speed")]
 
 
 @pytest.mark.parametrize("even", [True, False])
@@ -97,9 +97,9 @@ def test_noise_of_a_channel_that_never_rests_is_not_touched():
 @pytest.mark.parametrize("samples", [1, 2, 3])
 def test_an_output_that_answers_before_its_input_is_a_fault(samples):
     record = late(motor(stepped()), samples)
-    fault = next(f for f in faults_of(record) if f.kind is Kind.LEAD)
+    fault = next(f for f in detect_faults(record) if f.kind is FaultKind.LEAD)
     assert f"shift = {-0.01 * samples:.6g}" in fault.statement
-    assert not assess_usability(record, (fault,)).fit
+    assert not assess_usability(record, (fault,)).is_usable
 
 
 @pytest.mark.parametrize("inductance", [1e-4, 1e-2, 0.1])
@@ -107,7 +107,7 @@ def test_an_output_that_answers_before_its_input_is_a_fault(samples):
 def test_causal_motors_do_not_lead(inductance, dwell):
     for seed in range(3):
         record = motor(stepped(seed, dwell=dwell), seed, 50.0, inductance=inductance)
-        assert lead_of(record) is None
+        assert detect_lead(record) is None
 
 
 def test_an_output_that_answers_at_the_very_sample_and_in_full_does_not_lead():
@@ -115,7 +115,7 @@ def test_an_output_that_answers_at_the_very_sample_and_in_full_does_not_lead():
     random = np.random.default_rng(2)
     current = u / 1.5 + 0.01 * random.standard_normal(len(u))
     names = (("voltage",), ("current",), ("A",), (Hold.ZERO,))
-    assert lead_of(Record(0.01 * np.arange(len(u)), u[:, None], current[:, None], *names)) is None
+    assert detect_lead(Record(0.01 * np.arange(len(u)), u[:, None], current[:, None], *names)) is None
 
 
 def test_a_relay_that_jumps_because_of_the_output_shows_no_lead():
@@ -127,7 +127,7 @@ def test_a_relay_that_jumps_because_of_the_output_shows_no_lead():
         u[k] = level
         x += 0.01 * (5.0 * level - x)
     names = (("voltage",), ("speed",), ("rad/s",), (Hold.ZERO,))
-    assert lead_of(Record(0.01 * np.arange(3000), u[:, None], y[:, None], *names)) is None
+    assert detect_lead(Record(0.01 * np.arange(3000), u[:, None], y[:, None], *names)) is None
 
 
 def smooth(n=1200) -> np.ndarray:
@@ -139,7 +139,7 @@ def smooth(n=1200) -> np.ndarray:
 @pytest.mark.parametrize("samples", [0, 1, 2])
 def test_a_smooth_input_that_is_late_is_found_by_the_rig_s_model(samples):
     record = late(motor(smooth()), samples)
-    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    fault = detect_late_input(model_for(default_rig("dc_motor"), record), record)
     if samples == 0:
         assert fault is None
     else:
@@ -153,7 +153,7 @@ def test_an_offset_hides_no_late_input(samples):
     values = {"constant_force.force": 0.05}
     record = driven("dc_motor", smooth(), 0.01, values, terms, 35.0, False, random, CHANNELS)[0]
     record = late(record, samples)
-    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    fault = detect_late_input(model_for(default_rig("dc_motor"), record), record)
     assert (fault is None) == (samples == 0)
     assert fault is None or f"shift = {-0.01 * samples:.6g}" in fault.statement
 
@@ -184,49 +184,51 @@ def fed_back(controller, delay, seed, n=1000) -> Record:
 @pytest.mark.extended
 @pytest.mark.parametrize("samples", [0, 1, 2])
 @pytest.mark.parametrize("controller", [proportional, relay])
-def test_in_closed_loop_only_an_input_that_is_late_is_called_so(samples, controller):
+def test_in_closed_loop_only_a_late_input_is_a_fault(samples, controller):
     """There a fit of the outputs alone takes an earlier input for better: it is made of their noise."""
     for delay in (0, 1):
         record = late(fed_back(controller, delay, seed=delay), samples)
         model = model_for(default_rig("dc_motor"), record)
-        fault = late_input(model, record)
+        fault = detect_late_input(model, record)
         assert (fault is None) == (samples == 0)
         assert fault is None or f"shift = {-0.01 * samples:.6g}" in fault.statement
-        assert why_untimed(model, record) is None
+        assert unchecked_timing_note(model, record) is None
 
 
 @pytest.mark.extended
-def test_an_end_that_was_asked_for_waits_for_what_has_a_result():
+def test_a_deadline_skips_the_late_input_and_keeps_the_other_faults():
     record = late(motor(smooth()), 2)
     model = model_for(default_rig("dc_motor"), record)
     with Deadline(1e-9):
         time.sleep(0.01)
-        assert all_faults(model, record) == faults_of(record)
-    assert [fault.kind for fault in all_faults(model, record)] == [Kind.LEAD]
+        assert detect_all_faults(model, record) == detect_faults(record)
+    assert [fault.kind for fault in detect_all_faults(model, record)] == [FaultKind.LEAD]
 
 
-def test_where_the_model_is_not_asked_about_late_stamps_that_is_said():
+def test_where_no_fit_times_the_input_a_note_gives_the_reason():
     motors = default_rig("dc_motor")
     for u in (smooth(), stepped()):
         for samples in (0, 1):
-            assert why_untimed(model_for(motors, motor(u)), late(motor(u), samples)) is None
+            assert unchecked_timing_note(model_for(motors, motor(u)), late(motor(u), samples)) is None
     t = 1e-3 * np.arange(500)
     pulled = (1.0 + np.sin(9.0 * t))[:, None]
     names = (("coil_current",), ("plunger_position",), ("m",))
     solenoid = Record(t, pulled, 1e-3 * pulled, *names)
-    assert "it is measured" in (why_untimed(model_for(default_rig("solenoid"), solenoid), solenoid) or "")
+    assert "it is measured" in (
+        unchecked_timing_note(model_for(default_rig("solenoid"), solenoid), solenoid) or ""
+    )
 
 
 @pytest.mark.extended
-def test_how_an_input_runs_between_samples_is_seen_in_the_data():
+def test_the_hold_of_an_input_is_estimated_from_the_data():
     held = motor(smooth())
     fine = motor(np.interp(0.1 * np.arange(12000), np.arange(1200), smooth()), period=0.001)
     straight = replace(fine, t=fine.t[::10], inputs=fine.inputs[::10], outputs=fine.outputs[::10])
     for record, hold in ((held, Hold.ZERO), (straight, Hold.LINEAR)):
-        assert better_hold(model_for(default_rig("dc_motor"), record), record) is hold
-    assert evident_hold(stepped()) is Hold.ZERO
-    assert evident_hold(smooth()) is None
-    assert evident_hold(np.clip(smooth(), -1.0, 1.0)) is None
+        assert estimate_hold(model_for(default_rig("dc_motor"), record), record) is hold
+    assert detect_hold(stepped()) is Hold.ZERO
+    assert detect_hold(smooth()) is None
+    assert detect_hold(np.clip(smooth(), -1.0, 1.0)) is None
 
 
 @pytest.mark.parametrize("turns", [0.8, 5.0])
@@ -235,12 +237,12 @@ def test_an_encoder_that_wraps_is_named_with_its_period(turns, period):
     t = 0.01 * np.arange(3000)
     step = period / 4096
     position = step * np.rint((0.6 * period + turns * period * np.sin(0.3 * t)) / step)
-    found = wraps_of(np.mod(position, period))
-    assert found is not None
-    assert found.period == pytest.approx(period, rel=1e-3)
-    unwrapped = np.unwrap(np.mod(position, period), period=found.period)
+    wraps = detect_wraps(np.mod(position, period))
+    assert wraps is not None
+    assert wraps.period == pytest.approx(period, rel=1e-3)
+    unwrapped = np.unwrap(np.mod(position, period), period=wraps.period)
     assert np.ptp(unwrapped) == pytest.approx(np.ptp(position), rel=1e-3)
-    assert wraps_of(position) is None
+    assert detect_wraps(position) is None
 
 
 def test_single_spikes_are_replaced_wherever_they_fall():
@@ -251,14 +253,14 @@ def test_single_spikes_are_replaced_wherever_they_fall():
     outputs = record.outputs.copy()
     outputs[places, 0] += 40.0 * (-1.0) ** np.arange(len(places))
     hit = replace(record, outputs=outputs)
-    (fault,) = faults_of(hit)
+    (fault,) = detect_faults(hit)
     assert fault.mended and [begin for begin, _ in fault.times] == record.t[np.sort(places)].tolist()
-    mended = without_spikes(hit)
+    mended = replace_outliers(hit)
     assert np.abs(mended.outputs - record.outputs).max() < 12.0 * noise_of(record)[0]
-    assert without_spikes(record) is record
+    assert replace_outliers(record) is record
     for samples in (0, 1, 5, 30):
         few = record.part(0, samples)
-        assert without_spikes(few) is few
+        assert replace_outliers(few) is few
 
 
 def test_many_spikes_are_left_where_they_are():
@@ -266,10 +268,10 @@ def test_many_spikes_are_left_where_they_are():
     outputs = record.outputs.copy()
     outputs[7::40, 0] += 40.0
     hit = replace(record, outputs=outputs)
-    assert without_spikes(hit) is hit
-    (fault,) = faults_of(hit)
+    assert replace_outliers(hit) is hit
+    (fault,) = detect_faults(hit)
     assert not fault.mended and "leave these samples out" in fault.statement
-    assert not assess_usability(hit, (fault,)).fit
+    assert not assess_usability(hit, (fault,)).is_usable
 
 
 def test_a_channel_that_answers_every_jump_by_a_pulse_has_no_spikes():
@@ -278,15 +280,16 @@ def test_a_channel_that_answers_every_jump_by_a_pulse_has_no_spikes():
     jumps = np.diff(record.inputs[:, 0])
     outputs[1:, 1] += 20.0 * jumps * (np.abs(jumps) > 0.5)
     outputs[[95, 400, 1007], 1] += 100.0
-    found = [fault for fault in faults_of(replace(record, outputs=outputs)) if fault.kind is Kind.OUTLIER]
-    assert [round(begin, 3) for fault in found for begin, _ in fault.times] == [0.95, 4.0, 10.07]
+    faults = detect_faults(replace(record, outputs=outputs))
+    outliers = [fault for fault in faults if fault.kind is FaultKind.OUTLIER]
+    assert [round(begin, 3) for fault in outliers for begin, _ in fault.times] == [0.95, 4.0, 10.07]
 
 
 def test_a_sensor_that_slips_does_not_wrap():
     t = 0.01 * np.arange(2000)
     x = np.sin(t)
     x[1000:] += 2.3
-    assert wraps_of(x) is None
+    assert detect_wraps(x) is None
 
 
 def test_readings_at_the_end_of_a_range_count_one_sidedly():
@@ -294,13 +297,13 @@ def test_readings_at_the_end_of_a_range_count_one_sidedly():
     limit = np.quantile(record.outputs[:, 0], 0.8)
     outputs = record.outputs.copy()
     outputs[:, 0] = np.minimum(outputs[:, 0], limit)
-    marked = with_censored(with_least_noise(replace(record, outputs=outputs)))
+    marked = mark_censored(with_least_noise(replace(record, outputs=outputs)))
     at = outputs[:, 0] == limit
     assert np.array_equal(marked.censored[:, 0], at.astype(int))
-    found = faults_of(marked)
-    assert [fault.kind for fault in found] == [Kind.SATURATED]
-    assert f"{at.sum()} samples" in found[0].statement
-    assert assess_usability(marked, found).fit
+    faults = detect_faults(marked)
+    assert [fault.kind for fault in faults] == [FaultKind.SATURATED]
+    assert f"{at.sum()} samples" in faults[0].statement
+    assert assess_usability(marked, faults).is_usable
 
     class CompiledForce(type(model_for(default_rig("dc_motor"), marked))):
         def simulate(self, theta, record, windows, states):
@@ -308,21 +311,21 @@ def test_readings_at_the_end_of_a_range_count_one_sidedly():
 
     model = CompiledForce(default_rig("dc_motor"), marked)
     problem = Problem(model, marked, fit_windows(marked, 1.0), np.empty(0, int), np.zeros(1), np.ones(2))
-    left = problem.residuals_at(np.zeros(1), problem.guess).reshape(-1, 2)
-    assert np.allclose(left[:, 0], np.where(at[problem.windows.rows], 0.0, 1.0))
-    assert np.allclose(left[:, 1], 1.0)
+    residuals = problem.residuals_at(np.zeros(1), problem.guess).reshape(-1, 2)
+    assert np.allclose(residuals[:, 0], np.where(at[problem.windows.rows], 0.0, 1.0))
+    assert np.allclose(residuals[:, 1], 1.0)
     assert np.array_equal(marked.part(10, 60).censored, marked.censored[10:60])
 
 
-def test_a_lone_sample_of_a_command_that_nobody_asked_for_is_a_fault():
+def test_an_isolated_outlier_of_a_command_is_a_fault():
     record = motor(smooth())
     inputs = record.inputs.copy()
     inputs[[300, 800]] += 40.0
-    fault = next(f for f in faults_of(replace(record, inputs=inputs)) if f.channel == "voltage")
-    assert fault.kind is Kind.OUTLIER
+    fault = next(f for f in detect_faults(replace(record, inputs=inputs)) if f.channel == "voltage")
+    assert fault.kind is FaultKind.OUTLIER
     pulses = np.zeros(1200)
     pulses[100::200] = 5.0
-    assert not any(f.channel == "voltage" for f in faults_of(motor(pulses)))
+    assert not any(f.channel == "voltage" for f in detect_faults(motor(pulses)))
 
 
 def warm_tank(late_by: tuple[int, int]) -> tuple[Model, Record]:
@@ -358,8 +361,8 @@ def warm_tank(late_by: tuple[int, int]) -> tuple[Model, Record]:
 @pytest.mark.parametrize("late_by", [(0, 0), (0, 1), (2, 0)])
 def test_of_several_inputs_the_one_that_is_late_is_named(late_by):
     model, record = warm_tank(late_by)
-    fault = late_input(model, record)
-    assert why_untimed(model, record) is None
+    fault = detect_late_input(model, record)
+    assert unchecked_timing_note(model, record) is None
     if not any(late_by):
         assert fault is None
     else:
@@ -372,6 +375,6 @@ def test_of_several_inputs_the_one_that_is_late_is_named(late_by):
 def test_a_late_input_that_moves_only_later_is_found():
     u = np.r_[np.zeros(1200), smooth()]
     record = late(motor(u), 1)
-    fault = late_input(model_for(default_rig("dc_motor"), record), record)
+    fault = detect_late_input(model_for(default_rig("dc_motor"), record), record)
     assert fault is not None
     assert "shift = -0.01" in fault.statement

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from labhil.diagnose.diagnosis import diagnose
-from labhil.diagnose.intake import Kind, assess_usability, faults_of
+from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify import statistics
 from labhil.identify.fitted import covariances, fit_terms, start_theta
@@ -177,12 +177,12 @@ def test_faults_are_looked_for_in_each_recording_by_itself():
     stuck = good.outputs.copy()
     stuck[300:420] = stuck[300]
     record = join_records([good, replace(good, outputs=good.outputs + 5.0), replace(good, outputs=stuck)])
-    found = faults_of(record)
-    assert {(fault.kind, fault.recording) for fault in found} == {(Kind.STUCK, 3)}
+    found = detect_faults(record)
+    assert {(fault.kind, fault.recording) for fault in found} == {(FaultKind.STUCK, 3)}
     assert found[0].statement.startswith("Recording 3: ")
     assert found[0].times[0][0] == pytest.approx(good.t[300], abs=0.02)
     left = assess_usability(record, found)
-    assert not left.fit
+    assert not left.is_usable
     assert left.sound[:1800].all() and not left.sound[2100 + 10 : 2220 - 10].any()
 
 

@@ -7,7 +7,7 @@ import json
 from typer.testing import CliRunner
 
 from labhil.cli import app
-from labhil.diagnose.timing import all_faults
+from labhil.diagnose.timing import detect_all_faults
 
 TERMS = ("--terms", "viscous_friction", "--window", "1", "--estimator", "nlse")
 
@@ -43,9 +43,9 @@ def test_a_fit_looks_for_faults_of_the_data_once(monkeypatch, shipped):
 
     def counted(*what):
         looks.append(what)
-        return all_faults(*what)
+        return detect_all_faults(*what)
 
-    monkeypatch.setattr("labhil.analysis.dataset.all_faults", counted)
+    monkeypatch.setattr("labhil.analysis.dataset.detect_all_faults", counted)
     recording = shipped / "ball_beam_identify.mcap"
     done = CliRunner().invoke(app, ["fit", str(recording), *TERMS, "--span", "0", "20"])
     assert done.exit_code == 0, done.output

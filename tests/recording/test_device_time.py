@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from labhil.diagnose.intake import Kind, assess_usability, faults_of
+from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults
 from labhil.kinds import kind_named
 from labhil.physics.rigs import record_of
 from labhil.recording import RecordingWriter, read_recording
@@ -69,9 +69,9 @@ def test_a_clock_that_was_set_moves_no_sample_and_is_named(tmp_path, step):
     (line,) = recording.losses()
     assert "bench/state: the host's stamps jump by" in line and "at 4 s" in line
     assert recording.clocks["bench"].stepped == pytest.approx(abs(step), abs=0.01)
-    (fault,) = faults_of(record_of(recording, kind_named("ball_beam")))
-    assert fault.kind is Kind.CLOCK_STEP and fault.statement.startswith("The host's stamps")
-    assert assess_usability(record_of(recording, kind_named("ball_beam")), [fault]).fit
+    (fault,) = detect_faults(record_of(recording, kind_named("ball_beam")))
+    assert fault.kind is FaultKind.CLOCK_STEP and fault.statement.startswith("The host's stamps")
+    assert assess_usability(record_of(recording, kind_named("ball_beam")), [fault]).is_usable
 
 
 def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
@@ -80,16 +80,16 @@ def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
     recording = read_recording(tmp_path / "a.mcap")
     assert "no clock of its own" in recording.losses()[0]
     record = record_of(recording, kind_named("ball_beam"))
-    faults = faults_of(record)
-    assert Kind.CLOCK_STEP in [fault.kind for fault in faults]
-    assert not assess_usability(record, faults).fit
+    faults = detect_faults(record)
+    assert FaultKind.CLOCK_STEP in [fault.kind for fault in faults]
+    assert not assess_usability(record, faults).is_usable
 
 
 def test_what_is_cut_out_beside_a_step_has_none(tmp_path):
     with RecordingWriter(tmp_path / "a.mcap") as writer:
         write_state(writer, "bench", host_times(-0.5), own_clock=False)
     record = record_of(read_recording(tmp_path / "a.mcap"), kind_named("ball_beam"))
-    assert Kind.CLOCK_STEP not in [fault.kind for fault in faults_of(record.part(400, SAMPLES))]
+    assert FaultKind.CLOCK_STEP not in [fault.kind for fault in detect_faults(record.part(400, SAMPLES))]
 
 
 def test_several_devices_share_the_hosts_time(tmp_path):
