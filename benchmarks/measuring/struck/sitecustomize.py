@@ -1,0 +1,38 @@
+"""Lets a thread of a process raise on request; Python loads this by itself where it is on PYTHONPATH.
+
+A process whose command has STRIKE_PROCESS in it looks 200 times a second into STRIKE_FOLDER: it lists its
+threads in ``threads``, and once there is a file ``strike``, each thread whose name it holds raises SystemExit
+at its next step in Python.
+"""
+
+import ctypes
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+
+
+class Struck(SystemExit):
+    """What the thread raises."""
+
+
+def watch(folder: Path) -> None:
+    """List the threads until one is to be struck."""
+    while not (folder / "strike").exists():
+        names = sorted({thread.name for thread in threading.enumerate()})
+        draft = folder / "threads.draft"
+        draft.write_text("\n".join(names))
+        draft.rename(folder / "threads")
+        time.sleep(0.005)
+    name = (folder / "strike").read_text()
+    for thread in threading.enumerate():
+        if thread.name == name and thread.ident is not None:
+            raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
+            raise_in(ctypes.c_ulong(thread.ident), ctypes.py_object(Struck))
+
+
+if "STRIKE_FOLDER" in os.environ and os.environ["STRIKE_PROCESS"] in " ".join(sys.orig_argv):
+    threading.Thread(
+        target=watch, args=(Path(os.environ["STRIKE_FOLDER"]),), name="strike", daemon=True
+    ).start()
