@@ -81,7 +81,9 @@ def ended(relay: Relay, folder: Path, run: subprocess.Popen[str], bus: Bus, name
         poke(bus)
     safe = relay.safe_since - began if relay.safe else None
     if safe is None:
-        return {"safe_ms": None, "exit_status": None, "reason": "the run goes on", "load": os.getloadavg()[0]}
+        sleeps = name in (folder / "threads").read_text().splitlines()
+        reason = "the thread sleeps, nothing woke it" if sleeps else "the run goes on"
+        return {"safe_ms": None, "exit_status": None, "reason": reason, "load": round(os.getloadavg()[0], 1)}
     run.wait(PATIENCE)
     paths = list(folder.glob("*.mcap*"))
     end = read_recording(paths[0]).metadata.get("end", {}) if paths else {}
@@ -99,11 +101,13 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
     result: dict[str, Any] = {"schema": "labhil.threads/1"}
+    result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     with twin_behind_a_relay("solenoid", SETTINGS) as relay:
         for which in PROCESSES:
             with tempfile.TemporaryDirectory() as folder:
                 names = strike(relay, Path(folder), which, "")["threads"]
             struck: list[dict[str, Any]] = []
+            result[which] = {"threads": names, "struck": struck}
             for name in names:
                 if options.only not in name:
                     continue
@@ -115,8 +119,8 @@ def main() -> None:
                 finally:
                     latch.release()
                 print(f"{which}: {struck[-1]}", file=sys.stderr, flush=True)
-            result[which] = {"threads": names, "struck": struck}
-    result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
+                if options.out is not None:
+                    tell(result, options.out)
     tell(result, options.out)
 
 

@@ -2,7 +2,7 @@
 
 A process whose command has STRIKE_PROCESS in it looks 200 times a second into STRIKE_FOLDER: it lists its
 threads in ``threads``, and once there is a file ``strike``, each thread whose name it holds raises SystemExit
-at its next step in Python.
+at its next step in Python, which one that waits for a message takes when that comes.
 """
 
 import ctypes
@@ -18,15 +18,22 @@ class Struck(SystemExit):
 
 
 def watch(folder: Path) -> None:
-    """List the threads until one is to be struck."""
-    while not (folder / "strike").exists():
-        names = sorted({thread.name for thread in threading.enumerate()})
+    """List the threads, and strike the one that is to be struck, once."""
+    struck = False
+    while True:
+        threads = threading.enumerate()
         draft = folder / "threads.draft"
-        draft.write_text("\n".join(names))
+        draft.write_text("\n".join(sorted({thread.name for thread in threads})))
         draft.rename(folder / "threads")
+        if not struck and (folder / "strike").exists():
+            struck = True
+            strike(threads, (folder / "strike").read_text())
         time.sleep(0.005)
-    name = (folder / "strike").read_text()
-    for thread in threading.enumerate():
+
+
+def strike(threads: list[threading.Thread], name: str) -> None:
+    """Let the threads of this name raise at their next step in Python."""
+    for thread in threads:
         if thread.name == name and thread.ident is not None:
             raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
             raise_in(ctypes.c_ulong(thread.ident), ctypes.py_object(Struck))
