@@ -7,6 +7,7 @@ at its next step in Python, which one that waits for a message takes when that c
 
 import ctypes
 import os
+import re
 import sys
 import threading
 import time
@@ -17,13 +18,18 @@ class Struck(SystemExit):
     """What the thread raises."""
 
 
+def name_of(thread: threading.Thread) -> str:
+    """The name of a thread, without the time in the name of a recording."""
+    return re.sub(r"-\d{8}T\d{6}", "", thread.name)
+
+
 def watch(folder: Path) -> None:
     """List the threads, and strike the one that is to be struck, once."""
     struck = False
     while True:
         threads = threading.enumerate()
         draft = folder / "threads.draft"
-        draft.write_text("\n".join(sorted({thread.name for thread in threads})))
+        draft.write_text("\n".join(sorted({name_of(thread) for thread in threads})))
         draft.rename(folder / "threads")
         if not struck and (folder / "strike").exists():
             struck = True
@@ -34,7 +40,7 @@ def watch(folder: Path) -> None:
 def strike(threads: list[threading.Thread], name: str) -> None:
     """Let the threads of this name raise at their next step in Python."""
     for thread in threads:
-        if thread.name == name and thread.ident is not None:
+        if name_of(thread) == name and thread.ident is not None:
             raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc
             raise_in(ctypes.c_ulong(thread.ident), ctypes.py_object(Struck))
 
