@@ -5,7 +5,8 @@
 Two publishers send 5,000 samples a second each and write down what they publish, before they do; a recorder
 of its own records them. The recorder is frozen for 8 s (SIGSTOP), or another subscriber is, which takes
 nothing in meanwhile. Then all goes on for some seconds, and the recording is held against what was published:
-what is not in it has to be counted, as holes in its streams and in its last status.
+what is not in it has to be counted: holes between its samples and, in its last status, what its publishers
+say that they published after the last of them.
 """
 
 from __future__ import annotations
@@ -130,8 +131,8 @@ def main() -> None:
         result[who] = {
             "repeats": len(valid),
             **{key: sum(trial[key] for trial in valid) for key in ("published", "recorded", "lost", "wrong")},
-            "lost_and_not_counted": sum(trial["lost"] - trial["holes"] for trial in valid),
-            "holes_not_in_status": sum(trial["holes"] - trial["gaps_in_its_last_status"] for trial in valid),
+            "lost_and_not_counted": sum(trial["lost"] - trial["gaps_in_its_last_status"] for trial in valid),
+            "counted_at_the_end": sum(trial["gaps_in_its_last_status"] - trial["holes"] for trial in valid),
             "trials": trials,
             "load_average": [round(min(loads), 1), round(max(loads), 1)],
         }

@@ -11,7 +11,7 @@ from typing import Any, Self
 
 import zenoh
 
-from labhil.bus.authentication import Refusals
+from labhil.bus.authentication import OLDEST, Refusals
 from labhil.bus.incoming import LARGEST, ErrorReply, dump, load, parse
 from labhil.bus.session import Bus
 from labhil.errors import BusError, CommandRefusedError
@@ -38,7 +38,8 @@ class Answering:
     """A key whose questions are answered, one after another, by a thread of its own.
 
     ``reader`` turns a payload into what the handler gets. A question for which ``guarded`` is true has to be
-    signed with the session's key. What is refused before the handler sees it is counted in ``refusals``.
+    signed with the session's key, no longer ago than ``oldest`` s. What is refused before the handler sees it
+    is counted in ``refusals``.
     """
 
     def __init__(
@@ -50,11 +51,12 @@ class Answering:
         reader: Reader = _any_object,
         guarded: Callable[[Any], bool] = lambda _: False,
         refusals: Refusals | None = None,
+        oldest: float = OLDEST,
     ) -> None:
         self._bus, self._key, self._closed = bus, key, False
         self._handler, self._reader, self._guarded = handler, reader, guarded
         self._refusals = refusals or Refusals()
-        self._verifier = bus.verifier()
+        self._verifier = bus.verifier(oldest)
         self._queryable = bus.session.declare_queryable(key, zenoh.handlers.FifoChannel(256), complete=True)
         self._queries = self._queryable.handler
         self._thread = SupervisedThread(self._run, f"serve {key}")
@@ -140,9 +142,10 @@ def serve(
     reader: Reader = _any_object,
     guarded: Callable[[Any], bool] = lambda _: False,
     refusals: Refusals | None = None,
+    oldest: float = OLDEST,
 ) -> Answering:
     """Answer questions at ``key`` with ``handler`` until the result is closed; see :class:`Answering`."""
-    return Answering(bus, key, handler, reader=reader, guarded=guarded, refusals=refusals)
+    return Answering(bus, key, handler, reader=reader, guarded=guarded, refusals=refusals, oldest=oldest)
 
 
 def ask(

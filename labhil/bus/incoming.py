@@ -82,6 +82,14 @@ class MarkRequest(Incoming):
     text: Text
 
 
+class PublishedRequest(Incoming):
+    """The number of the last sample that the publisher of a stream, which leaves, published."""
+
+    device: Name
+    stream: Name
+    last_seq: Annotated[int, Field(ge=0, le=LARGEST_NS)]
+
+
 class ReplayRequest(Incoming):
     """A request to a replay; ``value`` is a speed, or a time in s of the host."""
 

@@ -26,6 +26,9 @@ REPLAY_CONTROL = "replay/@control"
 ARRIVED = "lab/@arrived"
 """Where every subscription answers; the answer comes after all that was sent to it before the question."""
 
+PUBLISHED = "lab/@published"
+"""Where a publisher that leaves says how many samples it published; each recorder answers as above."""
+
 RUN = "@run"
 """Stands where a device's name does, for requests to the run itself."""
 

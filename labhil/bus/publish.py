@@ -7,14 +7,15 @@ import queue
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
 
 import zenoh
 
-from labhil.bus.ask import serve
+from labhil.bus.ask import ask_all, serve
 from labhil.bus.incoming import dump
-from labhil.bus.keys import LAB, event_key, schema_key, stream_key
+from labhil.bus.keys import LAB, PUBLISHED, event_key, schema_key, stream_key
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_to_json
 from labhil.errors import BusError
@@ -27,6 +28,9 @@ LONGEST_TEXT = 4000
 
 FIRST_LISTENER = 1.0
 """Seconds that the first samples wait in the queue for somebody to listen."""
+
+LONGEST_DELIVERY = 30.0
+"""Seconds that a publisher which leaves waits until recorders have received all that it published."""
 
 
 class StreamPublisher:
@@ -53,6 +57,8 @@ class StreamPublisher:
         self.error: BusError | None = None
         self._queue: queue.Queue[list[bytes] | None] = queue.Queue(depth)
         self._closing = threading.Event()
+        self._place = {"device": device, "stream": stream.name} if namespace == LAB else None
+        self._last_seq: int | None = None
         self._session = bus.session
         key = stream_key(device, stream.name, namespace)
         self._bus, self._key = bus, key
@@ -76,6 +82,7 @@ class StreamPublisher:
         """Publish a batch; never blocks."""
         if len(batch) == 0:
             return
+        self._last_seq = int(batch.seq[-1])
         try:
             self._queue.put_nowait(self.codec.encode(batch))
         except queue.Full:
@@ -90,7 +97,7 @@ class StreamPublisher:
             raise BusError(f"{self._schema_key}: could not be published: {error}") from error
 
     def close(self) -> None:
-        """Publish what is still queued, then let go of the key; safe to call twice."""
+        """Publish what is queued, wait until recorders have it, and let go of the key; safe to call twice."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -98,6 +105,7 @@ class StreamPublisher:
         self._thread.end()
         self._end_queue()
         self._thread.join()
+        self._deliver()
         self._schema.close()
         self._publisher.undeclare()
 
@@ -137,6 +145,14 @@ class StreamPublisher:
             except queue.Full:
                 continue
             return
+
+    def _deliver(self) -> None:
+        """Tell recorders how many samples there were; the answer comes after they have received them."""
+        if self._place is None or self._last_seq is None:
+            return
+        statement = {**self._place, "last_seq": self._last_seq}
+        with suppress(BusError):  # the session was closed before: recorders notice that nothing was stated
+            ask_all(self._bus, PUBLISHED, statement, LONGEST_DELIVERY)
 
     def _tell_schema(self) -> None:
         """Declare the stream before its first sample; subscribers that join later have to ask."""

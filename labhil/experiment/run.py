@@ -191,7 +191,7 @@ class _Run:
                 error.__cause__ = exc
             finally:
                 failure = self._stop(recorder, devices, error, reason)
-            error = in_place_of(error or failure)
+            error = in_place_of(recorder.failure or error or failure)
             reason = reason if error is None else str(error)
             self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()

@@ -118,10 +118,16 @@ class Child:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
-    def stop(self) -> None:
-        """Have the child end and wait until it has; SIGTERM and SIGKILL where it does not. Safe twice."""
+    def has_ended(self, within: float) -> bool:
+        """Whether the child ends within so many s; waits that long at most."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(within)
+        return self._process.poll() is not None
+
+    def stop(self, patience: float = STOP_TIMEOUT) -> None:
+        """Have the child end and wait for it; SIGTERM after ``patience`` s, then SIGKILL. Safe twice."""
         self.close_input()
-        for timeout, then in ((STOP_TIMEOUT, self._process.terminate), (KILL_TIMEOUT, self._process.kill)):
+        for timeout, then in ((patience, self._process.terminate), (KILL_TIMEOUT, self._process.kill)):
             try:
                 self._process.wait(timeout)
                 break

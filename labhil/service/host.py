@@ -77,7 +77,9 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
             reachable = registered("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
                 say({"ready": describe(driver, info)})
-                return control.run()
+                reason = control.run()
+                say({"delivering": reason})
+                return reason
         except LabhilError as error:
             driver.safe()
             announce_failure(bus, config.device, error, driver.counters)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from labhil import errors
+from labhil.bus.publish import LONGEST_DELIVERY
 from labhil.documents import parse_json
 from labhil.errors import BusError, LabhilError, RunStoppedError
-from labhil.service.child import Child
+from labhil.service.child import STOP_TIMEOUT, Child
 from labhil.service.messages import HostConfig
 from labhil.signals import Signal, Stream
 
@@ -93,7 +94,7 @@ class HostProcess:
         if self._child.exit_status() is None:
             deaf = self._child.deafness()
             return BusError(f"{self._child.name} is not heard any more: {deaf}") if deaf else None
-        return self._ending_error(_parse(self._child.line(1.0)))
+        return self._ending_error(self._last_message())
 
     def _ending_error(self, message: Mapping[str, Any]) -> LabhilError:
         ended = message.get("ended")
@@ -112,8 +113,25 @@ class HostProcess:
         self._child.close_input()
 
     def stop(self) -> None:
-        """End the host and wait until it is gone. Safe twice."""
-        self._child.stop()
+        """End the host and wait until it is gone. Safe twice.
+
+        One whose device is safe has time until recorders have received all that it published.
+        """
+        self._child.close_input()
+        is_slow = not self._child.has_ended(STOP_TIMEOUT)
+        self._child.stop(LONGEST_DELIVERY if is_slow and self._is_delivering() else 0.0)
+
+    def _is_delivering(self) -> bool:
+        """Whether the host has said that its device is safe, and only what it published is left to do."""
+        while line := self._child.next_line():
+            if "delivering" in _parse(line):
+                return True
+        return False
+
+    def _last_message(self) -> dict[str, Any]:
+        """What the host said in the end; nothing where it was killed."""
+        message = _parse(self._child.line(1.0))
+        return _parse(self._child.line(1.0)) if "delivering" in message else message
 
 
 def error_named(name: str, message: str) -> LabhilError:

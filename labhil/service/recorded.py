@@ -36,6 +36,10 @@ class RecordedStream:
     samples: int = 0
     gaps: int = 0
     refused: int = 0
+    missing_at_end: int = 0
+    """Samples that its publisher says it published after the last one that came."""
+    end_unknown: bool = False
+    """Whether its publisher is gone without having said that."""
     first_ns: int = 0
     last_ns: int = 0
     first_seq: int = 0
@@ -61,6 +65,11 @@ class RecordedStream:
             self.last_seq = number
         self.samples += len(payloads)
         self.last_ns = int(stamps[-1, 1])
+
+    def take_end(self, last_seq: int) -> None:
+        """Count what is missing up to the last sample that was published."""
+        self.missing_at_end = max(0, last_seq - self.last_seq) if self.samples else 0
+        self.gaps += self.missing_at_end
 
     def clock_faults(self) -> tuple[ClockFault, ...]:
         """What is wrong with the stamps of its device's clock."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -35,6 +36,7 @@ from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_me
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
+from labhil.service.stream_ends import StreamEnds
 from labhil.service.stream_schemas import MOST_STREAMS, StreamSchemas
 from labhil.signals import Direction
 from labhil.supervised import SupervisedThread
@@ -64,7 +66,6 @@ UNEXPLAINED = (
     ArithmeticError,
 )
 """A publisher that is not known yet, or gone for good, or that says something else than what a stream is."""
-
 
 MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
 """How many events of a device that are none are kept as text, and how many bytes of each."""
@@ -126,12 +127,12 @@ class Recorder:
             for name, table in (metadata or {}).items():
                 self._writer.metadata(name, table)
             self._writer.flush()
-            self._schemas = StreamSchemas(bus, self._refusals)
-            try:
+            with ExitStack() as listening:
+                self._schemas = listening.enter_context(closing(StreamSchemas(bus, self._refusals)))
+                self._ends = listening.enter_context(closing(StreamEnds(bus, self._refusals)))
                 self._subscription = subscribe(bus, ALL_STREAMS, self._receive, self._refusals, gather=GATHER)
-            except BaseException:
-                self._schemas.close()
-                raise
+                listening.enter_context(self._subscription)
+                self._listening = listening.pop_all()
         except BaseException:
             self._writer.abandon()
             for begun in (self._writer.path, self._writer.part):
@@ -191,7 +192,8 @@ class Recorder:
     def check(self) -> None:
         """Raise RecordingFailedError when nothing is recorded any more, whatever the reason."""
         if self.failure is None and not self._finished:
-            why = self._subscription.failure() or self._schemas.failure() or self._thread.failure()
+            parts = (self._subscription, self._schemas, self._ends, self._thread)
+            why = next((why for part in parts if (why := part.failure())), "")
             if why:
                 self._deaf = RecordingFailedError(f"{self._writer.path}: the recorder failed: {why}")
                 raise self._deaf
@@ -202,8 +204,8 @@ class Recorder:
         deadline = time.monotonic() + LONGEST_SETTLING
         while time.monotonic() < min(deadline, self._arrived_at + QUIET):
             time.sleep(QUIET / 5)
-        self._subscription.close()
-        self._schemas.close()
+        self._ends.look_for_publishers(list(self._channels.values()))
+        self._listening.close()
         self._thread.end()
         self._queue.put(None)
         self._thread.join()
@@ -315,8 +317,7 @@ class Recorder:
     def _learn(self, channel: RecordedStream) -> None:
         """Open the channel if it is known what it is; else ask, but not all the time."""
         try:
-            reply = self._schemas.schema_of(channel)
-            if reply is None:
+            if (reply := self._schemas.schema_of(channel)) is None:
                 return
             parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
             stream = stream_from_json(reply.stream)
@@ -361,8 +362,9 @@ class Recorder:
                 self._store(channel)
             if channel.waiting:
                 self._keep_unexplained(channel)
+        lost = self._ends.count_missing(self._channels.values())
         self._write_status()
-        self._warnings = tuple(
+        self._warnings = lost + tuple(
             f"{channel.device}/{channel.stream}: {fault.statement}"
             for channel in self._channels.values()
             for fault in channel.clock_faults()

@@ -22,11 +22,12 @@ from labhil.bus.keys import EVENT, REPLAY, REPLAY_CONTROL
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.register import registered
 from labhil.bus.session import open_bus
-from labhil.errors import BusError, CommandRefusedError, OptionError, RecordingError
+from labhil.errors import CommandRefusedError, OptionError, RecordingError
 from labhil.host_clock import session_clock, unix_ns
 from labhil.recording.recording import Event, Recording, StreamData
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.signals import Batch, FloatArray
+from labhil.supervised import SupervisedThread
 
 TICK = 0.02
 """Samples go out in batches of so many s of the host, as those of a device do."""
@@ -147,9 +148,9 @@ class Replay:
             # without devices: nobody has to answer an emergency stop here
             resources.enter_context(registered("replay", self._recording.path.name, bus.endpoint, ()))
             self._go_to(self._state.position)
-            thread = threading.Thread(target=self._run, name="replay")
-            thread.start()
-            resources.callback(thread.join)
+            self._thread = SupervisedThread(self._run, "replay", on_failure=self._note_failure)
+            self._thread.start()
+            resources.callback(self._thread.join)
             resources.callback(self._ending.set)
             self._resources = resources.pop_all()
         return self
@@ -241,13 +242,13 @@ class Replay:
 
     def _run(self) -> None:
         while not self._ending.wait(TICK):
-            try:
-                with self._lock:
-                    self._step(unix_ns())
-            except BusError as error:
-                self.fault = str(error)
-                self._ended.set()
-                return
+            with self._lock:
+                self._step(unix_ns())
+        self._thread.end()
+
+    def _note_failure(self) -> None:
+        self.fault = self._thread.failure()
+        self._ended.set()
 
     def _step(self, now_ns: int) -> None:
         """Publish what is due by now."""

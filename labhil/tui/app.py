@@ -23,6 +23,7 @@ from textual.widgets import (
     Static,
 )
 
+from labhil.tui.background import OUT_OF_DATE
 from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
@@ -90,7 +91,7 @@ class LabApp(App[None]):
         self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
         self.leaving = ""
         self._pace = FrameLimiter()
-        self._bar = Text()
+        self._bar, self._is_blind = Text(), False
         self._panes: tuple[Widget, ...] = ()
         # the line under a tab that glides costs a third of the time until the tab's pane is there
         self.animation_level = "none"
@@ -181,10 +182,14 @@ class LabApp(App[None]):
             self.base.query_one(LivePane).draw()
 
     def _show_facts(self) -> None:
+        failure = self.lab.failure()
         if self.runner.active:
-            self.runner.end_unseen(self.lab.failure())
+            self.runner.end_unseen(failure)
         if not self.is_drawable:
             return
+        if failure and not self._is_blind:
+            self._is_blind = True
+            self.notify(f"{OUT_OF_DATE}: {failure}", severity="error", timeout=3600.0)
         self.emergency.refresh()
         self._show_bar()
         tab = self.tab

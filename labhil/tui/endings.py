@@ -9,9 +9,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Protocol
 
 from textual.app import App
+
+from labhil.supervised import SupervisedThread
 
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 SERVER = "LABHIL_WEB_SERVER"
@@ -39,10 +42,9 @@ def end_in_order(app: App[None], runner: Stoppable) -> None:
         loop.add_signal_handler(ending, end, ending)
     if app.is_web and SERVER in os.environ:
         server = int(os.environ[SERVER])
-        threading.Thread(
-            target=_end_with,
-            args=(server, lambda: loop.call_soon_threadsafe(end, signal.SIGHUP)),
-            daemon=True,
+        hang_up = partial(loop.call_soon_threadsafe, end, signal.SIGHUP)
+        SupervisedThread(
+            partial(_end_with, server, hang_up), "watch the web server", daemon=True, on_failure=hang_up
         ).start()
 
 

@@ -17,6 +17,7 @@ from labhil.bus.session import open_bus
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
+from labhil.supervised import SupervisedThread
 from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.watch import FORGET_AFTER, Announcement, DeviceView, Watch
 
@@ -59,7 +60,7 @@ class Session:
         self._stacks: dict[str, ExitStack] = {}
         self._lock = threading.Lock()
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._look_around, name="look for buses")
+        self._thread = SupervisedThread(self._look_around, "look for buses")
 
     def __enter__(self) -> Self:
         try:
@@ -74,9 +75,9 @@ class Session:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._thread.end()
         self._ending.set()
-        if self._thread.is_alive():
-            self._thread.join()
+        self._thread.join()
         self._leave_all()
 
     @property
@@ -121,14 +122,14 @@ class Session:
 
     @property
     def fault(self) -> str:
-        """The last errors in incoming messages; empty where there were none."""
-        return "; ".join(watch.fault for watch in self.watches.values() if watch.fault)
+        """Why the view is out of date, and the last errors in incoming messages; empty where all is well."""
+        faults = [self.failure(), *(watch.fault for watch in self.watches.values())]
+        return "; ".join(fault for fault in faults if fault)
 
     def failure(self) -> str:
         """Return why the view is out of date; empty while all is well."""
-        if self._thread.ident is not None and not self._ending.is_set() and not self._thread.is_alive():
-            return "the thread that looks for devices has died"
-        return next((why for watch in self.watches.values() if (why := watch.failure())), "")
+        watched = next((why for watch in self.watches.values() if (why := watch.failure())), "")
+        return self._thread.failure() or watched
 
     @property
     def latch(self) -> Latch | None:

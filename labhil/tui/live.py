@@ -15,6 +15,7 @@ from textual.widgets.selection_list import Selection
 
 from labhil.signals import Direction, FloatArray
 from labhil.tui import lab as labs
+from labhil.tui.background import work_in_background
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.dialogs import Choose
 from labhil.tui.lab import Place, Session
@@ -208,7 +209,7 @@ class LivePane(Horizontal, Backdrop):
             if complaint:
                 self.app.call_later(self.app.notify, complaint, severity="error")
 
-        self.run_worker(go, thread=True, group="replay", exit_on_error=False)
+        work_in_background(self, go, "steering the replay", "replay")
 
     def action_shadow(self) -> None:
         """Put an accepted model beside the device of the chosen signal, or take it away."""

@@ -17,6 +17,7 @@ from textual.widgets import Static
 from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
+from labhil.tui.background import work_in_background
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import Chart
@@ -48,7 +49,7 @@ class RecordingScreen(Screen[None]):
 
     def on_mount(self) -> None:
         """Read it."""
-        self.run_worker(self._read, thread=True, exit_on_error=False)
+        work_in_background(self, self._read, f"reading {self._path.name}", "read")
 
     def _read(self) -> None:
         try:

@@ -15,6 +15,7 @@ from textual.widgets import Static
 
 from labhil.campaign.studies.process import Helper
 from labhil.tui import lab as labs
+from labhil.tui.background import work_in_background
 from labhil.tui.curve import Curve, Pen
 from labhil.tui.lab import Place
 from labhil.tui.plot import Chart
@@ -86,7 +87,7 @@ class ShadowView(Vertical):
         """End it, and take it from the screen; its process may take a moment, which no key waits for."""
         helper, self._helper = self._helper, None
         if helper is not None:
-            self.run_worker(lambda: helper.close(PATIENCE), thread=True, group="shadow", exit_on_error=False)
+            work_in_background(self, lambda: helper.close(PATIENCE), "ending the shadow", "shadow")
         self.state = None
         self.display = False
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from textual.app import App
 
+from labhil.tui.background import work_in_background
 from labhil.tui.messages import ShelfRead
 from labhil.tui.recording_library import RecordingLibrary
 
@@ -21,7 +22,7 @@ class ShelfReader:
     def look(self) -> None:
         """Read the folder anew, unless that is going on already."""
         if self._reading.acquire(blocking=False):
-            self._app.run_worker(self._read, thread=True, group="shelf", exit_on_error=False)
+            work_in_background(self._app, self._read, "reading the folder", "shelf")
 
     def _read(self) -> None:
         try:

@@ -13,6 +13,7 @@ from textual.widgets import Static
 from labhil.bus.latch import Latch
 from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
+from labhil.tui.background import work_in_background
 from labhil.tui.dialogs import Confirm
 from labhil.tui.lab import Session
 
@@ -66,14 +67,14 @@ class EmergencyStop:
     def press(self) -> None:
         """Bring every device in reach to its safe state, and hold all runs until it is released."""
         self.outcome = None
-        self._app.run_worker(self._stop_devices, thread=True, group="stop", exit_on_error=False)
+        work_in_background(self._app, self._stop_devices, "the emergency stop", "stop")
 
     def ask_release(self) -> None:
         """Allow runs again, once somebody has confirmed it."""
 
         def go(yes: bool | None) -> None:
             if yes:
-                self._app.run_worker(self._release, thread=True, group="stop", exit_on_error=False)
+                work_in_background(self._app, self._release, "the release of the emergency stop", "stop")
 
         question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
         self._app.push_screen(Confirm(question, "Release", "Keep it"), go)
@@ -93,7 +94,12 @@ class EmergencyStop:
         return Text() if self.latch is None else stop_note(self.latch, self.outcome)
 
     def _stop_devices(self) -> None:
-        outcome = self._lab.stop_all("emergency stop in the terminal UI")
+        try:
+            outcome = self._lab.stop_all("emergency stop in the terminal UI")
+        except BaseException as error:
+            outcome = Outcome({}, {"every device": f"the stop itself failed: {error!r}"}, ())
+            self._app.call_later(self._take_outcome, outcome)
+            raise
         self._app.call_later(self._take_outcome, outcome)
 
     def _take_outcome(self, outcome: Outcome) -> None:

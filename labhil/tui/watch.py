@@ -45,6 +45,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError
 from labhil.signals import Signal, Stream
+from labhil.supervised import SupervisedThread
 from labhil.tui.stream_watch import UNDECODABLE, StreamHealth, StreamWatch
 
 ASK_INTERVAL = 0.5
@@ -124,6 +125,7 @@ class Watch:
         self._unknown: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
         self._ending = threading.Event()
+        self._asking = SupervisedThread(self._ask_around, "ask devices")
         self._resources = ExitStack()
 
     def __enter__(self) -> Self:
@@ -132,10 +134,10 @@ class Watch:
                 resources.enter_context(subscribe(self.bus, schemas, self._take_schemas))
             for streams in (ALL_STREAMS, REPLAYED_STREAMS):
                 resources.enter_context(subscribe(self.bus, streams, self._take))
-            self._asking = asking = threading.Thread(target=self._ask_around, name="ask devices")
-            asking.start()
-            resources.callback(asking.join)
+            self._asking.start()
+            resources.callback(self._asking.join)
             resources.callback(self._ending.set)
+            resources.callback(self._asking.end)
             self._resources = resources.pop_all()
         return self
 
@@ -178,9 +180,7 @@ class Watch:
 
     def failure(self) -> str:
         """Return why this is out of date although nobody closed it; empty while all is well."""
-        if not self._ending.is_set() and not self._asking.is_alive():
-            return "the thread that asks the devices has died"
-        return self.bus.failure()
+        return self._asking.failure() or self.bus.failure()
 
     @property
     def alive(self) -> bool:

@@ -15,10 +15,11 @@ import numpy as np
 import pytest
 
 from labhil.bus import StreamPublisher, open_bus, publish_event
-from labhil.bus.keys import stream_key
+from labhil.bus.ask import ask_all
+from labhil.bus.keys import PUBLISHED, stream_key
 from labhil.bus.publish import publish_command
 from labhil.codec import Codec
-from labhil.errors import RecordingError, RecordingFailedError
+from labhil.errors import CommandRefusedError, RecordingError, RecordingFailedError
 from labhil.recording import read_recording
 from labhil.recording.writer import FLUSH_INTERVAL
 from labhil.service.recorder import Recorder
@@ -82,6 +83,39 @@ def test_gaps_are_counted_and_the_last_status_tells_them(bus, tmp_path):
     assert (told["received"], told["gaps"], told["waiting"]) == (201, 5, 0)
 
 
+def test_samples_that_a_publisher_sent_last_and_that_did_not_come_are_counted(bus, tmp_path):
+    with Recorder(bus, tmp_path / "a.mcap") as recorder:
+        with StreamPublisher(bus, "bench", STREAM) as publisher:
+            publisher.put(batch(0, 100))
+        assert recorder.summary().streams[0].gaps == 0
+        answers = ask_all(bus, PUBLISHED, {"device": "bench", "stream": "state", "last_seq": 149})
+        assert list(answers.values()) == [{"received": True}]
+        for odd in ({"device": "bench", "stream": "state", "last_seq": -1}, {}):
+            assert isinstance(ask_all(bus, PUBLISHED, odd)[PUBLISHED], CommandRefusedError)
+        summary = recorder.finish()
+    assert summary.streams[0].gaps == 50
+    assert summary.warnings == ("bench/state: the last 50 samples were published, but lost",)
+    recording = read_recording(tmp_path / "a.mcap")
+    last = [event for event in recording.events if event.topic == "status"][-1]
+    assert last.body["streams"]["/bench/state"]["gaps"] == 50
+    assert summary.warnings[0] in [event.body.get("text") for event in recording.events]
+
+
+def test_a_publisher_that_left_has_delivered_to_a_recorder_that_is_slow(bus, tmp_path, monkeypatch):
+    take = Recorder._receive
+
+    def take_slowly(recorder, key, payloads):
+        time.sleep(0.002 * len(payloads))
+        take(recorder, key, payloads)
+
+    monkeypatch.setattr(Recorder, "_receive", take_slowly)
+    with Recorder(bus, tmp_path / "a.mcap") as recorder:
+        with start(bus, "publish", "bench", 2000) as peer:
+            assert peer.stdout.read() == "0\n"
+        summary = recorder.finish()
+    assert (summary.streams[0].samples, summary.streams[0].gaps, summary.warnings) == (2000, 0, ())
+
+
 def test_recording_goes_on_when_a_publisher_dies(bus, tmp_path):
     with Recorder(bus, tmp_path / "a.mcap") as recorder:
         with start(bus, "stand", "mortal") as mortal, StreamPublisher(bus, "bench", STREAM) as publisher:
@@ -91,7 +125,8 @@ def test_recording_goes_on_when_a_publisher_dies(bus, tmp_path):
             mortal.wait()
             publisher.put(batch(100, 100))
             wait_until(lambda: samples(recorder)["bench"] == 200)
-        recorder.finish()
+        (warning,) = recorder.finish().warnings
+    assert "mortal/state: its publisher is gone and did not say how many samples it published" in warning
     recording = read_recording(tmp_path / "a.mcap")
     lengths = {data.device: len(data) for data in recording.streams}
     assert lengths["bench"] == 200

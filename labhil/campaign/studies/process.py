@@ -16,6 +16,7 @@ from typing import Any
 
 from labhil.errors import BusError
 from labhil.service.child import Child
+from labhil.supervised import SupervisedThread
 from labhil.terminal import show
 
 OnLine = Callable[[dict[str, Any]], object]
@@ -28,7 +29,7 @@ class Helper:
     """``python -m module`` with a request in its first line.
 
     ``on_line`` gets each line that it writes, in a thread of its own; the last is ``{"ended": status}``
-    with ``complaint``, the end of what it wrote to stderr.
+    with ``complaint``, the end of what it wrote to stderr. A process that is not heard any more is ended.
     """
 
     def __init__(self, name: str, module: str, request: Mapping[str, Any], on_line: OnLine) -> None:
@@ -36,7 +37,7 @@ class Helper:
         self._child = Child(name, [sys.executable, "-P", "-m", module])
         self.tell(request)
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name=f"listen to {name}")
+        self._thread = SupervisedThread(self._listen, f"listen to {name}", on_failure=self._give_up)
         self._thread.start()
 
     @property
@@ -72,8 +73,16 @@ class Helper:
         while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
             time.sleep(0.01)
         complaint = self._child.complaint()
+        self._thread.end()
         self._ended.set()
         self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})
+
+    def _give_up(self) -> None:
+        """End the process in order: nobody hears what it says."""
+        self._child.close_input()
+        self._ended.set()
+        with contextlib.suppress(Exception):  # what it raised is often why nobody hears
+            self._on_line({"ended": None, "complaint": self._thread.failure()})
 
 
 def say(line: Mapping[str, Any]) -> None:

@@ -1,0 +1,27 @@
+"""Work that takes a moment, in a thread of its own, so that the screen goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from textual.app import App
+from textual.dom import DOMNode
+from textual.worker import Worker
+
+OUT_OF_DATE = "What is shown of the devices is out of date; start the terminal UI anew"
+
+
+def work_in_background(
+    node: App[Any] | DOMNode, work: Callable[[], object], what: str, group: str
+) -> Worker[None]:
+    """Do ``work`` in a thread; what it raises is shown as an error of ``what``, and ends nothing else."""
+    app = node if isinstance(node, App) else node.app
+
+    def go() -> None:
+        try:
+            work()
+        except BaseException as error:  # noqa: BLE001 - nobody waits for this thread: it would end in silence
+            app.call_later(app.notify, f"{what} failed: {error!r}", severity="error", timeout=30.0)
+
+    return node.run_worker(go, thread=True, group=group, exit_on_error=False)
