@@ -31,7 +31,7 @@ def recorded(rig, disturbed):
     """Twelve seconds of a ball with dry friction, its reading off by a bump where ``disturbed`` says so."""
     t = 0.01 * np.arange(1200)
     angle = sum(0.02 * w * np.cos(w * t) for w in (1.3, 2.1, 3.4, 5.5))
-    record = Record(t, angle[:, None], np.zeros((1200, 1)), ("servo_angle",), ("ball_position",), ("m",))
+    record = Record(t, angle[:, None], np.zeros((1200, 1)), ("beam_angle",), ("ball_position",), ("m",))
     model = BallBeamModel(rig, record)
     whole = Windows.of([(0, 1200)])
     theta = theta_of(model, TRUE)
@@ -39,7 +39,7 @@ def recorded(rig, disturbed):
     along = model.coordinates(theta, record, whole, start)
     noise = 1e-4 * np.random.default_rng(3).standard_normal(1200)
     position = model.simulate(theta, record, whole, start)[:, 0] + noise + disturbed(along)
-    return Record(t, record.inputs, position[:, None], ("servo_angle",), ("ball_position",), ("m",))
+    return Record(t, record.inputs, position[:, None], ("beam_angle",), ("ball_position",), ("m",))
 
 
 def remainder(rig, record, names=("coulomb_friction",)):

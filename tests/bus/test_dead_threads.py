@@ -7,14 +7,16 @@ import time
 import pytest
 
 from labhil.bus.ask import Answering, ask, serve
-from labhil.bus.keys import ALL_STREAMS, command_key
+from labhil.bus.keys import ALL_STREAMS, command_key, key_by
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.errors import BusError
 from labhil.experiment.devices import at_once
 from labhil.plugins import load_driver
+from labhil.security.roles import Role
 from labhil.service.child import Child
+from labhil.service.gateway import Gateway
 from labhil.service.reconnect import Search
 from labhil.signals import Direction, Signal, Stream
 from labhil.supervised import SupervisedThread
@@ -96,3 +98,13 @@ def test_one_that_stops_a_device_keeps_no_other_from_it() -> None:
     stopped: list[str] = []
     failed, well = at_once([dies, lambda: stopped.append("other")])
     assert "SystemExit('struck')" in str(failed) and well is None and stopped == ["other"]
+
+
+def test_one_that_answers_guests(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Gateway, "_answer", dies)
+    with open_bus() as door, Gateway(door, {"ada": Role.ADMIN}, lambda _: None) as gateway:
+        with open_bus(door.endpoint) as guest, pytest.raises(BusError):
+            ask(guest, key_by(command_key("a", "status"), "ada"), {}, 1.0)
+        assert "SystemExit('struck')" in wait_for_failure(door)
+        with pytest.raises(BusError, match=r"guests are not heard any more: .*struck"):
+            gateway.look()

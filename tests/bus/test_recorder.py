@@ -87,6 +87,7 @@ def test_samples_that_a_publisher_sent_last_and_that_did_not_come_are_counted(bu
     with Recorder(bus, tmp_path / "a.mcap") as recorder:
         with StreamPublisher(bus, "bench", STREAM) as publisher:
             publisher.put(batch(0, 100))
+        wait_until(lambda: samples(recorder) == {"bench": 100})
         assert recorder.summary().streams[0].gaps == 0
         answers = ask_all(bus, PUBLISHED, {"device": "bench", "stream": "state", "last_seq": 149})
         assert list(answers.values()) == [{"received": True}]

@@ -32,6 +32,7 @@ STRUCK = {
         "test_a_hook_that_raises_before_the_steps_ends_the_run_before_anything_moves",
     ),
     "labhil/service/child.py Child": (BUS, "test_one_that_reads_what_a_child_says"),
+    "labhil/service/gateway.py Gateway": (BUS, "test_one_that_answers_guests"),
     "labhil/service/reconnect.py Search": (BUS, "test_one_that_looks_for_a_device"),
     "labhil/service/recorder.py Recorder": (
         "tests/run/test_strangers.py",
