@@ -42,6 +42,8 @@ class BurstOptions:
             its height.
         min_dropout_length_ratio: length of a dropout over the usual length of runs of equal readings, at
             least: slow sensors repeat readings.
+        min_edge_in_steps: height of the smaller edge of a dropout over the steps before and after it, at
+            least: the motion itself, read in steps of a converter, changes by up to twice its usual step.
         spike: limits that bursts share with single spikes.
     """
 
@@ -51,6 +53,7 @@ class BurstOptions:
     max_rest_in_noise: float = 4.0
     max_neighbour_difference: float = 0.5
     min_dropout_length_ratio: float = 5.0
+    min_edge_in_steps: float = 2.0
     spike: SpikeOptions = SPIKE_OPTIONS
 
 
@@ -146,15 +149,19 @@ def detect_dropouts(
     runs = runs.select(is_inner & (runs.length >= options.min_dropout_length_ratio * usual_length))
     if not len(runs.start):
         return runs
-    rise, fall = x[runs.start] - x[runs.start - 1], x[runs.stop] - x[runs.start]
+    change = np.diff(x)
+    rise, fall = change[runs.start - 1], change[runs.stop - 1]
+    # a sensor that freezes during a motion was reached by a step as large as the one before
+    steps = change[np.maximum(runs.start - 2, 0)], change[np.minimum(runs.stop, len(change) - 1)]
     smaller, larger = np.sort([np.abs(rise), np.abs(fall)], axis=0)
+    beyond_motion = smaller - options.min_edge_in_steps * np.abs(steps).max(axis=0)
     min_height = np.maximum(
         options.spike.min_height_in_noise * sigma,
         options.spike.min_height_in_changes * _usual_change_around(x, runs.start, runs.stop),
     )
     # a reading that goes on by chance near the value of the run leaves it by little
     runs = runs.select(
-        (rise * fall < 0.0) & (larger > min_height) & (smaller > options.max_rest_in_noise * sigma)
+        (rise * fall < 0.0) & (larger > min_height) & (beyond_motion > options.max_rest_in_noise * sigma)
     )
     value, count = np.unique(x[runs.start], return_counts=True)
     is_eligible = (value == 0.0) | (count > 1) | (not is_rate)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from hypothesis import seed as with_seed
 from hypothesis import strategies as st
 
 from labhil.diagnose.frozen import detect_clipping_levels
@@ -106,17 +105,16 @@ def fault_of_kind(detected: tuple[Fault, ...], kind: FaultKind) -> Fault:
     return fault
 
 
-# a fixed seed: some places of a ball that is nearly at rest look like a dropout, or like rest
 @SOME
-@with_seed(1)
 @given(name=st.sampled_from(["ball", "motor", "axis"]), place=st.integers(50, 1000), data=st.data())
 def test_a_stuck_sensor_is_found_where_it_is(clean, name, place, data):
     record = clean[name]
     length = data.draw(st.integers(120, 400))
     x = record.outputs[:, 0].copy()
     x[place : place + length] = x[place]
-    # what freezes right at the extreme looks clipped, and may be
+    # what freezes right at the extreme looks clipped, and may be; beside a body at rest nothing shows
     assume(x.min() < x[place] < x.max())
+    assume(np.ptp(record.outputs[place : place + length, 0]) > 0.05 * np.ptp(x))
     stuck = with_output(record, x)
     fault = fault_of_kind(faults_in(stuck), FaultKind.STUCK)
     (begin, end) = max(fault.times, key=lambda span: span[1] - span[0])
