@@ -191,8 +191,13 @@ class BallBeamModel:
         return self.linkage and self.per_unit_mass and not any(name in self.fixed for name in LINKAGE)
 
     def _estimated(self) -> Iterator[Parameter]:
-        """The rig's own parameters that its file does not state."""
-        if "ball_radius" not in self.fixed:
+        """The rig's own parameters that its file does not state.
+
+        Without a linkage an unknown radius counts as zero: where the beam's own angle is recorded, often
+        slowly, the coupling of its turning to the ball's is not determined, and an undetermined parameter
+        would widen all other intervals.
+        """
+        if self.linkage and "ball_radius" not in self.fixed:
             yield RIG_PARAMETERS["ball_radius"]
         if self._gain_per_servo_radian:
             yield PER_SERVO_RADIAN
@@ -290,7 +295,8 @@ class BallBeamModel:
         gain = share * GRAVITY
         k = np.zeros(rolling.SIZE)
         k[rolling.GRAVITY], k[rolling.CENTRIFUGAL] = gain, share
-        k[rolling.ROLLING] = SOLID_BALL_INERTIA * self._values.of(theta, "ball_radius") * share
+        if "ball_radius" in self._values:
+            k[rolling.ROLLING] = SOLID_BALL_INERTIA * self._values.of(theta, "ball_radius") * share
         for place, name in KERNEL_PLACES.items():
             k[place] = self._values.of(theta, name) / m_eff
         k[rolling.STRIBECK_VELOCITY] = self._values.of(theta, "stribeck_friction.velocity")
