@@ -29,6 +29,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 napoleon_numpy_docstring = False
+highlight_language = "text"  # what a program prints is no Python
 pygments_style = "friendly"
 
 
