@@ -207,7 +207,7 @@ def test_99_percent_intervals_cover_the_truth_in_50_seeds(model, acquire):
     print(shares)
     # Nominal is 99 %, and this falls short of it: 84 to 94 % were measured. One fit in six ends a few
     # units of χ² above the global minimum, with one window's state beside its best (see
-    # docs/explanation/model-and-windows.md).
+    # docs/explanation/start-values-and-minima.md).
     # The floor here only keeps it from getting worse.
     assert min(shares.values()) >= 0.8
 
