@@ -201,7 +201,7 @@ def test_what_is_wrong_with_the_recording_is_named_before_the_model_is_blamed(
     done = labhil("verify", record("late.mcap", late), "--model", accepted(), "--json", "out.json")
     assert done.status == 1
     assert [fault["kind"] for fault in answer(tmp_path)["faults"]] == ["lead"]
-    assert "answer drive_force 0.01 s (2 samples) before it changes" in done.out.replace("\n", " ")
+    assert "respond to drive_force 0.01 s (2 samples) before it changes" in done.out.replace("\n", " ")
     outputs = found.outputs.copy()
     outputs[[145, 400, 777], 0] += 0.5
     spiked = record("spiked.mcap", replace(found, outputs=outputs))
