@@ -173,7 +173,8 @@ def open_to_others(authority: Authority, address: str) -> Bus:
     """
     endpoint = f"tls/{bracketed(address)}:{authority.port}"
     settings = {
-        "mode": "peer",
+        # a guest that joins as a router would else be asked, by a peer, who is there: others would see nobody
+        "mode": "router",
         "listen/endpoints": [endpoint],
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

@@ -140,7 +140,7 @@ def test_a_guest_in_any_mode_cannot_use_another_name_or_pretend_to_be_a_device(
         guest.put(key_by(setpoint_key(BENCH), "otto"), b"{}")
         status_of(admin)  # what was sent before has been dealt with
         time.sleep(0.5)
-        assert live_devices(admin) == (BENCH,)
+        assert [live_devices(admin) for _ in range(8)] == 8 * [(BENCH,)]
     assert not forged
 
 
