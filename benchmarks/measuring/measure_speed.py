@@ -98,7 +98,7 @@ def main() -> None:
     given = parser.parse_args()
     pythons = [sys.executable, *([given.against] if given.against else [])]
     rigs: dict[str, Any] = {}
-    for rig in given.rigs:  # what is measured is told at once: a rig may take an hour
+    for rig in given.rigs:  # figures are printed at once: a rig may take an hour
         rigs[rig] = measure_rig(rig, given.trials, given.seed, pythons)
         tell({"schema": "labhil.speed/1", "seed": given.seed, "rigs": rigs}, given.out)
 

@@ -95,7 +95,7 @@ def dropout_fault(record: Record, channel: RecordedChannel, places: IntArray) ->
     spans = [(int(first), int(last)) for first, last in places]
     longest = max(spans, key=lambda span: span[1] - span[0])
     share = samples_in(places) / len(record)
-    mended = channel.name in record.output_names and share <= TOLERATED_SHARE[FaultKind.STUCK]
+    mended = _is_replaced(record, channel, FaultKind.STUCK, share)
     advice = "these readings do not count" if mended else "cut these times out or record again"
     fault = fault_in_spans(
         record, channel, FaultKind.STUCK, spans, share,
@@ -105,6 +105,11 @@ def dropout_fault(record: Record, channel: RecordedChannel, places: IntArray) ->
         f"converter; {advice}.",
     )  # fmt: skip
     return replace(fault, mended=mended)
+
+
+def _is_replaced(record: Record, channel: RecordedChannel, kind: FaultKind, share: float) -> bool:
+    """Whether wrong readings are replaced: those of outputs, if their share of the samples is tolerated."""
+    return channel.name in record.output_names and share <= TOLERATED_SHARE[kind]
 
 
 def outlier_fault(record: Record, channel: RecordedChannel, places: IntArray) -> Fault:
@@ -125,7 +130,7 @@ def outlier_fault(record: Record, channel: RecordedChannel, places: IntArray) ->
     width = int(np.max(places[:, 1] - places[:, 0])) + 1
     what = "single spike" if width == 1 else f"spike{'s' if count > 1 else ''} of up to {width} sample"
     plural = "s" if count > 1 or width > 1 else ""
-    mended = channel.name in record.output_names and share <= TOLERATED_SHARE[FaultKind.OUTLIER]
+    mended = _is_replaced(record, channel, FaultKind.OUTLIER, share)
     advice = "they do not count" if mended else "leave these samples out"
     fault = fault_in_spans(
         record, channel, FaultKind.OUTLIER, [(int(a), int(b)) for a, b in places], share,

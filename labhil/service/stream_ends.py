@@ -36,7 +36,7 @@ class StreamEnds:
     def count_missing(self, channels: Iterable[RecordedStream]) -> tuple[str, ...]:
         """Count in each stream what its publisher sent after the last sample that came; a sentence for each.
 
-        A publisher that is still there has told nothing: what it published until it answers is here then.
+        A publisher that is still there states nothing: all that it published before it answers is here then.
         """
         warnings = []
         for channel in channels:

@@ -129,7 +129,7 @@ def test_a_guest_in_any_mode_cannot_use_another_name_or_pretend_to_be_a_device(
         guest.liveliness().declare_token("lab/ghost/@live")
         if mode == "client":
             wait_for(lambda: any(reply.ok for reply in guest.get(own, timeout=2.0)), "an answer")
-        else:  # who is no client has to know who answers, and is not told
+        else:  # a peer or a router has to learn who answers, and learns nothing
             time.sleep(1.0)
         for key in (others, key_by(command_key(BENCH, "status"), "*"), "lab/**", "**"):
             own_places = (own, "@/")  # a session also answers of itself

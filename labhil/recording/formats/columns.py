@@ -54,15 +54,10 @@ class Columns(ABC):
         A column ``Time [ms]`` is found as ``Time``, too, and as ``time`` where none bears that name exactly.
         """
         names = self.names or ()
+        if places := _places(names, source):
+            return places
         bare = [without_unit(name) for name in names]
-        for spellings, wanted in (
-            (names, source),
-            (bare, source),
-            ([n.casefold() for n in bare], source.casefold()),
-        ):
-            if places := tuple(place for place, name in enumerate(spellings) if name == wanted):
-                return places
-        return ()
+        return _places(bare, source) or _places([n.casefold() for n in bare], source.casefold())
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -121,6 +116,10 @@ class NumberColumns(Columns):
         if column in self.texts:
             return repr(self.texts[column][row])
         return f"{self.values[column][row]}"
+
+
+def _places(names: Sequence[str], wanted: str) -> tuple[int, ...]:
+    return tuple(place for place, name in enumerate(names) if name == wanted)
 
 
 def number_columns(
