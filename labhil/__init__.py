@@ -6,10 +6,10 @@ Three lines from a file to a printed fit::
     fit = lh.fit("run.mcap")
     print(fit)
 
-Public are the names of ``labhil.__all__``, the modules :mod:`labhil.errors`, :mod:`labhil.devices` (for
-drivers of your own) and :mod:`labhil.testing` (the suite that such a driver passes), and what these say of
-themselves in their docstrings. Everything else, all that stands in another module, is private: it may change
-from one version to the next. Nothing is imported before it is used.
+Public are the names of ``labhil.__all__`` and those of the modules :mod:`labhil.errors`,
+:mod:`labhil.devices` (for drivers of your own), :mod:`labhil.testing` (the suite that such a driver passes)
+and :mod:`labhil.physics` (for laws and models of your own). Everything else is private: it may change from
+one version to the next. Nothing is imported before it is used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from labhil.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from labhil import devices, errors
+    from labhil import devices, errors, physics
     from labhil.analysis.schema import (
         ExcludedEffect,
         Improvement,
@@ -85,6 +85,7 @@ __all__ = [
     "load",
     "model",
     "mujoco_simulator",
+    "physics",
     "read",
     "recording",
     "remove_law",

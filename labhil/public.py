@@ -42,7 +42,7 @@ WHERE = {
     "labhil.simulators.simulator": ("Coordinate", "Simulator", "simulator"),
 }
 MODULE_OF = {name: module for module, names in WHERE.items() for name in names}
-MODULES = ("devices", "errors", "testing")
+MODULES = ("devices", "errors", "physics", "testing")
 
 
 def public(name: str) -> Any:

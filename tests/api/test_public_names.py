@@ -50,6 +50,7 @@ NAMES = [
     "load",
     "model",
     "mujoco_simulator",
+    "physics",
     "read",
     "recording",
     "remove_law",
