@@ -109,7 +109,7 @@ def widen(
     """
     spread = np.array([_spread(row, values, errors) for row in table.rows])
     old = np.array([row.std_error for row in table.rows])
-    new = np.sqrt(old**2 + spread**2 + shifts**2)
+    new = np.hypot(np.hypot(old, spread), shifts)
     known = np.isfinite(new) & (old > 0.0)
     factor = np.where(known, new, 1.0) / np.where(known, old, 1.0)
     rows = [

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from labhil.physics import input_path, rolling
-from labhil.physics.driven import input_nodes
+from labhil.physics.driven import InputPath, lag_without_jumps
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.guesses import states_from_line_fit
@@ -45,27 +45,14 @@ TYPICAL_SPAN = 0.2
 INITIAL_STATE_SPAN = 0.15
 """Span of the line fit that gives the initial state of a window, s."""
 
-INPUT_PATH_PARAMETERS = (
-    "backlash.gap",
-    "dead_zone.left",
-    "dead_zone.right",
-    "saturation.inverse_limit",
-    "rate_limit.inverse_rate",
-    "actuator_lag.time_constant",
-    "time_delay.delay",
-)
 LINKAGE = ("crank_radius", "beam_length")
-CACHE_SIZE = 32
-"""Effective inputs that are kept."""
-
-LAG_PARTS = 4
-"""Straight lines per stretch of the input behind a first-order lag."""
 
 RIG_PARAMETERS = {
     "ball_mass": Parameter("ball_mass", "kg", 0.1, 1e-3, 10.0, starts=(0.2,)),
     "ball_radius": Parameter("ball_radius", "m", 0.01, 1e-3, 0.1, starts=(0.02,)),
     "crank_radius": Parameter("crank_radius", "m", 0.05, 1e-3, 1.0, starts=(0.05,)),
     "beam_length": Parameter("beam_length", "m", 0.2, 1e-2, 3.0, starts=(0.4,)),
+    "linkage_ratio": Parameter("linkage_ratio", "1", 0.2, 1e-3, 1.0, starts=(0.2,)),
     "acceleration_per_radian": Parameter(
         "acceleration_per_radian", "m/s²", 5.0, 1e-3, 50.0, starts=(SOLID_BALL_ACCELERATION,)
     ),
@@ -172,7 +159,7 @@ class BallBeamModel:
         of_terms = (p for term in self.terms.values() for p in term.parameters)
         self.parameters: tuple[Parameter, ...] = (*self._estimated(), *of_terms)
         self._values = Values(self.fixed, self.parameters)
-        self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
+        self._input_path = InputPath(lag=lag_without_jumps)
 
     @property
     def force_unit(self) -> str:
@@ -186,9 +173,14 @@ class BallBeamModel:
         return other
 
     @property
+    def _linkage_unknown(self) -> bool:
+        """Whether a servo turns the beam by a linkage of which the rig file says nothing."""
+        return self.linkage and not any(name in self.fixed for name in LINKAGE)
+
+    @property
     def _gain_per_servo_radian(self) -> bool:
         """Whether the gain holds mass and linkage: of neither the rig file says anything."""
-        return self.linkage and self.per_unit_mass and not any(name in self.fixed for name in LINKAGE)
+        return self.per_unit_mass and self._linkage_unknown
 
     def _estimated(self) -> Iterator[Parameter]:
         """The rig's own parameters that its file does not state.
@@ -204,7 +196,9 @@ class BallBeamModel:
             return
         if self.per_unit_mass:
             yield RIG_PARAMETERS["acceleration_per_radian"]
-        if self.linkage:
+        if self._linkage_unknown:
+            yield RIG_PARAMETERS["linkage_ratio"]
+        elif self.linkage:
             yield from (RIG_PARAMETERS[name] for name in LINKAGE if name not in self.fixed)
 
     def horizon_at(self, theta: FloatArray) -> float:
@@ -242,7 +236,7 @@ class BallBeamModel:
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """Sine of the beam angle and its rate (rad/s) behind the input path, each (N,)."""
-        nodes, angle = self._way_in(theta, record)
+        nodes, angle = self._effective_angle(theta, record)
         sine = self._ratio(theta) * np.sin(np.interp(record.t, nodes, angle))
         rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
         return {"beam_sine": sine[windows.rows], "beam_rate": rate[windows.rows]}
@@ -306,7 +300,7 @@ class BallBeamModel:
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Position and velocity of all windows, (N, 2)."""
-        nodes, angle = self._way_in(theta, record)
+        nodes, angle = self._effective_angle(theta, record)
         out = np.empty((len(windows.rows), 2))
         k = self._kernel(theta)
         additional = self._values.additional_force(theta, self._effective_mass(theta), self._extra, record)
@@ -317,16 +311,9 @@ class BallBeamModel:
         )
         return out
 
-    def _way_in(self, theta: FloatArray, record: Record) -> input_path.Nodes:
-        """Nodes of the effective angle, cached: most simulations of a fit have the same."""
-        key = (id(record), *(self._values.of(theta, name) for name in INPUT_PATH_PARAMETERS))
-        entry = self._remembered.get(key)
-        if entry is None or entry[0] is not record:
-            entry = (record, self._effective_input(theta, record))
-            if len(self._remembered) >= CACHE_SIZE:
-                self._remembered.clear()
-            self._remembered[key] = entry
-        return entry[1]
+    def _effective_angle(self, theta: FloatArray, record: Record) -> input_path.Nodes:
+        """Nodes of the input angle behind the effects of the input path."""
+        return self._input_path.nodes(record, 0, lambda name: self._values.of(theta, name))
 
     def _ratio(self, theta: FloatArray) -> float:
         """Sine of the beam's angle per sine of the input angle.
@@ -338,24 +325,9 @@ class BallBeamModel:
             return self._values.of(theta, "acceleration_per_radian") / SOLID_BALL_ACCELERATION
         if not self.linkage:
             return 1.0
+        if self._linkage_unknown:
+            return self._values.of(theta, "linkage_ratio")
         return self._values.of(theta, "crank_radius") / self._values.of(theta, "beam_length")
-
-    def _effective_input(self, theta: FloatArray, record: Record) -> input_path.Nodes:
-        """Apply backlash, dead zone, saturation, rate limit, lag and delay to the recorded angle."""
-        t, u = input_nodes(record, 0)
-        gap = self._values.of(theta, "backlash.gap")
-        left, right = self._values.of(theta, "dead_zone.left"), self._values.of(theta, "dead_zone.right")
-        inverse_limit = self._values.of(theta, "saturation.inverse_limit")
-        inverse_rate = self._values.of(theta, "rate_limit.inverse_rate")
-        time_constant = self._values.of(theta, "actuator_lag.time_constant")
-        t, u = input_path.backlash(t, u, gap) if gap else (t, u)
-        t, u = input_path.dead_zone(t, u, left, right) if left or right else (t, u)
-        t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
-        t, u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else (t, u)
-        if time_constant:
-            t, u = input_path.refine(t, u, LAG_PARTS)
-            u = input_path.first_order_lag(t, u, time_constant)
-        return t + self._values.of(theta, "time_delay.delay"), u
 
 
 KERNEL_PLACES = {

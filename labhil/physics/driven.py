@@ -22,10 +22,19 @@ INPUT_PATH_PARAMETERS = (
     "actuator_lag.time_constant",
     "time_delay.delay",
 )
-LAG_PARTS = 2
-"""Straight lines per stretch of the input behind a first-order lag."""
-
 Value = Callable[[str], float]
+Lag = Callable[[FloatArray, FloatArray, float], input_path.Nodes]
+
+
+def lag_in_fitted_lines(t: FloatArray, u: FloatArray, time_constant: float) -> input_path.Nodes:
+    """First-order lag as two least-squares lines per stretch: exact in the mean, with small jumps."""
+    return input_path.lag_in_lines(t, u, time_constant, parts=2)
+
+
+def lag_without_jumps(t: FloatArray, u: FloatArray, time_constant: float) -> input_path.Nodes:
+    """First-order lag, exact at four nodes per stretch, for a rig that feels the second derivative."""
+    t, u = input_path.refine(t, u, 4)
+    return t, input_path.first_order_lag(t, u, time_constant)
 
 
 class InputPath:
@@ -34,8 +43,9 @@ class InputPath:
     Most simulations of a fit differ in friction or in initial states only, so the last ``size`` are kept.
     """
 
-    def __init__(self, size: int = 32) -> None:
+    def __init__(self, size: int = 32, lag: Lag = lag_in_fitted_lines) -> None:
         self._size = size
+        self._lag = lag
         self._remembered: dict[tuple[float, ...], tuple[Record, input_path.Nodes]] = {}
 
     def nodes(self, record: Record, column: int, value: Value) -> input_path.Nodes:
@@ -43,7 +53,7 @@ class InputPath:
         key = (id(record), column, *(value(name) for name in INPUT_PATH_PARAMETERS))
         entry = self._remembered.get(key)
         if entry is None or entry[0] is not record:
-            entry = (record, effective_input(record, column, value))
+            entry = (record, effective_input(record, column, value, self._lag))
             if len(self._remembered) >= self._size:
                 self._remembered.clear()
             self._remembered[key] = entry
@@ -55,13 +65,16 @@ class InputPath:
         return np.interp(record.t[windows.rows], nodes, values)
 
 
-def effective_input(record: Record, column: int, value: Value) -> input_path.Nodes:
+def effective_input(
+    record: Record, column: int, value: Value, lag: Lag = lag_in_fitted_lines
+) -> input_path.Nodes:
     """Apply the effects of the input path to input ``column`` over the whole record.
 
     Args:
         record: The record.
         column: Column of its inputs.
         value: Gives a parameter by name, 0 where the term is absent.
+        lag: How a first-order lag is made piecewise linear.
 
     Returns:
         Node times and values, (m,) each, linear in between.
@@ -74,8 +87,7 @@ def effective_input(record: Record, column: int, value: Value) -> input_path.Nod
     t, u = input_path.dead_zone(t, u, left, right) if left or right else (t, u)
     t, u = input_path.saturation(t, u, inverse_limit) if inverse_limit else (t, u)
     t, u = input_path.rate_limit(t, u, inverse_rate) if inverse_rate else (t, u)
-    if time_constant:
-        t, u = input_path.lag_in_lines(t, u, time_constant, LAG_PARTS)
+    t, u = lag(t, u, time_constant) if time_constant else (t, u)
     return t + value("time_delay.delay"), u
 
 

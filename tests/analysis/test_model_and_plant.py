@@ -93,7 +93,7 @@ def replayed(
             theta[places[name]] = value
     # the model's state is v + (J/R)/(M + J/R² + …)·β̇, which a corner of the crank does not change
     kick = 0.4 * 0.261 * 0.02 / (MASS + plant.parameters.get("added_inertia.mass", 0.0))
-    rate = tilt_rate_before(record.t[FIRST], *model._way_in(theta, record))
+    rate = tilt_rate_before(record.t[FIRST], *model._effective_angle(theta, record))
     return record, np.array([[truth.position[FIRST], truth.velocity[FIRST] + kick * rate]]), theta
 
 

@@ -60,13 +60,15 @@ def simulated(known: list[str], values: dict[str, float]) -> np.ndarray:
             ["ball_radius", "beam_length"],
             {"acceleration_per_radian": SOLID_BALL_ACCELERATION, "crank_radius": SIZES["crank_radius"]},
         ),
+        (["ball_mass", "ball_radius"], {"linkage_ratio": RATIO}),
     ],
 )
 def test_what_is_not_known_is_estimated_and_the_motion_is_the_same(known, values):
     whole = simulated(list(SIZES), FORCES | OTHERS)
-    per_mass = {name: value / MASS for name, value in FORCES.items()}
+    mass = 1.0 if "ball_mass" in known else MASS
+    forces = {name: value / mass for name, value in FORCES.items()}
     assert np.ptp(whole) > 0.05
-    assert simulated(known, values | per_mass | OTHERS) == pytest.approx(whole, abs=1e-9)
+    assert simulated(known, values | forces | OTHERS) == pytest.approx(whole, abs=1e-9)
 
 
 def test_a_beam_whose_linkage_is_unknown_turns_less_than_its_servo():
@@ -74,6 +76,12 @@ def test_a_beam_whose_linkage_is_unknown_turns_less_than_its_servo():
     gain = next(p for p in model.parameters if p.key == "acceleration_per_radian")
     assert gain.upper == pytest.approx(SOLID_BALL_ACCELERATION)
     assert gain.starts[0] < 0.5 * SOLID_BALL_ACCELERATION
+
+
+def test_a_ball_of_known_mass_on_an_unknown_linkage_has_one_ratio_and_not_two_lengths():
+    rig = parse_rig('[rig]\nkind = "ball_beam"\n[known]\nball_mass = 0.1\n', Path("rig.toml"))
+    own = {p.key for p in BallBeamModel(rig, turning()).parameters if p.term is None}
+    assert own == {"linkage_ratio", "ball_radius"}
 
 
 def test_an_angle_that_is_the_beams_own_needs_no_linkage():

@@ -120,7 +120,7 @@ class StructureSearch:
         self._drop_irrelevant(state, state.likeliest, state.min_relevance)
         if not state.best:
             self._refit_single_terms(state)
-        for structure in {frozenset[str](), state.best}:
+        for structure in dict.fromkeys((frozenset[str](), state.best)):
             self._refit_shapes(state, structure)
         return state
 
