@@ -9,15 +9,23 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.errors import UsageError
+from labhil.plants.ball_motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
 from labhil.plants.effects import resolve
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, first_order, follow, read_delayed, settle
-from labhil.plants.motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
+from labhil.plants.input_path import (
+    HISTORY,
+    NEUTRAL,
+    InputPath,
+    apply_lag,
+    pass_through,
+    read_delayed,
+    settled_path,
+)
 from labhil.plants.sensor import Sensor
 from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
-MOMENTS = 50
+N_SUBSTEPS = 50
 """Into how many moments a sample period is cut where the way in or the sensor has a memory.
 
 Controllers make the servo chatter, and β̇² remembers every corner that a coarser cut would round off.
@@ -63,8 +71,8 @@ class BallBeamPlant:
         self._path = InputPath.of(self.parameters)
         if self._path.delay > (HISTORY - 2) * period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
-        remembers = self._path != NEUTRAL or self.sensor.lag > 0.0
-        self._moments = moments_of(self._path.delay / period) if remembers else np.ones(1)
+        has_memory = self._path != NEUTRAL or self.sensor.lag > 0.0
+        self._substeps = substep_ends(self._path.delay / period) if has_memory else np.ones(1)
         self.noise: Callable[[int], FloatArray] = np.random.default_rng(seed).standard_normal
         self.place(self.parameters["start_position"])
 
@@ -73,14 +81,14 @@ class BallBeamPlant:
         self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position
-        self._memory = settle(angle, self._path)
+        self._memory = settled_path(angle, self._path)
         self._lagged = np.array([position])
         self._history = np.full(HISTORY, angle)
         self._newest = 0
 
     def step(self, angle: float) -> int:
         """Let one sample period pass while the servo turns straight to ``angle`` (rad); return the count."""
-        self._walk(np.array([angle]))
+        self._run(np.array([angle]))
         return self.count()
 
     def count(self) -> int:
@@ -104,10 +112,10 @@ class BallBeamPlant:
         """
         if angles[0] != self.angle:
             self.angle = float(angles[0])
-            self._memory = settle(self.angle, self._path)
+            self._memory = settled_path(self.angle, self._path)
             self._history[:] = self.angle
         first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
-        truth = np.concatenate([first, self._walk(np.asarray(angles[1:], dtype=np.float64))])
+        truth = np.concatenate([first, self._run(np.asarray(angles[1:], dtype=np.float64))])
         counts = self.sensor.counts(truth[:, 2], self.noise(len(truth)))
         return Trajectory(
             t=self.period * np.arange(len(truth), dtype=np.float64),
@@ -117,17 +125,17 @@ class BallBeamPlant:
             velocity=truth[:, 1],
         )
 
-    def _walk(self, angles: FloatArray) -> FloatArray:
+    def _run(self, angles: FloatArray) -> FloatArray:
         """Let one sample period pass per angle; return true position, velocity and lagged position (n, 3)."""
         out = np.empty((len(angles), 3))
-        walk(
+        run(
             angles,
             self._ball,
             self._memory,
             self._lagged,
             self._history,
             self._newest,
-            self._moments,
+            self._substeps,
             self.period,
             self.sensor.lag,
             self._mechanics,
@@ -141,27 +149,27 @@ class BallBeamPlant:
         return out
 
 
-def moments_of(delay: float) -> FloatArray:
+def substep_ends(delay: float) -> FloatArray:
     """Ends of the moments of a sample period, as shares of it; one is where the delayed servo turns.
 
     ``delay`` is in sample periods.
     """
-    corner = delay % 1.0
-    ends = np.arange(1, MOMENTS + 1) / MOMENTS
-    if np.min(np.abs(ends - corner)) < 1e-9 or corner < 1e-9:
+    delay_fraction = delay % 1.0
+    ends = np.arange(1, N_SUBSTEPS + 1) / N_SUBSTEPS
+    if np.min(np.abs(ends - delay_fraction)) < 1e-9 or delay_fraction < 1e-9:
         return ends
-    return np.sort(np.append(ends, corner))
+    return np.sort(np.append(ends, delay_fraction))
 
 
 @compiled
-def walk(
+def run(
     angles: FloatArray,
     ball: FloatArray,
     memory: FloatArray,
     lagged: FloatArray,
     history: FloatArray,
     newest: int,
-    moments: FloatArray,
+    substeps: FloatArray,
     period: float,
     sensor_lag: float,
     m: Mechanics,
@@ -169,23 +177,23 @@ def walk(
     p: InputPath,
     out: FloatArray,
 ) -> None:
-    """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._walk``.
+    """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._run``.
 
-    ``moments`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
+    ``substeps`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
     sample i, up to ``newest``; ``memory`` is the way in's, its last entry the angle at the linkage;
     ``lagged`` (1,) is the sensor's.
     """
     for i in range(angles.size):
         newest += 1
         history[newest % HISTORY] = angles[i]
-        passed = 0.0
-        for moment in moments:
-            h = (moment - passed) * period
-            passed = moment
-            behind = p.delay / period + 1.0 - moment
-            linkage = memory[-1]
+        previous_end = 0.0
+        for substep_end in substeps:
+            h = (substep_end - previous_end) * period
+            previous_end = substep_end
+            samples_back = p.delay / period + 1.0 - substep_end
+            crank_before = memory[-1]
             before = ball[POSITION]
-            turned = follow(memory, read_delayed(history, newest, behind), h, p)
-            move(ball, linkage, turned, h, m, f)
-            lagged[0] = first_order(lagged[0], before, ball[POSITION], h, sensor_lag)
+            crank_angle = pass_through(memory, read_delayed(history, newest, samples_back), h, p)
+            move(ball, crank_before, crank_angle, h, m, f)
+            lagged[0] = apply_lag(lagged[0], before, ball[POSITION], h, sensor_lag)
         out[i, 0], out[i, 1], out[i, 2] = ball[POSITION], ball[VELOCITY], lagged[0]

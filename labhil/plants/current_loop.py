@@ -15,27 +15,27 @@ from labhil.compiled import compiled
 from labhil.errors import UsageError
 from labhil.signals import FloatArray
 
-NOW, SUM = range(2)
+CURRENT, INTEGRAL = range(2)
 """Places of the current (A) and of the PI's integral (V)."""
 
 
 @compiled
-def walk(
+def run_loop(
     state: FloatArray, commands: FloatArray, steps: int, h: float,
     resistance: float, inductance: float, lag: float, supply: float, induced: float, out: FloatArray,
 ) -> None:  # fmt: skip
     """Currents ``out`` (n,) at the ends of sample periods in which the ``commands`` (n,) are held."""
-    keeps = math.exp(-resistance * h / inductance)
+    decay = math.exp(-resistance * h / inductance)
     for n in range(commands.size):
         for _ in range(steps):
-            error = commands[n] - state[NOW]
-            wanted = inductance / lag * error + state[SUM]
-            given = min(max(wanted, -supply), supply)
-            if given == wanted:
-                state[SUM] += resistance / lag * error * h
-            settled = (given - induced) / resistance
-            state[NOW] = settled + (state[NOW] - settled) * keeps
-        out[n] = state[NOW]
+            error = commands[n] - state[CURRENT]
+            demand = inductance / lag * error + state[INTEGRAL]
+            voltage = min(max(demand, -supply), supply)
+            if voltage == demand:
+                state[INTEGRAL] += resistance / lag * error * h
+            final_current = (voltage - induced) / resistance
+            state[CURRENT] = final_current + (state[CURRENT] - final_current) * decay
+        out[n] = state[CURRENT]
 
 
 class CurrentLoop:
@@ -61,7 +61,7 @@ class CurrentLoop:
         ``resistance`` (Ω) and the ``induced`` voltage (V) are those of this stretch.
         """
         out = np.empty(len(commands))
-        walk(
+        run_loop(
             self._state, np.asarray(commands, dtype=np.float64), self._steps, self._h,
             resistance, self._inductance, self._lag, self._supply, induced, out,
         )  # fmt: skip

@@ -15,7 +15,7 @@ from labhil.compiled import compiled
 
 STATIC_VELOCITY = 1e-3
 """Speed (m/s) over which bristles and elements lose the extra hold at rest."""
-LEAST_LEVEL = 1e-9
+MIN_LEVEL = 1e-9
 """Dry level (N) under which bristles carry nothing."""
 ELEMENTS = 4
 """How many elements of a generalised Maxwell-slip model share the dry level."""
@@ -79,21 +79,21 @@ def side_of(v: float) -> float:
 
 
 @compiled
-def dry_level(x: float, speed: float, side: float, f: Friction, more: float = 0.0) -> float:
+def dry_level(x: float, speed: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the dry friction (N) of a part at x (m) that moves towards ``side``; never negative.
 
-    ``more`` (N) is a rig's own: what grows with a load, or sticks at a place.
+    ``extra_level`` (N) is a rig's own: what grows with a load, or sticks at a place.
     """
-    level = f.coulomb + side * f.asymmetric_level + f.slope * x + more
+    level = f.coulomb + side * f.asymmetric_level + f.slope * x + extra_level
     if f.stribeck != 0.0:
         level += f.stribeck * math.exp(-speed / f.stribeck_velocity)
     return max(level, 0.0)
 
 
 @compiled
-def hold_level(x: float, side: float, f: Friction, more: float = 0.0) -> float:
+def hold_level(x: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the force (N) towards ``side`` that a part at rest at x (m) just withstands."""
-    return dry_level(x, 0.0, side, f, more) + max(f.static, 0.0)
+    return dry_level(x, 0.0, side, f, extra_level) + max(f.static, 0.0)
 
 
 @compiled
@@ -104,9 +104,9 @@ def viscous_force(v: float, f: Friction) -> float:
 
 
 @compiled
-def resistance(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+def resistance(x: float, v: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the whole friction (N) of a part that moves towards ``side``."""
-    return side * dry_level(x, abs(v), side, f, more) + viscous_force(v, f)
+    return side * dry_level(x, abs(v), side, f, extra_level) + viscous_force(v, f)
 
 
 @compiled
@@ -116,22 +116,22 @@ def on_bristles(f: Friction) -> bool:
 
 
 @compiled
-def bristle_level(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+def bristle_level(x: float, v: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the dry friction (N) that bristles or elements bend up to at velocity v (m/s)."""
     speed = abs(v)
-    return dry_level(x, speed, side, f, more) + f.static * math.exp(-speed / STATIC_VELOCITY)
+    return dry_level(x, speed, side, f, extra_level) + f.static * math.exp(-speed / STATIC_VELOCITY)
 
 
 @compiled
 def bristle_rate(z: float, v: float, level: float, f: Friction) -> float:
     """Return how fast bristles bend (m/s), ż = v − (σ₀|v|/g)·z, where they bend up to ``level`` (N)."""
-    return v - f.stiffness * abs(v) / level * z if level > LEAST_LEVEL else 0.0
+    return v - f.stiffness * abs(v) / level * z if level > MIN_LEVEL else 0.0
 
 
 @compiled
 def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> float:
     """Return the bristles' deflection (m) after h (s) at constant v and level, solved exactly."""
-    if level < LEAST_LEVEL:
+    if level < MIN_LEVEL:
         return 0.0
     rate = f.stiffness * abs(v) / level
     if rate * h < 1e-12:
@@ -143,4 +143,4 @@ def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> f
 @compiled
 def bristle_force(z: float, v: float, level: float, f: Friction) -> float:
     """Return the dry friction (N) of bristles bent by z (m): σ₀·z + σ₁·ż."""
-    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > LEAST_LEVEL else 0.0
+    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > MIN_LEVEL else 0.0

@@ -11,7 +11,7 @@ each one holds is kept until it yields: the hysteresis remembers every turning p
 wiped out. One thing is added: an element that slips is loaded no faster than one that sticks. A part that
 slows down would else be given energy, since the level rises and the attraction does not wait for the way.
 
-The elements are the last ``ROOM`` of a part's states: their forces (N), then for each the side (±1) towards
+The elements are the last ``N_ELEMENT_STATES`` of a part's states: their forces (N), then for each the side (±1) towards
 which it slips, or 0, and last the level's sum over time (N·s), of which the rate is the level at a step's
 end. Quantities of a rotor are N·m and rad.
 """
@@ -24,22 +24,22 @@ from labhil.compiled import compiled
 from labhil.plants.friction import ELEMENTS, Friction, bristle_level, side_of
 from labhil.signals import FloatArray
 
-ROOM = 2 * ELEMENTS + 1
-FASTEST = 1e4
+N_ELEMENT_STATES = 2 * ELEMENTS + 1
+MAX_ATTRACTION_RATE = 1e4
 """Rate (1/s) of the attraction C/s that is not passed: where the level goes to zero no step would do."""
 
 
 @compiled
 def all_stick(s: FloatArray) -> None:
     """Let every element stick where it is."""
-    for slips in range(s.size - ROOM + ELEMENTS, s.size - 1):
-        s[slips] = 0.0
+    for slipping in range(s.size - N_ELEMENT_STATES + ELEMENTS, s.size - 1):
+        s[slipping] = 0.0
 
 
 @compiled
 def some_yield(s: FloatArray, side: float, level: float) -> bool:
     """Whether an element that sticks bears more towards ``side`` than its share of the level (N)."""
-    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+    for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         if s[i + ELEMENTS] != side and side * s[i] * ELEMENTS > level:
             return True
     return False
@@ -48,7 +48,7 @@ def some_yield(s: FloatArray, side: float, level: float) -> bool:
 @compiled
 def let_slip(s: FloatArray, side: float, level: float) -> None:
     """Let those slip towards ``side`` that bear their share of the level (N); what slipped back sticks."""
-    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+    for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         if side * s[i] * ELEMENTS >= level:
             s[i + ELEMENTS] = side
         elif s[i + ELEMENTS] != side:
@@ -58,14 +58,14 @@ def let_slip(s: FloatArray, side: float, level: float) -> None:
 @compiled
 def attraction(level: float, f: Friction) -> float:
     """Return the rate C/s (1/s) at which an element that slips approaches its share of the level (N)."""
-    return min(f.attraction / level, FASTEST) if level > 0.0 else FASTEST
+    return min(f.attraction / level, MAX_ATTRACTION_RATE) if level > 0.0 else MAX_ATTRACTION_RATE
 
 
 @compiled
 def held_force(s: FloatArray) -> float:
     """Return the force (N) of all elements by their springs."""
     force = 0.0
-    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+    for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         force += s[i]
     return force
 
@@ -74,8 +74,8 @@ def held_force(s: FloatArray) -> float:
 def elements_force(s: FloatArray, v: float, f: Friction) -> float:
     """Return the dry friction (N) at velocity v (m/s): springs, and the dampers of those that stick."""
     stiffness, sticking = f.stiffest, 0.0
-    for slips in range(s.size - ROOM + ELEMENTS, s.size - 1):
-        if s[slips] * v <= 0.0:
+    for slipping in range(s.size - N_ELEMENT_STATES + ELEMENTS, s.size - 1):
+        if s[slipping] * v <= 0.0:
             sticking += stiffness
         stiffness *= f.softening
     return held_force(s) + f.damping * sticking / f.stiffness * v
@@ -83,16 +83,16 @@ def elements_force(s: FloatArray, v: float, f: Friction) -> float:
 
 @compiled
 def elements_drag(
-    s: FloatArray, x: float, v: float, side: float, more: float, f: Friction, rates: FloatArray
+    s: FloatArray, x: float, v: float, side: float, extra_level: float, f: Friction, rates: FloatArray
 ) -> float:
     """Return the dry friction (N) of a part that moves towards ``side``, or rests (0); write its rates (N/s).
 
-    ``more`` (N) is dry friction of a rig's own, as in :func:`labhil.plants.friction.dry_level`.
+    ``extra_level`` (N) is dry friction of a rig's own, as in :func:`labhil.plants.friction.dry_level`.
     """
-    level = bristle_level(x, v, side, f, more)
+    level = bristle_level(x, v, side, f, extra_level)
     rates[s.size - 1] = level
     stiffness, rate, share = f.stiffest, attraction(level, f), level / ELEMENTS
-    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+    for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         rates[i], rates[i + ELEMENTS] = stiffness * v, 0.0
         if s[i + ELEMENTS] != 0.0:
             rates[i] = side * min(rate * (share - side * s[i]), stiffness * abs(v))
@@ -108,12 +108,12 @@ def relax_elements(s: FloatArray, v: float, level: float, h: float, f: Friction)
         return
     let_slip(s, side, level)
     stiffness, decay = f.stiffest, math.exp(-attraction(level, f) * h)
-    for i in range(s.size - ROOM, s.size - ROOM + ELEMENTS):
+    for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         before = side * s[i]
-        loaded = before + stiffness * abs(v) * h
+        force = before + stiffness * abs(v) * h
         if s[i + ELEMENTS] != 0.0:
-            loaded = min(share + (before - share) * decay, loaded)
-        elif loaded >= share:
-            s[i + ELEMENTS], loaded = side, share
-        s[i] = side * loaded
+            force = min(share + (before - share) * decay, force)
+        elif force >= share:
+            s[i + ELEMENTS], force = side, share
+        s[i] = side * force
         stiffness *= f.softening

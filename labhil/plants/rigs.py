@@ -9,12 +9,12 @@ from labhil.errors import UnknownNameError
 from labhil.plants.axis import AXIS, AxisPlant
 from labhil.plants.ball_beam_rig import BALL_BEAM, BallBeamRig
 from labhil.plants.dc_motor import DcMotorPlant
-from labhil.plants.dc_motor_world import MOTOR
+from labhil.plants.dc_motor_definition import MOTOR
+from labhil.plants.definition import PlantDefinition
 from labhil.plants.effects import Effect
 from labhil.plants.solenoid import SolenoidPlant
-from labhil.plants.solenoid_world import SOLENOID
+from labhil.plants.solenoid_definition import SOLENOID
 from labhil.plants.trajectory import Trajectory
-from labhil.plants.world import World
 from labhil.signals import FloatArray
 
 
@@ -35,7 +35,7 @@ class Plant(Protocol):
         ...
 
 
-WORLDS: Mapping[str, World] = {
+PLANT_DEFINITIONS: Mapping[str, PlantDefinition] = {
     "ball_beam": BALL_BEAM,
     "dc_motor": MOTOR,
     "solenoid": SOLENOID,
@@ -62,6 +62,6 @@ def plant_of(
 
 def effects_of(kind: str, hidden: bool = False) -> Mapping[str, Effect]:
     """Effects by name that a plant of that kind can have, or those in no list of names."""
-    if kind not in WORLDS:
-        raise UnknownNameError("plant", kind, WORLDS)
-    return WORLDS[kind].hidden if hidden else WORLDS[kind].effects
+    if kind not in PLANT_DEFINITIONS:
+        raise UnknownNameError("plant", kind, PLANT_DEFINITIONS)
+    return PLANT_DEFINITIONS[kind].hidden if hidden else PLANT_DEFINITIONS[kind].effects

@@ -2,7 +2,7 @@
 
 from labhil.plants.arm.effects import EFFECTS, HIDDEN, all_parameters, parameters_of
 from labhil.plants.arm.links import ARMS, UR3E, UR5, UR10E, Link, Links
-from labhil.plants.arm.live import LiveArm, Moment, Sample
+from labhil.plants.arm.live import LiveArm, Sample, Setpoint
 from labhil.plants.arm.plant import ArmPlant, Trajectory, Truth
 
 __all__ = [
@@ -16,8 +16,8 @@ __all__ = [
     "Link",
     "Links",
     "LiveArm",
-    "Moment",
     "Sample",
+    "Setpoint",
     "Trajectory",
     "Truth",
     "all_parameters",

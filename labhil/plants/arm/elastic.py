@@ -20,11 +20,11 @@ from labhil.plants.arm.rigid_body import RigidBody
 from labhil.plants.arm.servo import Motion, cubic, cubic_slope
 from labhil.signals import FloatArray
 
-LONGEST_STEP = 2e-3
+MAX_STEP = 2e-3
 """s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at 1/200 of them."""
-LEAST_COMPLIANCE = 1e-7
+MIN_COMPLIANCE = 1e-7
 """rad/(N·m), of the joints without elasticity beside those with it; they need no damping of their own."""
-SETTLING = 20
+SETTLING_ITERATIONS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +37,11 @@ class Springs:
     @classmethod
     def of(cls, values: Values) -> Springs | None:
         """Pick them out of a plant's parameters; None when every joint is stiff."""
-        compliance = values.six("joint_elasticity.compliance")
+        compliance = values.per_joint("joint_elasticity.compliance")
         if not np.any(compliance > 0.0):
             return None
-        stiffness = 1.0 / np.maximum(compliance, LEAST_COMPLIANCE)
-        relaxation = values.six("joint_elasticity.relaxation")
+        stiffness = 1.0 / np.maximum(compliance, MIN_COMPLIANCE)
+        relaxation = values.per_joint("joint_elasticity.relaxation")
         return cls(stiffness, np.where(compliance > 0.0, stiffness * relaxation, 0.0))
 
 
@@ -60,22 +60,22 @@ class ElasticBody:
         """Put the links where they hang while the drives move steadily; (6,) each."""
         self._body.set_armature(np.zeros(JOINTS))
         link = q.copy()
-        for _ in range(SETTLING):
+        for _ in range(SETTLING_ITERATIONS):
             torque = self._body.torques(link[None], qd[None], qdd[None])[0]
             link = q - torque / self._springs.stiffness
         self._drive[:] = q, qd
         self._link[:] = link, qd
         self._torque = self._springs.stiffness * (q - link)
-        still = np.zeros((JOINTS, JOINTS))
-        weight = self._body.torques(link[None], still[:1], still[:1])
-        masses = self._body.torques(np.tile(link, (JOINTS, 1)), still, np.eye(JOINTS)) - weight
+        zeros = np.zeros((JOINTS, JOINTS))
+        weight = self._body.torques(link[None], zeros[:1], zeros[:1])
+        masses = self._body.torques(np.tile(link, (JOINTS, 1)), zeros, np.eye(JOINTS)) - weight
         self._inertia = np.diag(masses).copy()
 
     def torques(self, motion: Motion, h: FloatArray) -> FloatArray:
         """Return the drives' torques (n, 6) N·m; row i comes ``h[i]`` s after the one before."""
         out = np.empty_like(motion.q)
         for i in range(len(h)):
-            steps = max(1, math.ceil(h[i] / LONGEST_STEP - 1e-9)) if h[i] > 0.0 else 0
+            steps = max(1, math.ceil(h[i] / MAX_STEP - 1e-9)) if h[i] > 0.0 else 0
             out[i] = self._advance(motion.q[i], motion.qd[i], h[i], steps)
         return out
 
@@ -87,27 +87,27 @@ class ElasticBody:
         final = self._torque
         if steps:
             k, d, step = self._springs.stiffness, self._springs.damping, h / steps
-            share = self._shares(step)
-            held_back = share * step * (d + share * step * k)
-            self._body.set_armature(held_back)
+            share = self._implicit_shares(step)
+            implicit_inertia = share * step * (d + share * step * k)
+            self._body.set_armature(implicit_inertia)
             moments = (np.arange(steps, dtype=np.float64)[:, None] + share) * step
             span = np.array([[h]])
             angles = cubic(self._drive[0], self._drive[1], q, qd, moments, span)
             rates = cubic_slope(self._drive[0], self._drive[1], q, qd, moments, span)
             for angle, rate in zip(angles, rates, strict=True):
-                where, speed = self._link
-                ahead = where + share * step * speed
-                pull = k * (angle - ahead) + d * (rate - speed)
-                gain = step * self._body.accelerations(ahead, speed, pull)
-                torque = pull - held_back * gain / step
+                angle_now, rate_now = self._link
+                predicted = angle_now + share * step * rate_now
+                spring_torque = k * (angle - predicted) + d * (rate - rate_now)
+                gain = step * self._body.accelerations(predicted, rate_now, spring_torque)
+                torque = spring_torque - implicit_inertia * gain / step
                 final = torque + (1.0 - share) * (torque - self._torque)
-                self._link[0] += step * (speed + share * gain)
+                self._link[0] += step * (rate_now + share * gain)
                 self._link[1] += gain
                 self._torque = torque
         self._drive[:] = q, qd
         return final
 
-    def _shares(self, step: float) -> FloatArray:
+    def _implicit_shares(self, step: float) -> FloatArray:
         """At which share of a step each spring is balanced (6,): from one half, slow, to one, fast."""
-        pace = self._springs.stiffness / self._inertia * step**2
-        return np.asarray(0.5 + 0.5 * pace / (1.0 + pace))
+        relative_stiffness = self._springs.stiffness / self._inertia * step**2
+        return np.asarray(0.5 + 0.5 * relative_stiffness / (1.0 + relative_stiffness))

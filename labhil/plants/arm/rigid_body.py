@@ -63,7 +63,7 @@ class RigidBody:
 
     def __init__(self, links: Links, load: Load | None = None) -> None:
         engine = physics_engine()
-        self.model = engine.MjModel.from_xml_string(describe(links, load or Load()))
+        self.model = engine.MjModel.from_xml_string(to_mjcf(links, load or Load()))
         self.data = engine.MjData(self.model)
         self._inverse = engine.mj_inverse
         self._forward = engine.mj_forward
@@ -102,21 +102,21 @@ def physics_engine() -> Any:
     return load_optional("mujoco", "the simulated arm")
 
 
-def describe(links: Links, load: Load) -> str:
+def to_mjcf(links: Links, load: Load) -> str:
     """Return the arm as an MJCF document, one body a link, in the frames of the table of links."""
-    inner = _payload(load) + _site("flange", CABLE_ON_FLANGE)
+    children = _payload(load) + _site("flange", CABLE_ON_FLANGE)
     for number in reversed(range(JOINTS)):
-        tied = _site("forearm", CABLE_ON_FOREARM) if number == 2 else ""
-        inner = _body(number, links.links[number], tied + inner)
+        site = _site("forearm", CABLE_ON_FOREARM) if number == 2 else ""
+        children = _body(number, links.links[number], site + children)
     return (
         f'<mujoco model="{links.name}"><compiler angle="radian" autolimits="false"/>'
         f'<option gravity="{_numbers(load.gravity())}">'
         '<flag contact="disable" constraint="disable"/></option>'
-        f"<worldbody>{inner}</worldbody>{_cable(load)}</mujoco>"
+        f"<worldbody>{children}</worldbody>{_cable(load)}</mujoco>"
     )
 
 
-def _body(number: int, link: Link, inner: str) -> str:
+def _body(number: int, link: Link, children: str) -> str:
     """One link: its frame seen from the one before at angle zero, its hinge there, its inertia here."""
     c, s = cos(link.alpha), sin(link.alpha)
     hinge = (-link.a, -link.d * s, -link.d * c)
@@ -126,7 +126,7 @@ def _body(number: int, link: Link, inner: str) -> str:
         f'<joint name="joint_{number}" type="hinge" axis="{_numbers((0.0, s, c))}" pos="{_numbers(hinge)}"/>'
         f'<inertial pos="{_numbers(link.centre)}" mass="{link.mass!r}"'
         f' fullinertia="{_numbers(link.inertia)}"/>'
-        f"{inner}</body>"
+        f"{children}</body>"
     )
 
 

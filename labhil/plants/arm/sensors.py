@@ -37,9 +37,9 @@ class Sensors:
         return cls(
             q_noise=values.number("q_noise"),
             qd_noise=values.number("qd_noise"),
-            gain=1.0 + values.six("sensor_gain.gain"),
-            offset=values.six("sensor_offset.offset"),
-            current_noise=values.six("current_noise"),
+            gain=1.0 + values.per_joint("sensor_gain.gain"),
+            offset=values.per_joint("sensor_offset.offset"),
+            current_noise=values.per_joint("current_noise"),
             memory=values.number("current_noise_memory"),
             current_resolution=values.number("current_resolution"),
             temperature_noise=values.number("temperature_noise"),
@@ -86,8 +86,8 @@ def round_to(values: FloatArray, resolution: float) -> FloatArray:
 @compiled
 def colour(noise: FloatArray, memory: float, state: FloatArray) -> None:
     """Turn white noise (n, 6) of unit variance into a first-order process of the same variance, in place."""
-    fresh = (1.0 - memory * memory) ** 0.5
+    innovation = (1.0 - memory * memory) ** 0.5
     for i in range(noise.shape[0]):
         for j in range(noise.shape[1]):
-            state[j] = memory * state[j] + fresh * noise[i, j]
+            state[j] = memory * state[j] + innovation * noise[i, j]
             noise[i, j] = state[j]

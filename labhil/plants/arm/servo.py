@@ -38,17 +38,17 @@ class Motion:
             return self
         row = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
         after = np.minimum(row + 1, len(self.t) - 1)
-        beyond = ((t < self.t[0]) | (after == row))[:, None]
+        is_outside = ((t < self.t[0]) | (after == row))[:, None]
         span = np.where(after == row, 1.0, self.t[after] - self.t[row])[:, None]
         s = (t - self.t[row])[:, None]
         q, qd, qdd = self.q[row], self.qd[row], self.qdd[row]
         return Motion(
             t,
             np.where(
-                beyond, q + s * (qd + 0.5 * s * qdd), cubic(q, qd, self.q[after], self.qd[after], s, span)
+                is_outside, q + s * (qd + 0.5 * s * qdd), cubic(q, qd, self.q[after], self.qd[after], s, span)
             ),
-            np.where(beyond, qd + s * qdd, cubic(qd, qdd, self.qd[after], self.qdd[after], s, span)),
-            np.where(beyond, qdd, qdd + (self.qdd[after] - qdd) * s / span),
+            np.where(is_outside, qd + s * qdd, cubic(qd, qdd, self.qd[after], self.qdd[after], s, span)),
+            np.where(is_outside, qdd, qdd + (self.qdd[after] - qdd) * s / span),
         )
 
 
@@ -71,7 +71,7 @@ def cubic_slope(
     return np.asarray(6.0 * u * (1.0 - u) * (y1 - y0) / span + ends)
 
 
-class Lag(NamedTuple):
+class ServoState(NamedTuple):
     """What the servo remembers, (6,) each: its error rad and that error's rate, the planned acceleration."""
 
     error: FloatArray
@@ -79,29 +79,29 @@ class Lag(NamedTuple):
     planned: FloatArray
 
     @classmethod
-    def settled(cls, qdd: FloatArray, bandwidth: float) -> Lag:
+    def steady(cls, qdd: FloatArray, bandwidth: float) -> ServoState:
         """The servo that has followed a steady acceleration (6,) for long."""
         return cls(-qdd / bandwidth**2, np.zeros(JOINTS), qdd.copy())
 
 
-def track(plan: Motion, h: FloatArray, bandwidth: float, lag: Lag) -> Motion:
-    """Return how the joints move along a plan, row i ``h[i]`` s after the one before; ``lag`` moves on.
+def track(plan: Motion, h: FloatArray, bandwidth: float, servo: ServoState) -> Motion:
+    """Return how the joints move along a plan, row i ``h[i]`` s after the one before; ``servo`` moves on.
 
     ``bandwidth`` is the servo's ω, rad/s.
     """
     moved = Motion.empty(plan.t)
-    walk(plan.q, plan.qd, plan.qdd, h, bandwidth, lag, moved.q, moved.qd, moved.qdd)
+    follow_plan(plan.q, plan.qd, plan.qdd, h, bandwidth, servo, moved.q, moved.qd, moved.qdd)
     return moved
 
 
 @compiled
-def walk(
+def follow_plan(
     q: FloatArray,
     qd: FloatArray,
     qdd: FloatArray,
     h: FloatArray,
     w: float,
-    lag: Lag,
+    servo: ServoState,
     out_q: FloatArray,
     out_qd: FloatArray,
     out_qdd: FloatArray,
@@ -110,15 +110,15 @@ def walk(
     for i in range(h.size):
         decay = math.exp(-w * h[i])
         for j in range(q.shape[1]):
-            before, now = lag.planned[j], qdd[i, j]
+            before, now = servo.planned[j], qdd[i, j]
             if h[i] > 0.0:
                 slope = (now - before) / h[i]
                 shift = 2.0 * slope / w**3
-                free = lag.error[j] + before / w**2 - shift
-                kick = lag.rate[j] + slope / w**2 + w * free
-                lag.error[j] = -now / w**2 + shift + (free + kick * h[i]) * decay
-                lag.rate[j] = -slope / w**2 + (kick - w * (free + kick * h[i])) * decay
-            lag.planned[j] = now
-            out_q[i, j] = q[i, j] + lag.error[j]
-            out_qd[i, j] = qd[i, j] + lag.rate[j]
-            out_qdd[i, j] = -w * (w * lag.error[j] + 2.0 * lag.rate[j])
+                free = servo.error[j] + before / w**2 - shift
+                kick = servo.rate[j] + slope / w**2 + w * free
+                servo.error[j] = -now / w**2 + shift + (free + kick * h[i]) * decay
+                servo.rate[j] = -slope / w**2 + (kick - w * (free + kick * h[i])) * decay
+            servo.planned[j] = now
+            out_q[i, j] = q[i, j] + servo.error[j]
+            out_qd[i, j] = qd[i, j] + servo.rate[j]
+            out_qdd[i, j] = -w * (w * servo.error[j] + 2.0 * servo.rate[j])

@@ -18,7 +18,7 @@ NOT_NEGATIVE = (
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class PlantDefinition:
     """``bare`` maps a rig's parameters to defaults (SI); ``effects`` are what may be added by name.
 
     ``hidden`` effects are in no list of names: they are for trials with physics that nobody expects.
@@ -136,7 +136,7 @@ FRICTION: Mapping[str, Effect] = {
 }
 """Friction laws that every moving part may have; each rig sets its own sizes."""
 
-WAY_IN: Mapping[str, Effect] = {
+INPUT_EFFECTS: Mapping[str, Effect] = {
     "time_delay": Effect("the command acts later, s", {"delay": 0.02}),
     "dead_zone": Effect("commands between −left and right do nothing", {"left": 1.0, "right": 1.0}),
     "saturation": Effect("the command goes no further than ± limit", {"limit": 1.0}),
@@ -146,7 +146,7 @@ WAY_IN: Mapping[str, Effect] = {
 }
 """Effects between a command and what it drives; sizes in the command's unit."""
 
-WAY_OUT: Mapping[str, Effect] = {
+OUTPUT_EFFECTS: Mapping[str, Effect] = {
     "sensor_gain": Effect("measured = (1 + gain)·x", {"gain": 0.05}),
     "sensor_offset": Effect("measured = x + offset", {"offset": 0.01}),
     "sensor_nonlinearity": Effect("measured = x + c·x³", {"cubic": 0.01}),

@@ -23,19 +23,19 @@ from labhil.plants.friction import (
     side_of,
     viscous_force,
 )
-from labhil.plants.maxwell import ROOM, elements_force, relax_elements
+from labhil.plants.maxwell import N_ELEMENT_STATES, elements_force, relax_elements
 from labhil.signals import FloatArray
 
 STANDARD_GRAVITY = 9.81
-LONGEST_STEP = 1e-3
+MAX_STEP = 1e-3
 BRISTLE_STEP = 1e-4
 """Step (s) of a ball on bristles or elements, which swings on them."""
 BISECTIONS = 45
-SLOWEST_BOUNCE = 5e-3
+MIN_BOUNCE_SPEED = 5e-3
 """Speed (m/s) below which a ball that meets a stop stays there."""
 
 POSITION, VELOCITY, SIDE, BRISTLE, TILT_RATE = range(5)
-BALL_SIZE = 5 + ROOM
+BALL_SIZE = 5 + N_ELEMENT_STATES
 
 
 class Mechanics(NamedTuple):
@@ -50,13 +50,13 @@ class Mechanics(NamedTuple):
     stop: float
     restitution: float
     magnet: float
-    magnet_place: float
+    magnet_position: float
     magnet_width: float
     patch: float
-    patch_place: float
+    patch_position: float
     patch_width: float
     cable: float
-    cable_from: float
+    cable_start: float
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Mechanics:
@@ -73,98 +73,108 @@ class Mechanics(NamedTuple):
             stop=values["stop"],
             restitution=values["restitution"],
             magnet=values.get("hidden_magnet.pull", 0.0),
-            magnet_place=values.get("hidden_magnet.place", 0.0),
+            magnet_position=values.get("hidden_magnet.place", 0.0),
             magnet_width=values.get("hidden_magnet.width", 1.0),
             patch=values.get("hidden_sticky_patch.level", 0.0),
-            patch_place=values.get("hidden_sticky_patch.place", 0.0),
+            patch_position=values.get("hidden_sticky_patch.place", 0.0),
             patch_width=values.get("hidden_sticky_patch.width", 1.0),
             cable=values.get("hidden_cable.stiffness", 0.0),
-            cable_from=values.get("hidden_cable.from", 0.0),
+            cable_start=values.get("hidden_cable.from", 0.0),
         )
 
 
 @compiled
-def tilt_rate(angle: float, turning: float, m: Mechanics) -> float:
-    """Return β̇ (rad/s) where the linkage stands at ``angle`` (rad) and turns with ``turning`` (rad/s)."""
+def tilt_rate(angle: float, crank_rate: float, m: Mechanics) -> float:
+    """Return β̇ (rad/s) where the linkage stands at ``angle`` (rad) and turns with ``crank_rate`` (rad/s)."""
     sine = m.ratio * math.sin(angle)
-    return m.ratio * math.cos(angle) * turning / math.sqrt(1.0 - sine * sine)
+    return m.ratio * math.cos(angle) * crank_rate / math.sqrt(1.0 - sine * sine)
 
 
 @compiled
-def push(x: float, angle: float, turning: float, m: Mechanics) -> float:
+def driving_force(x: float, angle: float, crank_rate: float, m: Mechanics) -> float:
     """Return the force (N) on the ball by all but friction; the tilting's own acceleration counts."""
     sine = m.ratio * math.sin(angle)
     cosine = math.sqrt(1.0 - sine * sine)
-    rate = m.ratio * math.cos(angle) * turning / cosine
-    growth = (rate * rate - turning * turning) * sine / cosine
-    by_tilt = m.mass * (STANDARD_GRAVITY * sine + x * rate * rate) - m.rolling * growth
+    rate = m.ratio * math.cos(angle) * crank_rate / cosine
+    curvature = (rate * rate - crank_rate * crank_rate) * sine / cosine
+    by_tilt = m.mass * (STANDARD_GRAVITY * sine + x * rate * rate) - m.rolling * curvature
     force = by_tilt + m.force - m.spring * x
     if m.magnet != 0.0:
-        away = (x - m.magnet_place) / m.magnet_width
-        force -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
-    if m.cable != 0.0 and x > m.cable_from:
-        force -= m.cable * (x - m.cable_from)
+        offset = (x - m.magnet_position) / m.magnet_width
+        force -= m.magnet * offset * math.exp(0.5 - 0.5 * offset * offset)
+    if m.cable != 0.0 and x > m.cable_start:
+        force -= m.cable * (x - m.cable_start)
     return force
 
 
 @compiled
-def sticking(x: float, m: Mechanics) -> float:
+def patch_level(x: float, m: Mechanics) -> float:
     """Return the dry friction (N) that a sticky place adds at x (m)."""
     if m.patch == 0.0:
         return 0.0
-    away = (x - m.patch_place) / m.patch_width
-    return m.patch * math.exp(-0.5 * away * away)
+    offset = (x - m.patch_position) / m.patch_width
+    return m.patch * math.exp(-0.5 * offset * offset)
 
 
 @compiled
-def roll(
-    x: float, v: float, side: float, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+def roll_step(
+    x: float, v: float, side: float, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> tuple[float, float]:
     """Return x and v of a ball that moves towards ``side``, h (s) later (classical Runge-Kutta)."""
     half = 0.5 * h
-    middle, end = angle + half * turning, angle + h * turning
-    a1 = (push(x, angle, turning, m) - resistance(x, v, side, f, sticking(x, m))) / m.inertia
+    middle, end = angle + half * crank_rate, angle + h * crank_rate
+    a1 = (driving_force(x, angle, crank_rate, m) - resistance(x, v, side, f, patch_level(x, m))) / m.inertia
     x2, v2 = x + half * v, v + half * a1
-    a2 = (push(x2, middle, turning, m) - resistance(x2, v2, side, f, sticking(x2, m))) / m.inertia
+    a2 = (
+        driving_force(x2, middle, crank_rate, m) - resistance(x2, v2, side, f, patch_level(x2, m))
+    ) / m.inertia
     x3, v3 = x + half * v2, v + half * a2
-    a3 = (push(x3, middle, turning, m) - resistance(x3, v3, side, f, sticking(x3, m))) / m.inertia
+    a3 = (
+        driving_force(x3, middle, crank_rate, m) - resistance(x3, v3, side, f, patch_level(x3, m))
+    ) / m.inertia
     x4, v4 = x + h * v3, v + h * a3
-    a4 = (push(x4, end, turning, m) - resistance(x4, v4, side, f, sticking(x4, m))) / m.inertia
+    a4 = (driving_force(x4, end, crank_rate, m) - resistance(x4, v4, side, f, patch_level(x4, m))) / m.inertia
     return x + h * (v + 2.0 * (v2 + v3) + v4) / 6.0, v + h * (a1 + 2.0 * (a2 + a3) + a4) / 6.0
 
 
 @compiled
-def stride(x: float, v: float, side: float, angle: float, turning: float, m: Mechanics, f: Friction) -> float:
+def max_step(
+    x: float, v: float, side: float, angle: float, crank_rate: float, m: Mechanics, f: Friction
+) -> float:
     """Return how long a step (s) may be: short against the time to cross the Stribeck velocity."""
     if f.stribeck == 0.0:
-        return LONGEST_STEP
-    pull = abs(push(x, angle, turning, m) - resistance(x, v, side, f, sticking(x, m))) / m.inertia
-    return min(LONGEST_STEP, 0.2 * (f.stribeck_velocity + abs(v)) / (pull + 1e-9))
+        return MAX_STEP
+    acceleration = (
+        abs(driving_force(x, angle, crank_rate, m) - resistance(x, v, side, f, patch_level(x, m))) / m.inertia
+    )
+    return min(MAX_STEP, 0.2 * (f.stribeck_velocity + abs(v)) / (acceleration + 1e-9))
 
 
 @compiled
-def breaks_away(x: float, force: float, m: Mechanics, f: Friction) -> float:
+def break_away_side(x: float, force: float, m: Mechanics, f: Friction) -> float:
     """Return the side towards which ``force`` (N) moves a ball at rest, 0 when it holds; stops hold too."""
-    if force > hold_level(x, 1.0, f, sticking(x, m)) and x < m.stop:
+    if force > hold_level(x, 1.0, f, patch_level(x, m)) and x < m.stop:
         return 1.0
-    if -force > hold_level(x, -1.0, f, sticking(x, m)) and x > -m.stop:
+    if -force > hold_level(x, -1.0, f, patch_level(x, m)) and x > -m.stop:
         return -1.0
     return 0.0
 
 
 @compiled
-def rest(x: float, angle: float, turning: float, h: float, m: Mechanics, f: Friction) -> tuple[float, float]:
+def rest(
+    x: float, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
+) -> tuple[float, float]:
     """Return how long (s, at most h) a ball at rest stays, and to which side it then leaves (0: none)."""
-    at_once = breaks_away(x, push(x, angle, turning, m), m, f)
-    if at_once != 0.0:
-        return 0.0, at_once
-    side = breaks_away(x, push(x, angle + h * turning, turning, m), m, f)
+    immediate_side = break_away_side(x, driving_force(x, angle, crank_rate, m), m, f)
+    if immediate_side != 0.0:
+        return 0.0, immediate_side
+    side = break_away_side(x, driving_force(x, angle + h * crank_rate, crank_rate, m), m, f)
     if side == 0.0:
         return h, 0.0
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if breaks_away(x, push(x, angle + middle * turning, turning, m), m, f) != 0.0:
+        if break_away_side(x, driving_force(x, angle + middle * crank_rate, crank_rate, m), m, f) != 0.0:
             high = middle
         else:
             low = middle
@@ -177,7 +187,7 @@ def time_to_event(
     v: float,
     side: float,
     angle: float,
-    turning: float,
+    crank_rate: float,
     h: float,
     at_stop: bool,
     m: Mechanics,
@@ -187,8 +197,8 @@ def time_to_event(
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        there, speed = roll(x, v, side, angle, turning, middle, m, f)
-        passed = there * side > m.stop if at_stop else speed * side < 0.0
+        position, speed = roll_step(x, v, side, angle, crank_rate, middle, m, f)
+        passed = position * side > m.stop if at_stop else speed * side < 0.0
         if passed:
             high = middle
         else:
@@ -199,58 +209,60 @@ def time_to_event(
 @compiled
 def bounce(v: float, m: Mechanics) -> float:
     """Return the velocity (m/s) after meeting a stop with v."""
-    return -m.restitution * v if m.restitution * abs(v) > SLOWEST_BOUNCE else 0.0
+    return -m.restitution * v if m.restitution * abs(v) > MIN_BOUNCE_SPEED else 0.0
 
 
 @compiled
 def roll_to_event(
-    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+    ball: FloatArray, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> float:
     """Move a rolling ball on by at most h (s), up to its next event; return how long that took."""
     x, v, side = ball[POSITION], ball[VELOCITY], ball[SIDE]
-    reached, speed = roll(x, v, side, angle, turning, h, m, f)
+    reached, speed = roll_step(x, v, side, angle, crank_rate, h, m, f)
     if speed * side <= 0.0:
         if v == 0.0:
             # broken away by less than rounding: it rests for this step
             ball[SIDE] = 0.0
             return h
-        taken = time_to_event(x, v, side, angle, turning, h, False, m, f)
-        reached, _ = roll(x, v, side, angle, turning, taken, m, f)
+        elapsed = time_to_event(x, v, side, angle, crank_rate, h, False, m, f)
+        reached, _ = roll_step(x, v, side, angle, crank_rate, elapsed, m, f)
         if reached * side <= m.stop:
             ball[POSITION], ball[VELOCITY], ball[SIDE] = reached, 0.0, 0.0
-            return taken
+            return elapsed
     if reached * side > m.stop:
-        taken = time_to_event(x, v, side, angle, turning, h, True, m, f)
-        _, speed = roll(x, v, side, angle, turning, taken, m, f)
+        elapsed = time_to_event(x, v, side, angle, crank_rate, h, True, m, f)
+        _, speed = roll_step(x, v, side, angle, crank_rate, elapsed, m, f)
         ball[POSITION], ball[VELOCITY] = side * m.stop, bounce(speed, m)
         ball[SIDE] = side_of(ball[VELOCITY])
-        return taken
+        return elapsed
     ball[POSITION], ball[VELOCITY] = reached, speed
     return h
 
 
 @compiled
 def move_by_events(
-    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+    ball: FloatArray, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> None:
     """Move the ball over one straight line of the linkage, through all its stops and starts."""
     t = 0.0
     while t < h:
-        now = angle + t * turning
-        remaining = min(h - t, LONGEST_STEP)
+        now = angle + t * crank_rate
+        remaining = min(h - t, MAX_STEP)
         if ball[SIDE] == 0.0:
-            waited, side = rest(ball[POSITION], now, turning, remaining, m, f)
+            elapsed, side = rest(ball[POSITION], now, crank_rate, remaining, m, f)
             ball[SIDE] = side
-            t += waited
+            t += elapsed
         else:
-            remaining = min(remaining, stride(ball[POSITION], ball[VELOCITY], ball[SIDE], now, turning, m, f))
-            t += roll_to_event(ball, now, turning, remaining, m, f)
+            remaining = min(
+                remaining, max_step(ball[POSITION], ball[VELOCITY], ball[SIDE], now, crank_rate, m, f)
+            )
+            t += roll_to_event(ball, now, crank_rate, remaining, m, f)
 
 
 @compiled
-def bend(ball: FloatArray, x: float, v: float, h: float, m: Mechanics, f: Friction) -> None:
+def update_bristles(ball: FloatArray, x: float, v: float, h: float, m: Mechanics, f: Friction) -> None:
     """Let bristles or elements follow a ball at x (m) that moves with v (m/s) for h (s)."""
-    level = bristle_level(x, v, side_of(v), f, sticking(x, m))
+    level = bristle_level(x, v, side_of(v), f, patch_level(x, m))
     if f.attraction > 0.0:
         relax_elements(ball, v, level, h, f)
     else:
@@ -258,30 +270,32 @@ def bend(ball: FloatArray, x: float, v: float, h: float, m: Mechanics, f: Fricti
 
 
 @compiled
-def drag(ball: FloatArray, x: float, v: float, m: Mechanics, f: Friction) -> float:
+def carried_friction(ball: FloatArray, x: float, v: float, m: Mechanics, f: Friction) -> float:
     """Return the whole friction (N) on a ball at x (m) that moves with v (m/s) on bristles or elements."""
     if f.attraction > 0.0:
         return elements_force(ball, v, f) + viscous_force(v, f)
-    level = bristle_level(x, v, side_of(v), f, sticking(x, m))
+    level = bristle_level(x, v, side_of(v), f, patch_level(x, m))
     return bristle_force(ball[BRISTLE], v, level, f) + viscous_force(v, f)
 
 
 @compiled
 def move_on_bristles(
-    ball: FloatArray, angle: float, turning: float, h: float, m: Mechanics, f: Friction
+    ball: FloatArray, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> None:
     """Move the ball over one straight line of the linkage, on bristles or elements."""
     steps = math.ceil(h / BRISTLE_STEP)
     d = h / steps
     x, v = ball[POSITION], ball[VELOCITY]
     for i in range(steps):
-        middle = angle + (i + 0.5) * d * turning
-        bend(ball, x, v, 0.5 * d, m, f)
-        a = (push(x, middle, turning, m) - drag(ball, x, v, m, f)) / m.inertia
+        middle = angle + (i + 0.5) * d * crank_rate
+        update_bristles(ball, x, v, 0.5 * d, m, f)
+        a = (driving_force(x, middle, crank_rate, m) - carried_friction(ball, x, v, m, f)) / m.inertia
         x_half, v_half = x + 0.5 * d * v, v + 0.5 * d * a
-        a = (push(x_half, middle, turning, m) - drag(ball, x_half, v_half, m, f)) / m.inertia
+        a = (
+            driving_force(x_half, middle, crank_rate, m) - carried_friction(ball, x_half, v_half, m, f)
+        ) / m.inertia
         x, v = x + d * (v + 0.5 * d * a), v + d * a
-        bend(ball, x, v, 0.5 * d, m, f)
+        update_bristles(ball, x, v, 0.5 * d, m, f)
         if abs(x) > m.stop and x * v > 0.0:
             x, v = side_of(x) * m.stop, bounce(v, m)
     ball[POSITION], ball[VELOCITY], ball[SIDE] = x, v, side_of(v)
@@ -290,15 +304,15 @@ def move_on_bristles(
 @compiled
 def move(ball: FloatArray, before: float, after: float, h: float, m: Mechanics, f: Friction) -> None:
     """Move the ball while the linkage turns straight from ``before`` to ``after`` (rad) within h (s)."""
-    turning = (after - before) / h
-    kick = m.rolling / m.inertia * (tilt_rate(before, turning, m) - ball[TILT_RATE])
-    if kick != 0.0:
-        ball[VELOCITY] -= kick
+    crank_rate = (after - before) / h
+    velocity_step = m.rolling / m.inertia * (tilt_rate(before, crank_rate, m) - ball[TILT_RATE])
+    if velocity_step != 0.0:
+        ball[VELOCITY] -= velocity_step
         if abs(ball[POSITION]) >= m.stop and ball[POSITION] * ball[VELOCITY] > 0.0:
             ball[VELOCITY] = 0.0
         ball[SIDE] = side_of(ball[VELOCITY])
     if f.stiffness > 0.0:
-        move_on_bristles(ball, before, turning, h, m, f)
+        move_on_bristles(ball, before, crank_rate, h, m, f)
     else:
-        move_by_events(ball, before, turning, h, m, f)
-    ball[TILT_RATE] = tilt_rate(after, turning, m)
+        move_by_events(ball, before, crank_rate, h, m, f)
+    ball[TILT_RATE] = tilt_rate(after, crank_rate, m)

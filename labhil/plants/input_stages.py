@@ -19,59 +19,68 @@ NEWEST, CURRENT = range(2)
 """Places of the counters: of the newest command, and of the one in effect."""
 PLAY, LIMITED = range(2)
 """Places of what the way in remembers: where the play stands, and where the rate limit."""
-ENOUGH = 1e-9
+PLAY_TOLERANCE = 1e-9
 """Share of a width within which a part of a play counts as touching."""
 
-Course = tuple[float, float, float]
+Segment = tuple[float, float, float]
 """A value now, its slope per second, and how long (s) the slope lasts."""
 
 
 @compiled
-def add(times: FloatArray, values: FloatArray, count: IntArray, t: float, value: float) -> None:
+def add_command(times: FloatArray, values: FloatArray, counters: IntArray, t: float, value: float) -> None:
     """Remember a command of ``value`` at t (s)."""
-    count[NEWEST] += 1
-    times[count[NEWEST] % HISTORY] = t
-    values[count[NEWEST] % HISTORY] = value
+    counters[NEWEST] += 1
+    times[counters[NEWEST] % HISTORY] = t
+    values[counters[NEWEST] % HISTORY] = value
 
 
 @compiled
-def command(
-    times: FloatArray, values: FloatArray, count: IntArray, t: float, delay: float, near: float, held: bool
-) -> Course:
-    """The command in effect at t (s) after its delay; knots within ``near`` (s) ahead count as reached."""
-    while count[CURRENT] < count[NEWEST] and times[(count[CURRENT] + 1) % HISTORY] + delay <= t + near:
-        count[CURRENT] += 1
-    current = count[CURRENT] % HISTORY
-    if count[CURRENT] == count[NEWEST]:
+def delayed_command(
+    times: FloatArray,
+    values: FloatArray,
+    counters: IntArray,
+    t: float,
+    delay: float,
+    tolerance_s: float,
+    is_held: bool,
+) -> Segment:
+    """The command in effect at t (s) after its delay; knots within ``tolerance_s`` (s) ahead count as reached."""
+    while (
+        counters[CURRENT] < counters[NEWEST]
+        and times[(counters[CURRENT] + 1) % HISTORY] + delay <= t + tolerance_s
+    ):
+        counters[CURRENT] += 1
+    current = counters[CURRENT] % HISTORY
+    if counters[CURRENT] == counters[NEWEST]:
         return values[current], 0.0, math.inf
-    ahead = (count[CURRENT] + 1) % HISTORY
-    remaining = times[ahead] + delay - t
-    if held or times[ahead] == times[current]:
+    following = (counters[CURRENT] + 1) % HISTORY
+    remaining = times[following] + delay - t
+    if is_held or times[following] == times[current]:
         return values[current], 0.0, remaining
     if t - delay < times[current]:
         return values[current], 0.0, times[current] + delay - t
-    slope = (values[ahead] - values[current]) / (times[ahead] - times[current])
-    return values[ahead] - slope * remaining, slope, remaining
+    slope = (values[following] - values[current]) / (times[following] - times[current])
+    return values[following] - slope * remaining, slope, remaining
 
 
 @compiled
-def behind_play(memory: FloatArray, course: Course, gap: float) -> Course:
+def apply_backlash(memory: FloatArray, segment: Segment, gap: float) -> Segment:
     """What a play of full width ``gap`` lets through; ``memory`` keeps where it stands."""
-    value, slope, remaining = course
+    value, slope, remaining = segment
     half = 0.5 * gap
     memory[PLAY] = min(max(memory[PLAY], value - half), value + half)
     if gap == 0.0 or slope == 0.0:
         return memory[PLAY], slope if gap == 0.0 else 0.0, remaining
-    room = memory[PLAY] - value + half if slope > 0.0 else value + half - memory[PLAY]
-    if room <= ENOUGH * gap:
+    distance = memory[PLAY] - value + half if slope > 0.0 else value + half - memory[PLAY]
+    if distance <= PLAY_TOLERANCE * gap:
         return memory[PLAY], slope, remaining
-    return memory[PLAY], 0.0, min(remaining, room / abs(slope))
+    return memory[PLAY], 0.0, min(remaining, distance / abs(slope))
 
 
 @compiled
-def behind_dead_zone(course: Course, low: float, high: float) -> Course:
+def apply_dead_zone(segment: Segment, low: float, high: float) -> Segment:
     """The part of a command outside ``low`` … ``high`` (eq. 4.18 of the reference text)."""
-    value, slope, remaining = course
+    value, slope, remaining = segment
     if value > high or (value == high and slope > 0.0):
         return value - high, slope, min(remaining, (value - high) / -slope) if slope < 0.0 else remaining
     if value < low or (value == low and slope < 0.0):
@@ -84,13 +93,13 @@ def behind_dead_zone(course: Course, low: float, high: float) -> Course:
 
 
 @compiled
-def clip(course: Course, limit: float) -> Course:
+def apply_saturation(segment: Segment, limit: float) -> Segment:
     """A command that goes no further than ± ``limit``."""
-    value, slope, remaining = course
-    side = 1.0 if value > 0.0 else -1.0
-    if abs(value) > limit or (abs(value) == limit and slope * side > 0.0):
-        returns = (abs(value) - limit) / abs(slope) if slope * side < 0.0 else math.inf
-        return side * limit, 0.0, min(remaining, returns)
+    value, slope, remaining = segment
+    sign = 1.0 if value > 0.0 else -1.0
+    if abs(value) > limit or (abs(value) == limit and slope * sign > 0.0):
+        remaining_beyond = (abs(value) - limit) / abs(slope) if slope * sign < 0.0 else math.inf
+        return sign * limit, 0.0, min(remaining, remaining_beyond)
     if slope != 0.0:
         edge = limit if slope > 0.0 else -limit
         remaining = min(remaining, (edge - value) / slope)
@@ -98,25 +107,29 @@ def clip(course: Course, limit: float) -> Course:
 
 
 @compiled
-def limit_rate(memory: FloatArray, course: Course, rate: float) -> Course:
+def limit_rate(memory: FloatArray, segment: Segment, rate: float) -> Segment:
     """A command that changes no faster than ``rate`` per second; ``memory`` keeps where it stands."""
-    value, slope, remaining = course
+    value, slope, remaining = segment
     if rate == math.inf:
         memory[LIMITED] = value
-        return course
-    behind = value - memory[LIMITED]
-    if abs(behind) <= ENOUGH * rate * min(remaining, 1.0):
+        return segment
+    deviation = value - memory[LIMITED]
+    if abs(deviation) <= PLAY_TOLERANCE * rate * min(remaining, 1.0):
         memory[LIMITED] = value
         return value, min(max(slope, -rate), rate), remaining
-    side = 1.0 if behind > 0.0 else -1.0
-    closing = rate - side * slope
-    return memory[LIMITED], side * rate, min(remaining, abs(behind) / closing) if closing > 0.0 else remaining
+    sign = 1.0 if deviation > 0.0 else -1.0
+    closing = rate - sign * slope
+    return (
+        memory[LIMITED],
+        sign * rate,
+        min(remaining, abs(deviation) / closing) if closing > 0.0 else remaining,
+    )
 
 
 @compiled
-def through(memory: FloatArray, course: Course, p: InputPath) -> Course:
+def pass_through(memory: FloatArray, segment: Segment, p: InputPath) -> Segment:
     """A delayed command behind everything that has no state of its own."""
-    course = behind_play(memory, course, p.gap)
-    course = behind_dead_zone(course, -p.left, p.right)
-    course = clip(course, p.limit)
-    return limit_rate(memory, course, p.rate)
+    segment = apply_backlash(memory, segment, p.gap)
+    segment = apply_dead_zone(segment, -p.left, p.right)
+    segment = apply_saturation(segment, p.limit)
+    return limit_rate(memory, segment, p.rate)

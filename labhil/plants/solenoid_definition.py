@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from labhil.plants.definition import FRICTION, OUTPUT_EFFECTS, POSITIVE, SAMPLING, PlantDefinition, with_sizes
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_OUT, World, with_sizes
 
 STROKE = 0.005
 COPPER = 0.0039
@@ -14,7 +14,7 @@ FORCE_MAP = {
 }  # fmt: skip
 """This project's own stated magnet, N: the factor of i^a·(x/5 mm)^b, i in A, for each ``force_map_ab``."""
 
-SOLENOID = World(
+SOLENOID = PlantDefinition(
     bare={
         "moving_mass": 0.064,  # kg
         "spring_stiffness": 6850.0,  # N/m
@@ -74,7 +74,7 @@ SOLENOID = World(
         # no other way in: the input is the coil's current itself, and what drives it is the current loop's
         "time_delay": Effect("the position is seen later than the current, s", {"delay": 0.002}),
         **with_sizes(
-            WAY_OUT,
+            OUTPUT_EFFECTS,
             {
                 "sensor_offset": {"offset": 1e-4},
                 "sensor_nonlinearity": {"cubic": 2e3},

@@ -38,25 +38,25 @@ from labhil.plants.maxwell import (
 )
 from labhil.signals import FloatArray
 
-X, V, BRISTLE, LAG, SENSOR, INNER = range(6)
+X, V, BRISTLE, LAG, SENSOR, PLANT_STATES = range(6)
 """Places of the states: position, velocity, bristles, the lags of the way in and of the sensor, the rig's.
 
 Elements, where there are some, come behind those of the rig.
 """
-SIDE, PACE = range(2)
+SIDE, STEP_LENGTH = range(2)
 """Places of the mode: the side towards which the part moves (0 at rest), and the next step's length, s."""
 STAGES = 7
 BISECTIONS = 50
-SLOWEST_BOUNCE = 1e-4
+MIN_BOUNCE_SPEED = 1e-4
 """Speed (unit/s) below which a part that meets a stop stays there."""
-SHORTEST = 1e-13
+MIN_STEP = 1e-13
 """Step (s) below which no error is too large."""
-LEAST_DIP = 1e-9
+MIN_REVERSAL_STEP = 1e-9
 """Step (s) below which a velocity that dips under zero and comes back is not looked for."""
-FLOOR = 1e-6
+MIN_STATE_SIZE = 1e-6
 """Size (SI) of a state below which its errors count as those of one of this size."""
 
-TIMES = np.array([0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0])
+NODES = np.array([0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0])
 WEIGHTS = np.array(
     [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -79,7 +79,7 @@ ERROR = np.array(
 class Body(NamedTuple):
     """Inertia, stops (infinite where there are none) with their restitution, and the lags' time constants.
 
-    ``seen`` is the state that the sensor follows; a lag of 0 s is none. ``tolerance`` is the error of a step
+    ``measured_state`` is the state that the sensor follows; a lag of 0 s is none. ``tolerance`` is the error of a step
     over the size of the state.
     """
 
@@ -89,11 +89,11 @@ class Body(NamedTuple):
     restitution: float
     lag: float
     sensor_lag: float
-    seen: int
+    measured_state: int
     tolerance: float
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Room for the stages (7, n), a step's end and the largest sizes so far (n,)."""
 
     stages: FloatArray
@@ -101,46 +101,48 @@ class Work(NamedTuple):
     sizes: FloatArray
 
 
-def push(s: FloatArray, u: float, m: Any, rates: FloatArray) -> tuple[float, float, float]:
-    """Nothing pushes: the name under which :func:`mover_for` puts the push of a rig."""
+def applied_force(s: FloatArray, u: float, m: Any, rates: FloatArray) -> tuple[float, float, float]:
+    """Nothing pushes: the name under which :func:`compile_integrator` puts the push of a rig."""
     return 0.0, 0.0, 1.0
 
 
-def remember(s: FloatArray, u: float, m: Any) -> None:
-    """Nothing is remembered: the name under which :func:`mover_for` puts what a rig keeps of its past."""
+def update_memory(s: FloatArray, u: float, m: Any) -> None:
+    """Nothing is remembered: the name under which :func:`compile_integrator` puts what a rig keeps of its past."""
 
 
 @compiled
-def acting(s: FloatArray, u: float, b: Body) -> float:
+def lagged_input(s: FloatArray, u: float, b: Body) -> float:
     """The input behind the lag of the way in."""
     return float(s[LAG]) if b.lag > 0.0 else u
 
 
-def slopes(s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> None:
+def derivatives(
+    s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, rates: FloatArray
+) -> None:
     """Rates of all states (n,) of a part that moves towards ``side``, or rests (0)."""
-    force, more, thinned = push(s, acting(s, u, b), m, rates)
+    force, extra_level, viscosity = applied_force(s, lagged_input(s, u, b), m, rates)
     x, v = s[X], s[V]
     rates[LAG] = (u - s[LAG]) / b.lag if b.lag > 0.0 else 0.0
-    rates[SENSOR] = (s[b.seen] - s[SENSOR]) / b.sensor_lag if b.sensor_lag > 0.0 else 0.0
+    rates[SENSOR] = (s[b.measured_state] - s[SENSOR]) / b.sensor_lag if b.sensor_lag > 0.0 else 0.0
     rates[X], rates[V], rates[BRISTLE] = 0.0, 0.0, 0.0
-    carried = elements_drag(s, x, v, side, more, f, rates) if f.attraction > 0.0 else 0.0
+    element_force = elements_drag(s, x, v, side, extra_level, f, rates) if f.attraction > 0.0 else 0.0
     if side == 0.0:
         return
-    drag = (thinned - 1.0) * f.viscous * v
+    drag = (viscosity - 1.0) * f.viscous * v
     if f.attraction > 0.0:
-        drag += viscous_force(v, f) + carried
+        drag += viscous_force(v, f) + element_force
     elif f.stiffness > 0.0:
-        level = bristle_level(x, v, side_of(v), f, more)
+        level = bristle_level(x, v, side_of(v), f, extra_level)
         rates[BRISTLE] = bristle_rate(s[BRISTLE], v, level, f)
         drag += viscous_force(v, f) + bristle_force(s[BRISTLE], v, level, f)
     else:
-        drag += resistance(x, v, side, f, more)
+        drag += resistance(x, v, side, f, extra_level)
     rates[X], rates[V] = v, (force - drag) / b.inertia
 
 
-def leaves(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> float:
+def break_away_side(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> float:
     """The side towards which a part at rest is moved, 0 when it holds; stops hold too."""
-    force, more, _ = push(s, acting(s, u, b), m, rates)
+    force, extra_level, _ = applied_force(s, lagged_input(s, u, b), m, rates)
     x = s[X]
     if f.stiffness > 0.0:
         # what bends holds nothing by itself: such a part is at rest on a stop, or where all is balanced
@@ -149,16 +151,16 @@ def leaves(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatAr
         if f.attraction > 0.0:
             return 0.0 if held else side_of(force)
         return 0.0 if held else 1.0
-    if force > hold_level(x, 1.0, f, more) and x < b.high:
+    if force > hold_level(x, 1.0, f, extra_level) and x < b.high:
         return 1.0
-    if -force > hold_level(x, -1.0, f, more) and x > b.low:
+    if -force > hold_level(x, -1.0, f, extra_level) and x > b.low:
         return -1.0
     return 0.0
 
 
-def attempt(
+def try_step(
     s: FloatArray, u: float, rise: float, h: float, side: float,
-    b: Body, m: Any, f: Friction, w: Work,
+    b: Body, m: Any, f: Friction, w: Workspace,
 ) -> None:  # fmt: skip
     """One step of h (s) from the states ``s`` to ``w.end``; the input starts at ``u``, slope ``rise``."""
     k, end = w.stages, w.end
@@ -168,11 +170,11 @@ def attempt(
             for i in range(stage):
                 change += WEIGHTS[stage, i] * k[i, j]
             end[j] = s[j] + h * change
-        slopes(end, u + TIMES[stage] * h * rise, side, b, m, f, k[stage])
+        derivatives(end, u + NODES[stage] * h * rise, side, b, m, f, k[stage])
 
 
 @compiled
-def error_of(h: float, b: Body, w: Work) -> float:
+def relative_error(h: float, b: Body, w: Workspace) -> float:
     """Estimated error of the step of h (s) that has just been made to ``w.end``, over what is allowed."""
     worst = 0.0
     for j in range(w.end.size):
@@ -183,16 +185,16 @@ def error_of(h: float, b: Body, w: Work) -> float:
     return worst / b.tolerance
 
 
-def has_happened(
-    y: FloatArray, u: float, side: float, stops: bool, b: Body, m: Any, f: Friction, w: Work
+def has_event(
+    y: FloatArray, u: float, side: float, at_stop: bool, b: Body, m: Any, f: Friction, w: Workspace
 ) -> bool:
     """Whether a part at rest has left, or a moving one has turned back or has an element that yields.
 
-    With ``stops``, whether a moving one has met a stop. ``y`` is the end of the last attempt.
+    With ``at_stop``, whether a moving one has met a stop. ``y`` is the end of the last attempt.
     """
     if side == 0.0:
-        return bool(leaves(y, u, b, m, f, w.stages[6]) != 0.0)
-    if stops:
+        return bool(break_away_side(y, u, b, m, f, w.stages[6]) != 0.0)
+    if at_stop:
         return bool(y[X] > b.high or y[X] < b.low)
     if on_bristles(f):
         return False
@@ -201,36 +203,36 @@ def has_happened(
     return bool(y[V] * side < 0.0)
 
 
-def time_to(
-    s: FloatArray, u: float, rise: float, h: float, side: float, stops: bool,
-    b: Body, m: Any, f: Friction, w: Work,
+def locate_event(
+    s: FloatArray, u: float, rise: float, h: float, side: float, at_stop: bool,
+    b: Body, m: Any, f: Friction, w: Workspace,
 ) -> float:  # fmt: skip
     """When within h (s) that first happened; ``w.end`` is then the step's end there."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        attempt(s, u, rise, middle, side, b, m, f, w)
-        if has_happened(w.end, u + middle * rise, side, stops, b, m, f, w):
+        try_step(s, u, rise, middle, side, b, m, f, w)
+        if has_event(w.end, u + middle * rise, side, at_stop, b, m, f, w):
             high = middle
         else:
             low = middle
-    attempt(s, u, rise, high, side, b, m, f, w)
+    try_step(s, u, rise, high, side, b, m, f, w)
     return high
 
 
-def dips(s: FloatArray, h: float, side: float, f: Friction, w: Work) -> bool:
+def may_reverse(s: FloatArray, h: float, side: float, f: Friction, w: Workspace) -> bool:
     """Whether the velocity may have passed zero and come back within the step of h (s)."""
     if on_bristles(f) or side == 0.0:
         return False
     before, after = w.stages[0, V] * side, w.stages[6, V] * side
-    if before >= 0.0 or after <= 0.0 or h < LEAST_DIP:
+    if before >= 0.0 or after <= 0.0 or h < MIN_REVERSAL_STEP:
         return False
     # a curve that bends upwards lies above the point where its first and last tangents meet
-    meet = (side * (w.end[V] - s[V]) - after * h) / (before - after)
-    return bool(side * s[V] + before * meet <= 0.0)
+    tangent_velocity = (side * (w.end[V] - s[V]) - after * h) / (before - after)
+    return bool(side * s[V] + before * tangent_velocity <= 0.0)
 
 
-def to_rest(mode: FloatArray, f: Friction, w: Work) -> None:
+def come_to_rest(mode: FloatArray, f: Friction, w: Workspace) -> None:
     """The part has come to rest at ``w.end``."""
     w.end[V] = 0.0
     if f.attraction > 0.0:
@@ -238,90 +240,108 @@ def to_rest(mode: FloatArray, f: Friction, w: Work) -> None:
     mode[SIDE] = 0.0
 
 
-def against_stop(mode: FloatArray, b: Body, f: Friction, w: Work) -> None:
+def hit_stop(mode: FloatArray, b: Body, f: Friction, w: Workspace) -> None:
     """The part has met a stop at ``w.end``: it bounces, or stays there."""
-    ahead = 1.0 if w.end[X] > b.high else -1.0
-    w.end[X] = b.high if ahead > 0.0 else b.low
+    side = 1.0 if w.end[X] > b.high else -1.0
+    w.end[X] = b.high if side > 0.0 else b.low
     back = b.restitution * abs(w.end[V])
-    w.end[V] = -ahead * back if back > SLOWEST_BOUNCE else 0.0
+    w.end[V] = -side * back if back > MIN_BOUNCE_SPEED else 0.0
     mode[SIDE] = 1.0 if on_bristles(f) and w.end[V] != 0.0 else side_of(w.end[V])
     if f.attraction > 0.0:
         all_stick(w.end)
 
 
-def to_event(
-    s: FloatArray, mode: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction, w: Work
+def apply_event(
+    s: FloatArray,
+    mode: FloatArray,
+    u: float,
+    rise: float,
+    h: float,
+    b: Body,
+    m: Any,
+    f: Friction,
+    w: Workspace,
 ) -> float:
     """See what happened in a step of h (s) that led to ``w.end``, and go back to it; how long that took."""
-    side, taken = mode[SIDE], h
+    side, elapsed = mode[SIDE], h
     if side == 0.0:
-        if has_happened(w.end, u + h * rise, side, False, b, m, f, w):
-            taken = time_to(s, u, rise, h, side, False, b, m, f, w)
-            mode[SIDE] = leaves(w.end, u + taken * rise, b, m, f, w.stages[6])
-        return taken
-    breaks = has_happened(w.end, u + h * rise, side, False, b, m, f, w)
-    if breaks:
-        taken = time_to(s, u, rise, h, side, False, b, m, f, w)
+        if has_event(w.end, u + h * rise, side, False, b, m, f, w):
+            elapsed = locate_event(s, u, rise, h, side, False, b, m, f, w)
+            mode[SIDE] = break_away_side(w.end, u + elapsed * rise, b, m, f, w.stages[6])
+        return elapsed
+    is_event = has_event(w.end, u + h * rise, side, False, b, m, f, w)
+    if is_event:
+        elapsed = locate_event(s, u, rise, h, side, False, b, m, f, w)
         if b.low <= w.end[X] <= b.high:
             if w.end[V] * side < 0.0:
-                to_rest(mode, f, w)
+                come_to_rest(mode, f, w)
             else:
                 let_slip(w.end, side, w.stages[6, s.size - 1])
-            return taken
-    if breaks or has_happened(w.end, u + taken * rise, side, True, b, m, f, w):
-        taken = time_to(s, u, rise, taken, side, True, b, m, f, w)
-        against_stop(mode, b, f, w)
-    return taken
+            return elapsed
+    if is_event or has_event(w.end, u + elapsed * rise, side, True, b, m, f, w):
+        elapsed = locate_event(s, u, rise, elapsed, side, True, b, m, f, w)
+        hit_stop(mode, b, f, w)
+    return elapsed
 
 
-def move(
-    s: FloatArray, mode: FloatArray, u: float, rise: float, h: float, b: Body, m: Any, f: Friction, w: Work
+def integrate(
+    s: FloatArray,
+    mode: FloatArray,
+    u: float,
+    rise: float,
+    h: float,
+    b: Body,
+    m: Any,
+    f: Friction,
+    w: Workspace,
 ) -> None:
     """Let h (s) pass in which the input goes straight from ``u`` with ``rise`` per second."""
     t = 0.0
     while t < h and math.isfinite(s[V]):
         now = u + t * rise
         if mode[SIDE] == 0.0:
-            mode[SIDE] = leaves(s, now, b, m, f, w.stages[6])
-        step = min(mode[PACE], h - t)
-        attempt(s, now, rise, step, mode[SIDE], b, m, f, w)
-        error = error_of(step, b, w)
+            mode[SIDE] = break_away_side(s, now, b, m, f, w.stages[6])
+        step = min(mode[STEP_LENGTH], h - t)
+        try_step(s, now, rise, step, mode[SIDE], b, m, f, w)
+        error = relative_error(step, b, w)
         change = 0.2 if not error < 1e3 else min(0.9 * max(error, 1e-9) ** -0.2, 5.0)
-        if step > SHORTEST and (not error <= 1.0 or dips(s, step, mode[SIDE], f, w)):
-            mode[PACE] = step * min(change, 0.5)
+        if step > MIN_STEP and (not error <= 1.0 or may_reverse(s, step, mode[SIDE], f, w)):
+            mode[STEP_LENGTH] = step * min(change, 0.5)
             continue
         last = step == h - t
-        mode[PACE] = max(mode[PACE], step * change) if last else step * change
+        mode[STEP_LENGTH] = max(mode[STEP_LENGTH], step * change) if last else step * change
         if not math.isfinite(w.end[V]):
             s[V] = math.nan
             return
-        started = mode[SIDE] != 0.0 and s[V] == 0.0
-        taken = to_event(s, mode, now, rise, step, b, m, f, w)
-        if started and mode[SIDE] == 0.0 and taken <= SHORTEST and taken < step:
+        was_started = mode[SIDE] != 0.0 and s[V] == 0.0
+        elapsed = apply_event(s, mode, now, rise, step, b, m, f, w)
+        if was_started and mode[SIDE] == 0.0 and elapsed <= MIN_STEP and elapsed < step:
             # it came back at once: what moves it away is less than rounding, and it rests
-            attempt(s, now, rise, step, 0.0, b, m, f, w)
-            taken = step
+            try_step(s, now, rise, step, 0.0, b, m, f, w)
+            elapsed = step
         for j in range(s.size):
             s[j] = w.end[j]
             w.sizes[j] = max(w.sizes[j], abs(s[j]))
-        remember(s, acting(s, now + taken * rise, b), m)
-        t = h if last and taken == step else t + taken
+        update_memory(s, lagged_input(s, now + elapsed * rise, b), m)
+        t = h if last and elapsed == step else t + elapsed
 
 
-PIECES = (
-    slopes, leaves, attempt, has_happened, time_to, dips, to_rest, against_stop, to_event, move,
+FUNCTIONS = (
+    derivatives, break_away_side, try_step, has_event, locate_event, may_reverse, come_to_rest, hit_stop, apply_event, integrate,
 )  # fmt: skip
 
 
-def mover_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str) -> Callable[..., None]:
-    """:func:`move` compiled for this push.
+def compile_integrator(
+    applied_force: Callable[..., Any], update_memory: Callable[..., Any], rig: str
+) -> Callable[..., None]:
+    """:func:`integrate` compiled for this push.
 
     A compiled function that takes another one as an argument cannot be kept on disk, nor can what calls
     it; so the pieces are compiled once more for each rig, with its push under a global name,
     and as pieces of the module ``rig``.
     """
-    scope = {**globals(), "__name__": rig, "push": push, "remember": remember}
-    for piece in PIECES:
-        scope[piece.__name__] = specialised(FunctionType(piece.__code__, scope, piece.__name__))
-    bound: Callable[..., None] = scope["move"]
+    scope = {**globals(), "__name__": rig, "applied_force": applied_force, "update_memory": update_memory}
+    for function in FUNCTIONS:
+        scope[function.__name__] = specialised(FunctionType(function.__code__, scope, function.__name__))
+    bound: Callable[..., None] = scope["integrate"]
     return bound
