@@ -48,14 +48,14 @@ AIR_THICKNESS = 2e-3
 FINE_AHEAD, FINE_BEHIND, COARSE, FEATURES = 13, 21, 5, 6
 CELLS = FINE_AHEAD + FINE_BEHIND + 2 * COARSE + FEATURES
 LOOPS = COLUMNS - 1
-SHORTEST = 1e-8
+MIN_HEIGHT = 1e-8
 """Two borders that coincide are held this far apart, m, which keeps the circuit regular."""
 ALONG, ACROSS = 0, 1
 
 TOLERANCE = 1e-11
 """Of the coenergy, relative, at which Newton's method ends."""
-STEPS = 100
-SMALLEST_STEP = 1e-9
+MAX_STEPS = 100
+MIN_LINE_SEARCH_STEP = 1e-9
 
 
 class Network(NamedTuple):
@@ -115,26 +115,26 @@ def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel,
         np.zeros(CELLS - 1),
     )
     psi = np.zeros((CELLS - 1, LOOPS))
-    before = np.zeros((CELLS - 1, LOOPS))
+    psi_before = np.zeros((CELLS - 1, LOOPS))
     gradient = np.zeros((CELLS - 1, LOOPS))
     step = np.zeros((CELLS - 1, LOOPS))
     band = np.zeros((CELLS - 1, LOOPS, LOOPS + 1))
-    all_settled = True
+    all_converged = True
     for n in range(designs.shape[0]):
         psi[:] = 0.0
         for j in range(out.shape[1]):
             front = housing.residual_gap + housing.travel - (j - 0.5) * PITCH
-            _borders(front, designs[n], housing, z)
+            _set_borders(front, designs[n], housing, z)
             for i in range(CELLS):
                 _branches_of_cell(i, front, designs[n], housing, z, network)
-            _drives(mmf, housing, z, network.drive)
-            out[n, j], settled = _solve(network, steel, psi, before, gradient, step, band)
-            all_settled = all_settled and settled
-    return all_settled
+            _set_drives(mmf, housing, z, network.drive)
+            out[n, j], converged = _solve(network, steel, psi, psi_before, gradient, step, band)
+            all_converged = all_converged and converged
+    return all_converged
 
 
 @compiled
-def _borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) -> None:
+def _set_borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) -> None:
     """Fill z (cells + 1,) with ascending borders: fine ones around the front, coarse ones, and all edges."""
     first, last = front - FINE_AHEAD * PITCH, front + FINE_BEHIND * PITCH
     n = 0
@@ -154,7 +154,7 @@ def _borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) 
 
 
 @compiled
-def _drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> None:
+def _set_drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> None:
     """Fill ``drive`` with the coil's share between the middles of neighbouring cells, A."""
     for i in range(CELLS - 1):
         top = min(0.5 * (z[i + 1] + z[i + 2]), housing.behind)
@@ -163,7 +163,7 @@ def _drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> N
 
 
 @compiled
-def _ring(
+def _cell_ring(
     column: int, middle: float, front: float, design: FloatArray, housing: Housing
 ) -> tuple[float, float, bool]:
     """Inner and outer radius (m) of a column at the height ``middle``, and whether it is of steel there."""
@@ -197,17 +197,17 @@ def _branches_of_cell(
     i: int, front: float, design: FloatArray, housing: Housing, z: FloatArray, network: Network
 ) -> None:
     """Fill in the branches from cell i of every column to the next cell and to the next column."""
-    middle, height = 0.5 * (z[i] + z[i + 1]), max(z[i + 1] - z[i], SHORTEST)
+    middle, height = 0.5 * (z[i] + z[i + 1]), max(z[i + 1] - z[i], MIN_HEIGHT)
     for k in range(COLUMNS):
-        inner, outer, steel = _ring(k, middle, front, design, housing)
+        inner, outer, steel = _cell_ring(k, middle, front, design, housing)
         if i < CELLS - 1:
-            beyond, height2 = 0.5 * (z[i + 1] + z[i + 2]), max(z[i + 2] - z[i + 1], SHORTEST)
-            inner2, outer2, steel2 = _ring(k, beyond, front, design, housing)
+            next_middle, height2 = 0.5 * (z[i + 1] + z[i + 2]), max(z[i + 2] - z[i + 1], MIN_HEIGHT)
+            inner2, outer2, steel2 = _cell_ring(k, next_middle, front, design, housing)
             area, area2 = pi * (outer**2 - inner**2), pi * (outer2**2 - inner2**2)
             section = min(area, area2)
             if steel != steel2:
                 section = area if steel else area2
-            _halves(
+            _set_branch(
                 network,
                 ALONG,
                 i,
@@ -219,23 +219,23 @@ def _branches_of_cell(
             )
             network.section[ALONG, i, k] = section
         if k < COLUMNS - 1:
-            inner2, outer2, steel2 = _ring(k + 1, middle, front, design, housing)
+            inner2, outer2, steel2 = _cell_ring(k + 1, middle, front, design, housing)
             radius = 0.5 * (outer + inner2)
-            way = radius * log(2.0 * outer / (inner + outer))
-            way2 = radius * log((inner2 + outer2) / (2.0 * inner2))
-            _halves(network, ACROSS, i, k, way, steel, way2, steel2)
+            length = radius * log(2.0 * outer / (inner + outer))
+            length2 = radius * log((inner2 + outer2) / (2.0 * inner2))
+            _set_branch(network, ACROSS, i, k, length, steel, length2, steel2)
             if inner2 > outer * (1.0 + 1e-9):
                 network.air[ACROSS, i, k] += radius * log(inner2 / outer)
             network.section[ACROSS, i, k] = 2.0 * pi * radius * height
 
 
 @compiled
-def _halves(
-    network: Network, side: int, i: int, k: int, way: float, steel: bool, way2: float, steel2: bool
+def _set_branch(
+    network: Network, side: int, i: int, k: int, length: float, steel: bool, length2: float, steel2: bool
 ) -> None:
     """Fill in what a branch goes through in its two cells."""
-    network.metal[side, i, k] = (way if steel else 0.0) + (way2 if steel2 else 0.0)
-    network.air[side, i, k] = (0.0 if steel else way) + (0.0 if steel2 else way2)
+    network.metal[side, i, k] = (length if steel else 0.0) + (length2 if steel2 else 0.0)
+    network.air[side, i, k] = (0.0 if steel else length) + (0.0 if steel2 else length2)
 
 
 @compiled
@@ -243,7 +243,7 @@ def _solve(
     network: Network,
     steel: Steel,
     psi: FloatArray,
-    before: FloatArray,
+    psi_before: FloatArray,
     gradient: FloatArray,
     step: FloatArray,
     band: FloatArray,
@@ -253,22 +253,22 @@ def _solve(
     The other arrays are room to work in.
     """
     energy = _linearise(network, steel, psi, gradient, band)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         step[:] = gradient
         decrement = _newton_step(band, step)
         if decrement <= TOLERANCE * abs(energy):
             return -energy, True
-        before[:] = psi
+        psi_before[:] = psi
         share = 1.0
         while True:
-            psi[:] = before - share * step
-            lower = _linearise(network, steel, psi, gradient, band)
-            if lower <= energy - 1e-3 * share * decrement:
+            psi[:] = psi_before - share * step
+            trial_energy = _linearise(network, steel, psi, gradient, band)
+            if trial_energy <= energy - 1e-3 * share * decrement:
                 break
             share *= 0.5
-            if share < SMALLEST_STEP:
+            if share < MIN_LINE_SEARCH_STEP:
                 return -energy, False
-        energy = lower
+        energy = trial_energy
     return -energy, False
 
 

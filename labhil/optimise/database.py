@@ -17,7 +17,7 @@ from labhil.optimise.geometry import LOWER, UPPER
 from labhil.optimise.objectives import largest_force, rms_slope
 from labhil.signals import FloatArray
 
-APART = 0.01
+MIN_DISTANCE = 0.01
 """Of the ranges: designs nearer than this would make the interpolation ill-conditioned."""
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Database:
 
     def interpolate(self, designs: FloatArray) -> FloatArray:
         """Force curves (k, m) in N of designs (k, 5) in m and rad, by interpolation."""
-        return np.asarray(self._interpolant(as_shares(designs)))
+        return np.asarray(self._interpolant(to_unit_box(designs)))
 
     def extend(self, designs: FloatArray, curves: FloatArray) -> Database:
         """A database with these designs (k, 5) and curves (k, m) as well."""
@@ -49,9 +49,9 @@ class Database:
         """(n, m): each simulated curve as the others would have it."""
         rows = np.arange(len(self.curves))
         predicted = [
-            _interpolant(self.designs[rows != n], self.curves[rows != n])(as_shares(self.designs[n : n + 1]))[
-                0
-            ]
+            _interpolant(self.designs[rows != n], self.curves[rows != n])(
+                to_unit_box(self.designs[n : n + 1])
+            )[0]
             for n in rows
         ]
         return np.array(predicted)
@@ -74,17 +74,17 @@ class InterpolationError:
     """N, of the database's own curves, each left out in turn."""
 
 
-def apart(candidates: FloatArray, known: FloatArray, distance: float = APART) -> FloatArray:
+def select_distinct(candidates: FloatArray, known: FloatArray, distance: float = MIN_DISTANCE) -> FloatArray:
     """The candidates (k, 5) that are not within ``distance`` (of the ranges) of a known or earlier one."""
-    kept, new = list(as_shares(known)), []
-    for candidate, place in zip(candidates, as_shares(candidates), strict=True):
-        if not kept or np.min(np.linalg.norm(np.array(kept) - place, axis=1)) > distance:
-            kept.append(place)
+    kept, new = list(to_unit_box(known)), []
+    for candidate, point in zip(candidates, to_unit_box(candidates), strict=True):
+        if not kept or np.min(np.linalg.norm(np.array(kept) - point, axis=1)) > distance:
+            kept.append(point)
             new.append(candidate)
     return np.array(new).reshape(-1, candidates.shape[1])
 
 
-def as_shares(designs: FloatArray) -> FloatArray:
+def to_unit_box(designs: FloatArray) -> FloatArray:
     """Designs (n, 5) in m and rad as shares of Table A.2's ranges, 0 to 1."""
     return np.asarray((designs - LOWER) / (UPPER - LOWER))
 
@@ -106,7 +106,7 @@ def interpolation_error(database: Database, designs: FloatArray, curves: FloatAr
 def _interpolant(designs: FloatArray, curves: FloatArray) -> RBFInterpolator:
     from scipy.interpolate import RBFInterpolator
 
-    return RBFInterpolator(as_shares(designs), curves, kernel="cubic", degree=2)
+    return RBFInterpolator(to_unit_box(designs), curves, kernel="cubic", degree=2)
 
 
 def _rms(values: FloatArray) -> float:

@@ -52,12 +52,14 @@ class Objectives:
     def __call__(self, curves: FloatArray) -> FloatArray:
         """(n, 2): CF1 of eq. A.2 and CF2 of eq. A.3; 0 and 1 are the extremes of the reference curves."""
         low, high = self.force_range
-        slow, shigh = self.inverse_slope_range
+        inverse_low, inverse_high = self.inverse_slope_range
         force = (largest_force(curves) - low) / (high - low)
-        return np.stack([force, (1.0 / rms_slope(curves) - slow) / (shigh - slow)], axis=1)
+        return np.stack(
+            [force, (1.0 / rms_slope(curves) - inverse_low) / (inverse_high - inverse_low)], axis=1
+        )
 
 
-def not_dominated(values: FloatArray, apart: float = 0.0) -> NDArray[np.intp]:
+def pareto_front(values: FloatArray, apart: float = 0.0) -> NDArray[np.intp]:
     """Rows of values (n, 2), both wanted large, that no other row beats in one without losing in the other.
 
     By falling first value; of equal rows the first. Of rows nearer than ``apart`` along the front only the

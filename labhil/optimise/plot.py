@@ -62,9 +62,9 @@ def _draw_curves(axes: Axes, study: Optimisation) -> None:
 
 def _draw_front(axes: Axes, study: Optimisation) -> None:
     low, high = study.objectives.force_range
-    slow, shigh = study.objectives.inverse_slope_range
+    inverse_low, inverse_high = study.objectives.inverse_slope_range
     force = low + study.scores[:, 0] * (high - low)
-    slope = 1e-3 / (slow + study.scores[:, 1] * (shigh - slow))
+    slope = 1e-3 / (inverse_low + study.scores[:, 1] * (inverse_high - inverse_low))
     axes.plot(force, slope, ".", color="#999999", ms=2, alpha=0.5, label="every design evaluated")
     curves = study.database.curves
     axes.plot(

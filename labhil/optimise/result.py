@@ -53,8 +53,8 @@ def optimisation_json(study: Optimisation) -> dict[str, Any]:
             }
             for c in study.candidates
         ],
-        "promised_by_interpolation": study.promised,
-        "swarms": {"flown": study.swarms, "agreeing": study.agreeing},
+        "promised_by_interpolation": study.predicted_cost,
+        "swarms": {"flown": study.swarms, "agreeing": study.n_agreeing},
         "front": [
             {"design": study.evaluated[n].tolist(), "cf1": study.scores[n, 0], "cf2": study.scores[n, 1]}
             for n in study.front

@@ -35,16 +35,16 @@ class Runs:
 def design_runs(seed: int = 0) -> Runs:
     """The 55 distinct runs; the seed decides which levels the orthogonal array combines."""
     rng = np.random.default_rng(seed)
-    fixed = np.vstack([_star(), _corners(), _levels_of(ORIGINAL)])
+    fixed = np.vstack([_axis_points(), _corners(), _nearest_levels(ORIGINAL)])
     while True:
-        levels = np.vstack([fixed, _pairs(rng)])
+        levels = np.vstack([fixed, _orthogonal_array(rng)])
         if len(np.unique(levels, axis=0)) == COUNT:
             break
     kinds = ("centre", *["axis"] * 20, *["corner"] * 8, "original", *["pairs"] * 25)
     return Runs(LEVELS[np.arange(len(PARAMETERS)), levels], kinds)
 
 
-def _star() -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
+def _axis_points() -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
     moved = [(j, level) for j in range(5) for level in (0, 1, 3, 4)]
     return np.array([[2] * 5, *([level if k == j else 2 for k in range(5)] for j, level in moved)])
 
@@ -55,11 +55,11 @@ def _corners() -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
     return np.asarray(4 * np.stack([a, b, c, 1 - (a ^ b), 1 - (a ^ c)], axis=1))
 
 
-def _pairs(rng: np.random.Generator) -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
+def _orthogonal_array(rng: np.random.Generator) -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
     a, b = (grid.ravel() for grid in np.meshgrid(np.arange(5), np.arange(5), indexing="ij"))
     columns = [a, b, (a + b) % 5, (a + 2 * b) % 5, (a + 3 * b) % 5]
     return np.stack([rng.permutation(5)[column] for column in columns], axis=1)
 
 
-def _levels_of(design: FloatArray) -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
+def _nearest_levels(design: FloatArray) -> np.ndarray[tuple[int, int], np.dtype[np.int_]]:
     return np.argmin(np.abs(LEVELS - design[:, None]), axis=1)[None, :]

@@ -74,8 +74,8 @@ def global_sensitivity(
     f_AB = y[:, 2 * samples :].reshape(2, 5, samples).transpose(1, 0, 2)
     table = np.concatenate([y[:, :samples][None], y[:, samples : 2 * samples][None], f_AB])
     indices = _indices(table)
-    again = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
-    low, high = np.quantile(again, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
+    resampled = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
+    low, high = np.quantile(resampled, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
     return GlobalSensitivity(*indices, low, high, 7 * samples)
 
 

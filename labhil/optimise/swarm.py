@@ -15,7 +15,7 @@ Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class SwarmResult:
     """Where a swarm ended."""
 
     best: FloatArray
@@ -23,7 +23,7 @@ class Flight:
     value: float
 
 
-class _Batches(CostEvaluator):
+class _BatchEvaluator(CostEvaluator):
     """An evaluator whose populations are evaluated in one call."""
 
     def __init__(self, costs: Function, box: Box, budget: Budget) -> None:
@@ -36,12 +36,14 @@ class _Batches(CostEvaluator):
         return np.array([self._note(z, float(c)) for z, c in zip(inside, self._costs(inside), strict=True)])
 
 
-def maximise(function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int) -> Flight:
+def maximise(
+    function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int
+) -> SwarmResult:
     """The largest value of ``function`` ((n, k) → (n,)) between the bounds (k,) that the swarm comes upon.
 
     The swarm is that of equations 3.1 to 3.3, with ten particles per dimension and walls at the bounds.
     """
     budget = Budget(PARTICLES_PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
-    evaluator = _Batches(lambda X: -function(X), Box(lower, upper), budget)
+    evaluator = _BatchEvaluator(lambda X: -function(X), Box(lower, upper), budget)
     result = reference_swarm(evaluator, seed, iterations=iterations)
-    return Flight(result.z, -result.cost)
+    return SwarmResult(result.z, -result.cost)
