@@ -161,7 +161,7 @@ class FieldProblem:
             saturation_term = w.curvature * (w.br * ur + w.bz * uz) * (w.br * vr + w.bz * vz)
             return 2.0 * np.pi * r * (w.nu * (ur * vr + uz * vz) + saturation_term)
 
-        known = {"nu": nu, "bend": curvature, "br": B[0], "bz": B[1], "j": self.current}
+        known = {"nu": nu, "curvature": curvature, "br": B[0], "bz": B[1], "j": self.current}
         gradient = library.LinearForm(residual).assemble(self.basis, **known)
         gradient[self.fixed_unknowns] = 0.0
         return gradient, library.BilinearForm(stiffness).assemble(self.basis, **known)

@@ -1,4 +1,4 @@
-"""A simulated axis: held force in, position out; rigid, or with its load behind a spring."""
+"""A simulated linear axis: held force in, position out; rigid, or with an elastically coupled load."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ AXIS = PlantDefinition(
 
 
 class Carriage(NamedTuple):
-    """Numbers of the axis (SI)."""
+    """Parameters of the axis, SI."""
 
     force: float
     spring: float
@@ -140,7 +140,7 @@ class Carriage(NamedTuple):
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Carriage:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         compliance = p.get("joint_elasticity.compliance", 0.0)
         return cls(
             force=p.get("constant_force.force", 0.0),
@@ -172,19 +172,19 @@ class Carriage(NamedTuple):
 
 
 def total_mass(p: Mapping[str, float]) -> float:
-    """All that moves, kg."""
+    """Return the total moving mass, kg."""
     return p["moving_mass"] + p.get("added_inertia.mass", 0.0)
 
 
 def elastic_mass(p: Mapping[str, float]) -> float:
-    """What of it hangs on the spring, kg; nothing where the joint does not give way."""
+    """Return the elastically coupled mass, kg; 0 where the joint is rigid."""
     share = p.get("joint_elasticity.share", 0.0) if p.get("joint_elasticity.compliance", 0.0) else 0.0
     return share * total_mass(p)
 
 
 @compiled
 def passive_force(x: float, m: Carriage) -> float:
-    """Force (N) along the way by all but the drive, friction and the load."""
+    """Return the force (N) at a position without drive, friction and load."""
     force = m.force - x * (m.spring + m.hardening * x * x)
     if m.cogging != 0.0 or m.second != 0.0:
         angle = m.order * x + m.phase
@@ -199,7 +199,10 @@ def passive_force(x: float, m: Carriage) -> float:
 
 @compiled
 def applied_force(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tuple[float, float, float]:
-    """Force without friction, further dry friction (N), and what is left of viscous friction."""
+    """Return the force without friction (N).
+
+    Additional dry friction (N), and the factor of viscous friction.
+    """
     x, v = s[X], s[V]
     force = u + passive_force(x, m)
     rates[LOAD_X], rates[LOAD_V] = 0.0, 0.0
@@ -222,7 +225,7 @@ def applied_force(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tu
 
 @compiled
 def update_memory(s: FloatArray, u: float, m: Carriage) -> None:
-    """An axis keeps nothing beside its states."""
+    """Do nothing: an axis has no memory beside its states."""
 
 
 run_axis = compile_kernel(applied_force, update_memory, __name__)
@@ -239,10 +242,13 @@ def run(
 
 
 class AxisPlant:
-    """The world of one axis; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated axis; it starts at rest at position 0.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples. Begins at rest at position zero.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise.
+        period: Time between samples, s.
     """
 
     def __init__(
@@ -266,16 +272,16 @@ class AxisPlant:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return self.simulation.time
 
     def step(self, force: float) -> Mapping[str, float]:
-        """Hold ``force`` (N) for one sample period; return the signals at its end, measured."""
+        """Hold ``force`` (N) for one sample period; return the measured signals at its end."""
         measured = self._measure(self.simulation.step(force), np.array([force]))
         return {name: float(x[0]) for name, x in measured.items()}
 
     def simulate(self, force: FloatArray) -> Trajectory:
-        """Go on through the forces (n,) that are held from each sample to the next; begins with now."""
+        """Simulate with forces (n,), N, that are held from each sample to the next; the first is now."""
         u = np.asarray(force, dtype=np.float64)
         rows, t = self.simulation.simulate(u)
         truth = {

@@ -1,4 +1,4 @@
-"""A simulated ball and beam: servo angle in, converter counts out, one sample after the other."""
+"""A simulated ball and beam: servo angle in, converter counts out."""
 
 from __future__ import annotations
 
@@ -26,18 +26,22 @@ from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
 N_SUBSTEPS = 50
-"""Into how many moments a sample period is cut where the way in or the sensor has a memory.
+"""Substeps of a sample period where the input path or the sensor has a memory.
 
-Controllers make the servo chatter, and β̇² remembers every corner that a coarser cut would round off.
+Controllers make the servo chatter, and coarser substeps would smooth the corners of β̇².
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """What happened at each sample; all arrays have shape (n,).
+    """Samples of a simulation, (n,) each.
 
-    ``counts`` is what the converter gave and ``measured`` (m) what it stands for; ``position`` (m)
-    and ``velocity`` (m/s) are the truth.
+    Attributes:
+        t: Times, s.
+        counts: Counts of the converter.
+        measured: Positions of the counts, m.
+        position: True position, m.
+        velocity: True velocity, m/s.
     """
 
     t: FloatArray
@@ -48,11 +52,17 @@ class Trajectory:
 
 
 class BallBeamPlant:
-    """The world of one rig; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated ball and beam; it starts level, with the ball at rest at ``start_position``.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise, which ``noise`` draws (unit
-    variance); ``period`` is the time (s) between samples. Begins level, with the ball at rest at
-    ``start_position``. Raises UnknownNameError or UsageError for names and values that make no world.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise; ``noise`` draws that, with unit variance.
+        period: Time between samples, s.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A value is out of range.
     """
 
     def __init__(
@@ -77,7 +87,10 @@ class BallBeamPlant:
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:
-        """Put the ball at rest at ``position`` (m), all else settled at a servo angle of ``angle`` (rad)."""
+        """Set the ball at rest at ``position`` (m).
+
+        And the input path in its steady state at ``angle`` (rad).
+        """
         self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position
@@ -87,12 +100,12 @@ class BallBeamPlant:
         self._newest = 0
 
     def step(self, angle: float) -> int:
-        """Let one sample period pass while the servo turns straight to ``angle`` (rad); return the count."""
+        """Simulate a sample period in which the servo turns linearly to ``angle`` (rad); return the count."""
         self._run(np.array([angle]))
         return self.count()
 
     def count(self) -> int:
-        """Sample the sensor now, once more; return the count."""
+        """Sample the sensor again at the present time; return the count."""
         return int(self.sensor.counts(self._lagged, self.noise(1))[0])
 
     @property
@@ -106,9 +119,9 @@ class BallBeamPlant:
         return float(self._ball[VELOCITY])
 
     def simulate(self, angles: FloatArray) -> Trajectory:
-        """Go on through the angles (n,) in effect at the samples, rad; the first one is that of now.
+        """Simulate with servo angles (n,), rad, at the samples; the first is now.
 
-        A first angle that differs from the present one starts the way in afresh, settled there.
+        A first angle that differs from the present one sets the input path to its steady state there.
         """
         if angles[0] != self.angle:
             self.angle = float(angles[0])
@@ -126,7 +139,7 @@ class BallBeamPlant:
         )
 
     def _run(self, angles: FloatArray) -> FloatArray:
-        """Let one sample period pass per angle; return true position, velocity and lagged position (n, 3)."""
+        """Simulate a sample period per angle; return true position, velocity and lagged position, (n, 3)."""
         out = np.empty((len(angles), 3))
         run(
             angles,
@@ -150,7 +163,7 @@ class BallBeamPlant:
 
 
 def substep_ends(delay: float) -> FloatArray:
-    """Ends of the moments of a sample period, as shares of it; one is where the delayed servo turns.
+    """Return the ends of the substeps as shares of a sample period; one is at a corner of the delayed input.
 
     ``delay`` is in sample periods.
     """

@@ -1,4 +1,7 @@
-"""The ball and beam in the manner of the other rigs: signals by name, coloured noise, uneven samples."""
+"""The simulated ball and beam with the interface of the other plants.
+
+Named signals, coloured noise, jitter.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,9 @@ BALL_BEAM = PlantDefinition({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIV
 
 
 class BallBeamRig:
-    """A :class:`BallBeamPlant` with contract signals; servo angle in (rad), straight between samples.
+    """A :class:`BallBeamPlant` with named signals; the servo angle (rad) is linear between samples.
 
-    Takes the plant's parameters and those of ``SAMPLING``. Begins level, at rest at ``start_position``.
+    It takes the parameters of the plant and those of ``SAMPLING``.
     """
 
     def __init__(
@@ -43,18 +46,18 @@ class BallBeamRig:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return self._time
 
     def step(self, angle: float) -> Mapping[str, float]:
-        """Turn straight to ``angle`` (rad) in one sample period; the signals at its end."""
+        """Turn linearly to ``angle`` (rad) within a sample period; return the signals at its end."""
         self._advance_clock()
         return {"ball_position": self._position(np.array([self.plant.step(angle)]))[0]}
 
     def simulate(self, angle: FloatArray) -> Trajectory:
-        """Go on through the angles (n,) at the samples, straight in between; begins with now.
+        """Simulate with servo angles (n,), rad, at the samples, linear in between; the first is now.
 
-        A first angle that differs from the present one starts the way in afresh, settled there.
+        A first angle that differs from the present one sets the input path to its steady state there.
         """
         u = np.asarray(angle, dtype=np.float64)
         if not len(u) or not np.all(np.isfinite(u)):

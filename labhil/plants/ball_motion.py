@@ -1,4 +1,4 @@
-"""How the simulated ball rolls: forces, and an integrator that stops at every event.
+"""Forces on the simulated ball, and its integration by steps that end at every event.
 
 (M + J/R²)·ẍ = M·g·sin β + M·x·β̇² − (J/R)·β̈ − friction + other forces, sin β = ratio·sin γ.
 The linkage's angle γ moves along straight lines; where two of them meet, β̇ jumps and the ball's
@@ -29,10 +29,10 @@ from labhil.signals import FloatArray
 STANDARD_GRAVITY = 9.81
 MAX_STEP = 1e-3
 BRISTLE_STEP = 1e-4
-"""Step (s) of a ball on bristles or elements, which swings on them."""
+"""Step (s) of a ball on bristles or Maxwell-slip elements, which vibrates on them."""
 BISECTIONS = 45
 MIN_BOUNCE_SPEED = 5e-3
-"""Speed (m/s) below which a ball that meets a stop stays there."""
+"""Speed (m/s) below which a ball stays at a stop."""
 
 POSITION, VELOCITY, SIDE, BRISTLE, TILT_RATE = range(5)
 BALL_SIZE = 5 + N_ELEMENT_STATES
@@ -60,7 +60,7 @@ class Mechanics(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Mechanics:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         mass, radius = values["ball_mass"], values["ball_radius"]
         ball_inertia = 0.4 * mass * radius**2
         return cls(
@@ -92,7 +92,7 @@ def tilt_rate(angle: float, crank_rate: float, m: Mechanics) -> float:
 
 @compiled
 def driving_force(x: float, angle: float, crank_rate: float, m: Mechanics) -> float:
-    """Return the force (N) on the ball by all but friction; the tilting's own acceleration counts."""
+    """Return the force (N) on the ball without friction, at a constant crank rate."""
     sine = m.ratio * math.sin(angle)
     cosine = math.sqrt(1.0 - sine * sine)
     rate = m.ratio * math.cos(angle) * crank_rate / cosine
@@ -109,7 +109,7 @@ def driving_force(x: float, angle: float, crank_rate: float, m: Mechanics) -> fl
 
 @compiled
 def patch_level(x: float, m: Mechanics) -> float:
-    """Return the dry friction (N) that a sticky place adds at x (m)."""
+    """Return the additional dry friction (N) of a sticky patch at x (m)."""
     if m.patch == 0.0:
         return 0.0
     offset = (x - m.patch_position) / m.patch_width
@@ -164,7 +164,7 @@ def break_away_side(x: float, force: float, m: Mechanics, f: Friction) -> float:
 def rest(
     x: float, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> tuple[float, float]:
-    """Return how long (s, at most h) a ball at rest stays, and to which side it then leaves (0: none)."""
+    """Return the time (s, at most h) that a ball stays at rest, and the side of its break-away (0: none)."""
     immediate_side = break_away_side(x, driving_force(x, angle, crank_rate, m), m, f)
     if immediate_side != 0.0:
         return 0.0, immediate_side
@@ -193,7 +193,7 @@ def time_to_event(
     m: Mechanics,
     f: Friction,
 ) -> float:
-    """Return when within h (s) the ball comes to rest, or with ``at_stop`` when it meets the stop ahead."""
+    """Return the time within h (s) at which the ball comes to rest, or with ``at_stop`` reaches the stop."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -216,12 +216,12 @@ def bounce(v: float, m: Mechanics) -> float:
 def roll_to_event(
     ball: FloatArray, angle: float, crank_rate: float, h: float, m: Mechanics, f: Friction
 ) -> float:
-    """Move a rolling ball on by at most h (s), up to its next event; return how long that took."""
+    """Move a rolling ball by at most h (s), up to its next event; return the time of the step."""
     x, v, side = ball[POSITION], ball[VELOCITY], ball[SIDE]
     reached, speed = roll_step(x, v, side, angle, crank_rate, h, m, f)
     if speed * side <= 0.0:
         if v == 0.0:
-            # broken away by less than rounding: it rests for this step
+            # the net force is below rounding: the ball stays at rest for this step
             ball[SIDE] = 0.0
             return h
         elapsed = time_to_event(x, v, side, angle, crank_rate, h, False, m, f)

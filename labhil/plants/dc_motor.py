@@ -24,7 +24,7 @@ CURRENT, TEMPERATURE = PLANT_STATES, PLANT_STATES + 1
 
 
 class Motor(NamedTuple):
-    """Numbers of the motor (SI)."""
+    """Parameters of the motor, SI."""
 
     constant: float
     resistance: float
@@ -54,7 +54,7 @@ class Motor(NamedTuple):
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Motor:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         return cls(
             constant=p["torque_constant"],
             resistance=p["resistance"],
@@ -86,13 +86,13 @@ class Motor(NamedTuple):
 
 @compiled
 def angle_difference(angle: float, place: float) -> float:
-    """How far an angle is from a place on the turn, −π … π."""
+    """Return the difference of two angles, −π … π."""
     return (angle - place + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @compiled
 def net_torque(s: FloatArray, m: Motor) -> float:
-    """Torque on the rotor by all but friction, N·m."""
+    """Return the torque on the rotor without friction, N·m."""
     angle, w = s[X], s[V]
     torque = m.constant * s[CURRENT] - m.load - m.spring * angle
     if m.cogging != 0.0 or m.second != 0.0:
@@ -108,7 +108,7 @@ def net_torque(s: FloatArray, m: Motor) -> float:
 
 @compiled
 def applied_force(s: FloatArray, u: float, m: Motor, rates: FloatArray) -> tuple[float, float, float]:
-    """Torque without friction, further dry friction (N·m), and what is left of viscous friction.
+    """Return torque without friction, additional dry friction (N·m), and the factor of viscous friction.
 
     L·di/dt = U − R·i − K·ω − brushes; C·dT/dt = R·i² − (T − T_air)/R_th.
     """
@@ -133,7 +133,7 @@ def applied_force(s: FloatArray, u: float, m: Motor, rates: FloatArray) -> tuple
 
 @compiled
 def update_memory(s: FloatArray, u: float, m: Motor) -> None:
-    """A motor keeps nothing beside its states."""
+    """Do nothing: a motor has no memory beside its states."""
 
 
 run_motor = compile_kernel(applied_force, update_memory, __name__)
@@ -150,10 +150,13 @@ def run(
 
 
 class DcMotorPlant:
-    """The world of one motor; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated motor; it starts at rest without current, at ambient temperature.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples. Begins at rest without current, at ambient temperature.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise.
+        period: Time between samples, s.
     """
 
     def __init__(
@@ -178,19 +181,22 @@ class DcMotorPlant:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return self.simulation.time
 
     def step(self, voltage: float) -> Mapping[str, float]:
-        """Hold ``voltage`` (V) for one sample period; return the signals at its end, measured."""
+        """Hold ``voltage`` (V) for one sample period; return the measured signals at its end."""
         return {name: float(x[0]) for name, x in self.advance(np.array([voltage])).items()}
 
     def advance(self, voltage: FloatArray) -> Mapping[str, FloatArray]:
-        """Hold each of the voltages (n,) for one sample period; the signals at their ends, measured, (n,)."""
+        """Hold each of the voltages (n,), V, for one sample period.
+
+        Return the measured signals at the ends, (n,).
+        """
         return self._measure(self.simulation.advance(voltage)[0])
 
     def simulate(self, voltage: FloatArray) -> Trajectory:
-        """Go on through the voltages (n,) that are held from each sample to the next; begins with now."""
+        """Simulate with voltages (n,), V, that are held from each sample to the next; the first is now."""
         u = np.asarray(voltage, dtype=np.float64)
         rows, t = self.simulation.simulate(u)
         columns = (V, CURRENT, X, TEMPERATURE, -1)

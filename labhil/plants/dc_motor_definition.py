@@ -1,4 +1,4 @@
-"""What a simulated DC motor can be made of: every number and every effect, without the plant itself."""
+"""Parameters and effects of the simulated DC motor (see :mod:`labhil.plants.definition`)."""
 
 from __future__ import annotations
 

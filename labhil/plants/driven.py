@@ -1,4 +1,4 @@
-"""A plant that one command drives: sample after sample through the way in, and what it remembers of it."""
+"""Simulate a plant with one input from sample to sample, through its input path."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from labhil.plants.trajectory import SampleTimes
 from labhil.signals import FloatArray, IntArray
 
 TIME_TOLERANCE = 1e-9
-"""Share of a sample period within which two moments are one."""
+"""Share of a sample period within which two instants are equal."""
 INITIAL_STEP = 0.05
-"""Share of a sample period that the very first step takes."""
+"""Length of the very first step, as a share of a sample period."""
 MAX_DELAY_SAMPLES = HISTORY - 24
-"""Sample periods that a delay may last."""
+"""Longest delay in sample periods."""
 TOLERANCE = 1e-9
-"""Error of one step over the largest size that a state has had, where nothing but events is abrupt."""
+"""Error of one step relative to the largest size of a state so far, for plants without hysteresis."""
 
 Kernel = Callable[..., None]
 
@@ -46,10 +46,10 @@ def run(
     counters: IntArray, memory: FloatArray, is_held: bool, s: FloatArray, mode: FloatArray,
     b: Body, m: Any, f: Friction, p: InputPath, w: Workspace, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Let time pass up to each of ``ends`` (n,) s with the inputs (n,); ``out`` (n, states + 1).
+    """Simulate sample periods up to ``ends`` (n,) s with the inputs (n,); write ``out`` (n, states + 1).
 
-    An input that is held acts from the beginning of its period, another one is reached straight at its end.
-    A row of ``out`` holds the states at the end of a period and the input that acts there.
+    A held input acts from the start of its period; another one is linear between the samples. A row of
+    ``out`` has the states at the end of a period and the acting input.
     """
     for n in range(inputs.size):
         start, end = clock[0], ends[n]
@@ -71,10 +71,10 @@ def run(
 
 
 def compile_kernel(applied_force: Callable[..., Any], update_memory: Callable[..., Any], rig: str) -> Kernel:
-    """:func:`run` compiled for a rig's push, to be called by a kernel that is kept on disk.
+    """Compile :func:`run` for a rig, to be called by a cached kernel; arguments as for `compile_integrator`.
 
-    ``rig`` is the name of the rig's module: two rigs' pieces of the same name, loaded from disk into one
-    process, would otherwise be taken for each other.
+    ``rig`` is the name of the rig's module: numba would otherwise confuse functions of the same name of two
+    rigs that a process loads from the cache.
     """
     scope = {**globals(), "__name__": rig, "integrate": compile_integrator(applied_force, update_memory, rig)}
     bound: Kernel = specialised(FunctionType(run.__code__, scope, "run"))
@@ -82,7 +82,7 @@ def compile_kernel(applied_force: Callable[..., Any], update_memory: Callable[..
 
 
 def pack(numbers: Any) -> Any:
-    """A named tuple of numbers, and of arrays of them, as one record, which kernels hand on as a whole."""
+    """Pack a named tuple of numbers and arrays into one record, which kernels pass on faster."""
     kinds = [
         (name, value.dtype, value.shape) if isinstance(value, np.ndarray) else (name, type(value))
         for name, value in zip(numbers._fields, numbers, strict=True)
@@ -91,11 +91,17 @@ def pack(numbers: Any) -> Any:
 
 
 class PlantSimulation:
-    """A rig in time: its states, its clock, and what its way in remembers.
+    """The states, the clock and the input history of a plant with one input.
 
-    ``kernel`` is the rig's :func:`run`, ``numbers`` what its push takes and ``plant_states`` its own states at the
-    beginning; the part begins at rest at ``position``, at a command of 0 as after a long time. Without
-    ``is_held`` a command is reached straight at the end of its period.
+    Args:
+        values: Parameters of the plant.
+        kernel: The rig's :func:`run`.
+        numbers: Argument of the rig's applied force.
+        body: The moving part.
+        stamps: Times of the samples.
+        is_held: Whether the input is held from sample to sample; else it is linear between them.
+        position: First position; the part starts at rest, after a long time at input 0.
+        plant_states: First values of the rig's own states.
     """
 
     def __init__(
@@ -130,7 +136,7 @@ class PlantSimulation:
 
     @property
     def tolerance(self) -> float:
-        """Error of a step that is let pass, over the size of the state."""
+        """Tolerated error of a step, relative to the size of the state."""
         return float(self._body["tolerance"])
 
     @tolerance.setter
@@ -139,30 +145,34 @@ class PlantSimulation:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return float(self._clock[0])
 
     @property
     def row(self) -> FloatArray:
-        """The states and the acting input (states + 1,) now."""
+        """The present states and acting input, (states + 1,)."""
         return self._row
 
     def step(self, value: float) -> FloatArray:
-        """Let one sample period pass; the states and the acting input (1, states + 1) at its end."""
+        """Simulate one sample period; return the states and the acting input at its end, (1, states + 1)."""
         return self.advance(np.array([value]))[0]
 
     def advance(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Let a sample period pass for each of the input's values (n,).
+        """Simulate a sample period for each of the input's values (n,).
 
-        Returns the states and the acting input at their ends, (n, states + 1), and the ends (n,), s.
+        Returns:
+            The states and the acting input at the ends (n, states + 1), and the ends (n,), s.
         """
         return self._run(values)
 
     def simulate(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Go on through the input's values (n,) at the samples, the first of which is now.
+        """Simulate with the input's values (n,) at the samples, the first of which is now.
 
-        Returns the states and the acting input at the samples, (n, states + 1), and their times (n,), s from
-        now. UsageError for values that are not finite, and for a plant that runs away.
+        Returns:
+            The states and the acting input at the samples (n, states + 1), and their times (n,), s from now.
+
+        Raises:
+            UsageError: A value is not finite, or the states of the plant become infinite.
         """
         if not len(values) or not np.all(np.isfinite(values)):
             raise UsageError("a simulation needs one finite value of its input at least, and no others")
@@ -187,6 +197,6 @@ class PlantSimulation:
         return rows, ends
 
     def _restart_input(self, value: float) -> None:
-        """A straight input that does not begin where it was last jumps there."""
+        """Let a linear input jump to its first value."""
         if value != self._values[self._counters[NEWEST] % HISTORY]:
             add_command(self._times, self._values, self._counters, self.time, value)

@@ -1,4 +1,4 @@
-"""A magnet's measured forces in the place of the stated ones: a table, used as it is given.
+"""Interpolate the measured forces of a magnet.
 
 Between its points the force is the tensor product of cubic splines through them; beyond its edges it goes on
 straight, with the slope that it has there. The spline is kept as its knots and coefficients, as FITPACK makes
@@ -22,36 +22,44 @@ if TYPE_CHECKING:
 COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 
 MAX_NODES = 100
-"""Nodes in a direction: a finer table is brought to as many at equal distances."""
+"""Most nodes in a direction; a finer table is interpolated to as many at equal distances."""
 
 PLATE_NODES = 33
-"""Nodes in each direction of the grid that points on no grid are brought to."""
+"""Nodes in each direction of the grid for scattered points."""
 
 MIN_POINTS = 6
-"""Points: a plane and its curvature."""
+"""Fewest points: those of a plane with curvature."""
 
 NEIGHBOURS = 64
-"""Points next to a node that determine its force where there are very many more."""
+"""Number of points that determine the force of a node, where there are more than 20 times as many."""
 
 DEGREE_I, DEGREE_X, KNOTS_I, KNOTS_X = 0, 1, 2, 3
 FIRST_KNOT_I = 4
 FIRST_KNOT_X = FIRST_KNOT_I + MAX_NODES + 4
 FIRST_COEFFICIENT = FIRST_KNOT_X + MAX_NODES + 4
 LENGTH = FIRST_COEFFICIENT + MAX_NODES * MAX_NODES
-"""Places in the array: degrees, numbers of knots (0: no table), knots, and the coefficients, row by row."""
+"""Indices in the array: degrees, numbers of knots (0: no table), knots, and coefficients, row by row."""
 
 
 def no_table() -> FloatArray:
-    """The array of a magnet that has no table, (LENGTH,)."""
+    """Return the array of a magnet without a table, (LENGTH,)."""
     return np.zeros(LENGTH)
 
 
 def force_map_of(path: Path) -> FloatArray:
-    """The spline, (LENGTH,), through a CSV file's forces.
+    """Fit a spline to the forces in a CSV file.
 
-    Its columns are coil_current (A), plunger_position (m) and magnetic_force (N). Points on no grid are
-    brought to one by a thin plate; a table that begins above 0 A gets the force without current, which is
-    none. UsageError when the file cannot be read, or does not span an area.
+    Scattered points are interpolated to a grid by a thin plate spline; a table that starts above 0 A gets the
+    force 0 without current.
+
+    Args:
+        path: The file, with columns coil_current (A), plunger_position (m) and magnetic_force (N).
+
+    Returns:
+        The spline, (LENGTH,).
+
+    Raises:
+        UsageError: The file cannot be read, or its points do not span an area.
     """
     try:
         header = [name.strip() for name in path.read_text(encoding="utf-8-sig").split("\n", 1)[0].split(",")]
@@ -63,8 +71,8 @@ def force_map_of(path: Path) -> FloatArray:
     is_valid = len(force) >= MIN_POINTS and bool(np.all(np.isfinite([i, x, force])))
     if not is_valid or len(np.unique(i)) < 2 or len(np.unique(x)) < 2:
         raise UsageError(
-            f"{path}: expected finite forces at {MIN_POINTS} points at least, of two currents and two positions "
-            f"or more; found {len(force)} rows that are not"
+            f"{path}: expected finite forces at {MIN_POINTS} points at least, of two currents and two "
+            f"positions or more; found {len(force)} rows that are not"
         )
     if i.min() > 0.0:
         edge = np.unique(x)
@@ -80,7 +88,7 @@ def force_map_of(path: Path) -> FloatArray:
 def _to_grid(
     i: FloatArray, x: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Nodes (n,) and (m,) with the mean force at each (n, m); None where one of them has no point."""
+    """Return nodes (n,) and (m,) with the mean force (n, m); None where a node has no point."""
     current, position = np.unique(i), np.unique(x)
     index = np.searchsorted(current, i) * len(position) + np.searchsorted(position, x)
     count = np.bincount(index, minlength=len(current) * len(position))
@@ -93,7 +101,7 @@ def _to_grid(
 def _interpolate_plate(
     i: FloatArray, x: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A thin plate through scattered points, at the nodes of a grid."""
+    """Interpolate scattered points by a thin plate spline at the nodes of a grid."""
     from scipy.interpolate import RBFInterpolator
 
     size = np.array([np.ptp(i), np.ptp(x)])
@@ -135,7 +143,7 @@ Four = tuple[float, float, float, float]
 
 @compiled
 def _find_interval(value: float, first: int, knots: int, degree: int, s: FloatArray) -> int:
-    """The interval that holds a value within the knots: the number of its left one."""
+    """Return the index of the knot on the left of a value."""
     low, high = degree, knots - degree - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -148,7 +156,7 @@ def _find_interval(value: float, first: int, knots: int, degree: int, s: FloatAr
 
 @compiled
 def _basis(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
-    """The splines of a degree that are not zero in the interval, in their order (de Boor's recursion)."""
+    """Evaluate the B-splines of a degree that are not zero in the interval (de Boor's recursion)."""
     a, b, c, d = 1.0, 0.0, 0.0, 0.0
     for k in range(1, degree + 1):
         new = (0.0, 0.0, 0.0, 0.0)
@@ -170,7 +178,7 @@ def _basis(value: float, first: int, interval: int, degree: int, s: FloatArray) 
 
 @compiled
 def _basis_slopes(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
-    """Their slopes."""
+    """Evaluate the slopes of these B-splines."""
     p, q, r, _ = _basis(value, first, interval, degree - 1, s)
     lower = (p, q, r)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
@@ -204,7 +212,7 @@ def _evaluate(
 
 @compiled
 def mapped_force(i: float, x: float, s: FloatArray) -> tuple[float, float]:
-    """Force (N) and its slope by the current (N/A), at a field current (A) and a position (m)."""
+    """Return force (N) and ∂F/∂i (N/A) at a field current (A) and a position (m)."""
     degree_i, degree_x = int(s[DEGREE_I]), int(s[DEGREE_X])
     low_i, high_i = s[FIRST_KNOT_I + degree_i], s[FIRST_KNOT_I + int(s[KNOTS_I]) - degree_i - 1]
     low_x, high_x = s[FIRST_KNOT_X + degree_x], s[FIRST_KNOT_X + int(s[KNOTS_X]) - degree_x - 1]

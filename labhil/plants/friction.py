@@ -1,4 +1,4 @@
-"""Friction of one simulated part: an event-based law, and what carries dry friction in presliding.
+"""Friction of one simulated part: an event-based law, or presliding by bristles or elements.
 
 The event-based law has two modes. A part that moves towards ``side`` (±1) feels the dry level for
 that side; a part at rest (side 0) feels whatever keeps it there, up to the hold. Bristles (LuGre), or the
@@ -14,11 +14,11 @@ from typing import NamedTuple
 from labhil.compiled import compiled
 
 STATIC_VELOCITY = 1e-3
-"""Speed (m/s) over which bristles and elements lose the extra hold at rest."""
+"""Speed (m/s) over which bristles and elements lose the extra static friction."""
 MIN_LEVEL = 1e-9
-"""Dry level (N) under which bristles carry nothing."""
+"""Dry level (N) below which bristles have no force."""
 ELEMENTS = 4
-"""How many elements of a generalised Maxwell-slip model share the dry level."""
+"""Number of elements of the generalised Maxwell-slip model."""
 
 
 class Friction(NamedTuple):
@@ -46,7 +46,7 @@ class Friction(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Friction:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         attraction = values.get("maxwell_slip_friction.attraction", 0.0)
         carrier = "maxwell_slip_friction" if attraction else "presliding_friction"
         stiffness = values.get(f"{carrier}.stiffness", 0.0)
@@ -92,7 +92,7 @@ def dry_level(x: float, speed: float, side: float, f: Friction, extra_level: flo
 
 @compiled
 def hold_level(x: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
-    """Return the force (N) towards ``side`` that a part at rest at x (m) just withstands."""
+    """Return the static friction (N) against a force towards ``side`` of a part at rest at x (m)."""
     return dry_level(x, 0.0, side, f, extra_level) + max(f.static, 0.0)
 
 
@@ -111,7 +111,7 @@ def resistance(x: float, v: float, side: float, f: Friction, extra_level: float 
 
 @compiled
 def on_bristles(f: Friction) -> bool:
-    """Whether bristles carry the dry friction: nothing about it is abrupt."""
+    """Whether bristles replace the event-based law, so that friction has no events."""
     return f.stiffness > 0.0 and f.attraction == 0.0
 
 

@@ -1,7 +1,7 @@
-"""What happens to the servo angle on its way to the linkage, one moment after the other.
+"""Input path of the ball and beam, from the servo angle to the linkage, substep by substep.
 
-Order: time delay, backlash, dead zone, saturation, rate limit, lag. Between two moments every
-signal is a straight line.
+Order: time delay, backlash, dead zone, saturation, rate limit, lag. Within a substep
+every signal is linear.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from labhil.compiled import compiled
 from labhil.signals import FloatArray
 
 HISTORY = 512
-"""How many past samples of the angle are remembered for the delay."""
+"""Number of past samples in the buffer of the delay."""
 PLAY, LIMITED, UNLAGGED, LAGGED = range(4)
 PATH_SIZE = 4
 
 
 class InputPath(NamedTuple):
-    """Strengths of all effects on the way in (SI); neutral where an effect is absent."""
+    """Parameters of all effects of the input path, SI; neutral where an effect is absent."""
 
     delay: float
     gap: float
@@ -34,7 +34,7 @@ class InputPath(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> InputPath:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         return cls(
             delay=values.get("time_delay.delay", 0.0),
             gap=values.get("backlash.gap", 0.0),
@@ -62,7 +62,7 @@ def read_delayed(history: FloatArray, newest: int, samples_back: float) -> float
 
 @compiled
 def apply_dead_zone(angle: float, left: float, right: float) -> float:
-    """Return what is left of an angle (rad) outside −left … right (eq. 4.18 of the reference text)."""
+    """Apply a dead zone −left … right to an angle (rad; eq. 4.18 of the reference text)."""
     if angle >= right:
         return angle - right
     if angle <= -left:
@@ -72,7 +72,7 @@ def apply_dead_zone(angle: float, left: float, right: float) -> float:
 
 @compiled
 def apply_lag(y: float, before: float, now: float, h: float, time_constant: float) -> float:
-    """Return the lagged signal after h (s) in which its input went straight from ``before`` to ``now``."""
+    """Return the lagged signal after h (s) in which its input went linearly from ``before`` to ``now``."""
     if time_constant <= 0.0:
         return now
     lag_error = (now - before) / h * time_constant
@@ -81,7 +81,7 @@ def apply_lag(y: float, before: float, now: float, h: float, time_constant: floa
 
 @compiled
 def pass_through(path: FloatArray, angle: float, h: float, p: InputPath) -> float:
-    """Go one moment of h (s) on to ``angle`` (rad, already delayed); return the angle at the linkage."""
+    """Advance by a substep of h (s) to the delayed ``angle`` (rad); return the angle at the linkage."""
     path[PLAY] = min(max(path[PLAY], angle - 0.5 * p.gap), angle + 0.5 * p.gap)
     target = apply_dead_zone(path[PLAY], p.left, p.right)
     target = min(max(target, -p.limit), p.limit)
@@ -92,7 +92,7 @@ def pass_through(path: FloatArray, angle: float, h: float, p: InputPath) -> floa
 
 
 def settled_path(angle: float, p: InputPath) -> FloatArray:
-    """Return the path's memory after a long time at ``angle`` (rad), in the middle of the play."""
+    """Return the steady state of the path at ``angle`` (rad), in the middle of the backlash."""
     target = min(max(apply_dead_zone(angle, p.left, p.right), -p.limit), p.limit)
     path = np.full(PATH_SIZE, target)
     path[PLAY] = angle

@@ -1,8 +1,9 @@
-"""The way of a command to what it drives, exact at every bend: delay, backlash, dead zone, saturation, rate.
+"""Input path of a plant, exact for piecewise linear inputs.
 
-Commands are knots, held or joined by straight lines; so is what becomes of them, up to the next bend. Each
-stage answers with the value now, its slope, and for how long that slope lasts. A lag comes behind all of
-them; it is one of the states that the integrator solves.
+Its stages are delay, backlash, dead zone, saturation and rate limit.
+
+Commands are held, or linear between samples. Each stage returns a segment: the value now, its slope, and for
+how long that slope lasts. The lag comes last; it is a state of the integrator.
 """
 
 from __future__ import annotations
@@ -14,21 +15,21 @@ from labhil.plants.input_path import InputPath
 from labhil.signals import FloatArray, IntArray
 
 HISTORY = 1024
-"""How many past commands are remembered for the delay."""
+"""Number of past commands in the buffer of the delay."""
 NEWEST, CURRENT = range(2)
-"""Places of the counters: of the newest command, and of the one in effect."""
+"""Indices of the counters: of the newest command, and of the one in effect."""
 PLAY, LIMITED = range(2)
-"""Places of what the way in remembers: where the play stands, and where the rate limit."""
+"""Indices of the memory: outputs of the backlash and of the rate limit."""
 PLAY_TOLERANCE = 1e-9
-"""Share of a width within which a part of a play counts as touching."""
+"""Relative distance within which the sides of a backlash touch."""
 
 Segment = tuple[float, float, float]
-"""A value now, its slope per second, and how long (s) the slope lasts."""
+"""Value now, slope per second, and time (s) that the slope lasts."""
 
 
 @compiled
 def add_command(times: FloatArray, values: FloatArray, counters: IntArray, t: float, value: float) -> None:
-    """Remember a command of ``value`` at t (s)."""
+    """Add a command of ``value`` at t (s) to the buffer."""
     counters[NEWEST] += 1
     times[counters[NEWEST] % HISTORY] = t
     values[counters[NEWEST] % HISTORY] = value
@@ -44,7 +45,7 @@ def delayed_command(
     tolerance_s: float,
     is_held: bool,
 ) -> Segment:
-    """The command in effect at t (s) after its delay; knots within ``tolerance_s`` (s) ahead count as reached."""
+    """Return the delayed command at t (s); samples within ``tolerance_s`` after t count as reached."""
     while (
         counters[CURRENT] < counters[NEWEST]
         and times[(counters[CURRENT] + 1) % HISTORY] + delay <= t + tolerance_s
@@ -65,7 +66,7 @@ def delayed_command(
 
 @compiled
 def apply_backlash(memory: FloatArray, segment: Segment, gap: float) -> Segment:
-    """What a play of full width ``gap`` lets through; ``memory`` keeps where it stands."""
+    """Apply a backlash of full width ``gap``; ``memory`` has its output."""
     value, slope, remaining = segment
     half = 0.5 * gap
     memory[PLAY] = min(max(memory[PLAY], value - half), value + half)
@@ -79,7 +80,7 @@ def apply_backlash(memory: FloatArray, segment: Segment, gap: float) -> Segment:
 
 @compiled
 def apply_dead_zone(segment: Segment, low: float, high: float) -> Segment:
-    """The part of a command outside ``low`` … ``high`` (eq. 4.18 of the reference text)."""
+    """Apply a dead zone ``low`` … ``high`` (eq. 4.18 of the reference text)."""
     value, slope, remaining = segment
     if value > high or (value == high and slope > 0.0):
         return value - high, slope, min(remaining, (value - high) / -slope) if slope < 0.0 else remaining
@@ -94,7 +95,7 @@ def apply_dead_zone(segment: Segment, low: float, high: float) -> Segment:
 
 @compiled
 def apply_saturation(segment: Segment, limit: float) -> Segment:
-    """A command that goes no further than ± ``limit``."""
+    """Limit a command to ± ``limit``."""
     value, slope, remaining = segment
     sign = 1.0 if value > 0.0 else -1.0
     if abs(value) > limit or (abs(value) == limit and slope * sign > 0.0):
@@ -108,7 +109,7 @@ def apply_saturation(segment: Segment, limit: float) -> Segment:
 
 @compiled
 def limit_rate(memory: FloatArray, segment: Segment, rate: float) -> Segment:
-    """A command that changes no faster than ``rate`` per second; ``memory`` keeps where it stands."""
+    """Limit the change of a command to ``rate`` per second; ``memory`` has its output."""
     value, slope, remaining = segment
     if rate == math.inf:
         memory[LIMITED] = value
@@ -128,7 +129,7 @@ def limit_rate(memory: FloatArray, segment: Segment, rate: float) -> Segment:
 
 @compiled
 def pass_through(memory: FloatArray, segment: Segment, p: InputPath) -> Segment:
-    """A delayed command behind everything that has no state of its own."""
+    """Pass a delayed command through all stages but the lag."""
     segment = apply_backlash(memory, segment, p.gap)
     segment = apply_dead_zone(segment, -p.left, p.right)
     segment = apply_saturation(segment, p.limit)

@@ -1,11 +1,9 @@
-"""One moving part with dry friction: an integrator of fifth order that stops at every event, for any push.
+"""Integrate one moving part with dry friction by Dormand-Prince steps that end at every event.
 
-The push is a compiled function of a rig: from the states, the input that acts and the rig's numbers it gives
-the force without friction, the dry friction beyond that of the general law and what is left of viscous
-friction, and the rates of the rig's own states. A part that moves feels the dry friction of its side, one
-at rest whatever keeps it there. Coming to rest, breaking away and meeting a stop are located by bisection on
-the step; so is the yielding of an element where elements carry the dry friction. Steps are those of Dormand
-and Prince, as long as their estimated error allows.
+The applied force is a compiled function of a rig. From the states, the acting input and the rig's parameters
+it returns the force without friction, additional dry friction and a factor of the viscous friction, and it
+writes the rates of the rig's own states. Coming to rest, break-away, impact on a stop and the slipping of a
+Maxwell-slip element are located by bisection of the step.
 """
 
 from __future__ import annotations
@@ -39,22 +37,22 @@ from labhil.plants.maxwell import (
 from labhil.signals import FloatArray
 
 X, V, BRISTLE, LAG, SENSOR, PLANT_STATES = range(6)
-"""Places of the states: position, velocity, bristles, the lags of the way in and of the sensor, the rig's.
+"""Indices of the states: position, velocity, bristles, lags of the input path and the sensor, the rig's own.
 
-Elements, where there are some, come behind those of the rig.
+States of Maxwell-slip elements follow those of the rig.
 """
 SIDE, STEP_LENGTH = range(2)
-"""Places of the mode: the side towards which the part moves (0 at rest), and the next step's length, s."""
+"""Indices of the mode: side towards which the part moves (0 at rest), and length of the next step, s."""
 STAGES = 7
 BISECTIONS = 50
 MIN_BOUNCE_SPEED = 1e-4
-"""Speed (unit/s) below which a part that meets a stop stays there."""
+"""Speed (unit/s) below which a part stays at a stop."""
 MIN_STEP = 1e-13
-"""Step (s) below which no error is too large."""
+"""Step (s) that is accepted with any error."""
 MIN_REVERSAL_STEP = 1e-9
-"""Step (s) below which a velocity that dips under zero and comes back is not looked for."""
+"""Step (s) below which a reversal and return of the velocity within it is ignored."""
 MIN_STATE_SIZE = 1e-6
-"""Size (SI) of a state below which its errors count as those of one of this size."""
+"""Least size (SI) of a state to which its error is relative."""
 
 NODES = np.array([0.0, 1.0 / 5.0, 3.0 / 10.0, 4.0 / 5.0, 8.0 / 9.0, 1.0, 1.0])
 WEIGHTS = np.array(
@@ -73,14 +71,21 @@ ERROR = np.array(
         71.0 / 57600.0, 0.0, -71.0 / 16695.0, 71.0 / 1920.0, -17253.0 / 339200.0, 22.0 / 525.0, -1.0 / 40.0,
     ]
 )  # fmt: skip
-"""Dormand and Prince's pair of fifth and fourth order; the last stage stands at the step's end."""
+"""Dormand and Prince's pair of orders 5 and 4; the last stage is at the end of the step."""
 
 
 class Body(NamedTuple):
-    """Inertia, stops (infinite where there are none) with their restitution, and the lags' time constants.
+    """The moving part.
 
-    ``measured_state`` is the state that the sensor follows; a lag of 0 s is none. ``tolerance`` is the error of a step
-    over the size of the state.
+    Attributes:
+        inertia: Mass or moment of inertia.
+        low: Lower stop; −∞ without one.
+        high: Upper stop; ∞ without one.
+        restitution: Speed after an impact on a stop over the speed before.
+        lag: Time constant of the input path, s; 0 without a lag.
+        sensor_lag: Time constant of the sensor, s; 0 without a lag.
+        measured_state: Index of the state that the sensor follows.
+        tolerance: Error of a step relative to the size of the state.
     """
 
     inertia: float
@@ -94,7 +99,10 @@ class Body(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Room for the stages (7, n), a step's end and the largest sizes so far (n,)."""
+    """Work arrays: the stages (7.
+
+    N), the end of a step (n,), and the largest sizes of the states so far (n,).
+    """
 
     stages: FloatArray
     end: FloatArray
@@ -102,24 +110,27 @@ class Workspace(NamedTuple):
 
 
 def applied_force(s: FloatArray, u: float, m: Any, rates: FloatArray) -> tuple[float, float, float]:
-    """Nothing pushes: the name under which :func:`compile_integrator` puts the push of a rig."""
+    """Placeholder that :func:`compile_integrator` replaces by the applied force of a rig."""
     return 0.0, 0.0, 1.0
 
 
 def update_memory(s: FloatArray, u: float, m: Any) -> None:
-    """Nothing is remembered: the name under which :func:`compile_integrator` puts what a rig keeps of its past."""
+    """Placeholder that :func:`compile_integrator` replaces by the memory of a rig.
+
+    Updated after every step.
+    """
 
 
 @compiled
 def lagged_input(s: FloatArray, u: float, b: Body) -> float:
-    """The input behind the lag of the way in."""
+    """Return the input after the lag of the input path."""
     return float(s[LAG]) if b.lag > 0.0 else u
 
 
 def derivatives(
     s: FloatArray, u: float, side: float, b: Body, m: Any, f: Friction, rates: FloatArray
 ) -> None:
-    """Rates of all states (n,) of a part that moves towards ``side``, or rests (0)."""
+    """Write the rates (n,) of all states of a part that moves towards ``side``, or is at rest (0)."""
     force, extra_level, viscosity = applied_force(s, lagged_input(s, u, b), m, rates)
     x, v = s[X], s[V]
     rates[LAG] = (u - s[LAG]) / b.lag if b.lag > 0.0 else 0.0
@@ -141,11 +152,11 @@ def derivatives(
 
 
 def break_away_side(s: FloatArray, u: float, b: Body, m: Any, f: Friction, rates: FloatArray) -> float:
-    """The side towards which a part at rest is moved, 0 when it holds; stops hold too."""
+    """Return the side towards which a part at rest breaks away; 0 if it holds or is against a stop."""
     force, extra_level, _ = applied_force(s, lagged_input(s, u, b), m, rates)
     x = s[X]
     if f.stiffness > 0.0:
-        # what bends holds nothing by itself: such a part is at rest on a stop, or where all is balanced
+        # bristles and elements do not hold by themselves: the part is at rest on a stop, or in equilibrium
         force -= held_force(s) if f.attraction > 0.0 else f.stiffness * s[BRISTLE]
         held = (x >= b.high and force >= 0.0) or (x <= b.low and force <= 0.0)
         if f.attraction > 0.0:
@@ -162,7 +173,7 @@ def try_step(
     s: FloatArray, u: float, rise: float, h: float, side: float,
     b: Body, m: Any, f: Friction, w: Workspace,
 ) -> None:  # fmt: skip
-    """One step of h (s) from the states ``s`` to ``w.end``; the input starts at ``u``, slope ``rise``."""
+    """Step from the states ``s`` to ``w.end`` within h (s); the input starts at ``u`` with slope ``rise``."""
     k, end = w.stages, w.end
     for stage in range(STAGES):
         for j in range(s.size):
@@ -175,7 +186,7 @@ def try_step(
 
 @compiled
 def relative_error(h: float, b: Body, w: Workspace) -> float:
-    """Estimated error of the step of h (s) that has just been made to ``w.end``, over what is allowed."""
+    """Return the estimated error of the last step of h (s), relative to the tolerance."""
     worst = 0.0
     for j in range(w.end.size):
         error = 0.0
@@ -188,9 +199,9 @@ def relative_error(h: float, b: Body, w: Workspace) -> float:
 def has_event(
     y: FloatArray, u: float, side: float, at_stop: bool, b: Body, m: Any, f: Friction, w: Workspace
 ) -> bool:
-    """Whether a part at rest has left, or a moving one has turned back or has an element that yields.
+    """Whether a part at rest has broken away, or a moving one has reversed or has an element that slips.
 
-    With ``at_stop``, whether a moving one has met a stop. ``y`` is the end of the last attempt.
+    With ``at_stop``, whether a moving one has passed a stop. ``y`` is the end of the last step.
     """
     if side == 0.0:
         return bool(break_away_side(y, u, b, m, f, w.stages[6]) != 0.0)
@@ -207,7 +218,7 @@ def locate_event(
     s: FloatArray, u: float, rise: float, h: float, side: float, at_stop: bool,
     b: Body, m: Any, f: Friction, w: Workspace,
 ) -> float:  # fmt: skip
-    """When within h (s) that first happened; ``w.end`` is then the step's end there."""
+    """Return the time of an event within h (s); ``w.end`` is then the state after it."""
     low, high = 0.0, h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
@@ -221,19 +232,19 @@ def locate_event(
 
 
 def may_reverse(s: FloatArray, h: float, side: float, f: Friction, w: Workspace) -> bool:
-    """Whether the velocity may have passed zero and come back within the step of h (s)."""
+    """Whether the velocity may have changed its sign and returned within the step of h (s)."""
     if on_bristles(f) or side == 0.0:
         return False
     before, after = w.stages[0, V] * side, w.stages[6, V] * side
     if before >= 0.0 or after <= 0.0 or h < MIN_REVERSAL_STEP:
         return False
-    # a curve that bends upwards lies above the point where its first and last tangents meet
+    # a convex curve is above the intersection of its first and last tangents
     tangent_velocity = (side * (w.end[V] - s[V]) - after * h) / (before - after)
     return bool(side * s[V] + before * tangent_velocity <= 0.0)
 
 
 def come_to_rest(mode: FloatArray, f: Friction, w: Workspace) -> None:
-    """The part has come to rest at ``w.end``."""
+    """Set the part at rest at ``w.end``."""
     w.end[V] = 0.0
     if f.attraction > 0.0:
         all_stick(w.end)
@@ -241,7 +252,7 @@ def come_to_rest(mode: FloatArray, f: Friction, w: Workspace) -> None:
 
 
 def hit_stop(mode: FloatArray, b: Body, f: Friction, w: Workspace) -> None:
-    """The part has met a stop at ``w.end``: it bounces, or stays there."""
+    """Let the part bounce off the stop at ``w.end``, or stay there."""
     side = 1.0 if w.end[X] > b.high else -1.0
     w.end[X] = b.high if side > 0.0 else b.low
     back = b.restitution * abs(w.end[V])
@@ -262,7 +273,7 @@ def apply_event(
     f: Friction,
     w: Workspace,
 ) -> float:
-    """See what happened in a step of h (s) that led to ``w.end``, and go back to it; how long that took."""
+    """Shorten a step of h (s) to its first event, and apply that; return the time of the step."""
     side, elapsed = mode[SIDE], h
     if side == 0.0:
         if has_event(w.end, u + h * rise, side, False, b, m, f, w):
@@ -295,7 +306,7 @@ def integrate(
     f: Friction,
     w: Workspace,
 ) -> None:
-    """Let h (s) pass in which the input goes straight from ``u`` with ``rise`` per second."""
+    """Integrate over h (s) with an input that starts at ``u`` and changes by ``rise`` per second."""
     t = 0.0
     while t < h and math.isfinite(s[V]):
         now = u + t * rise
@@ -316,7 +327,7 @@ def integrate(
         was_started = mode[SIDE] != 0.0 and s[V] == 0.0
         elapsed = apply_event(s, mode, now, rise, step, b, m, f, w)
         if was_started and mode[SIDE] == 0.0 and elapsed <= MIN_STEP and elapsed < step:
-            # it came back at once: what moves it away is less than rounding, and it rests
+            # it stopped at once: the net force is below rounding, and the part stays at rest
             try_step(s, now, rise, step, 0.0, b, m, f, w)
             elapsed = step
         for j in range(s.size):
@@ -327,18 +338,26 @@ def integrate(
 
 
 FUNCTIONS = (
-    derivatives, break_away_side, try_step, has_event, locate_event, may_reverse, come_to_rest, hit_stop, apply_event, integrate,
+    derivatives, break_away_side, try_step, has_event, locate_event, may_reverse, come_to_rest, hit_stop,
+    apply_event, integrate,
 )  # fmt: skip
 
 
 def compile_integrator(
     applied_force: Callable[..., Any], update_memory: Callable[..., Any], rig: str
 ) -> Callable[..., None]:
-    """:func:`integrate` compiled for this push.
+    """Compile :func:`integrate` for a rig.
 
-    A compiled function that takes another one as an argument cannot be kept on disk, nor can what calls
-    it; so the pieces are compiled once more for each rig, with its push under a global name,
-    and as pieces of the module ``rig``.
+    numba cannot cache a compiled function that takes another one as an argument. So the functions of this
+    module are compiled for each rig, with its applied force as a global, as functions of the rig's module.
+
+    Args:
+        applied_force: Compiled function of the rig (see the module).
+        update_memory: Compiled function that updates what the rig remembers, after every step.
+        rig: Name of the rig's module.
+
+    Returns:
+        The compiled function.
     """
     scope = {**globals(), "__name__": rig, "applied_force": applied_force, "update_memory": update_memory}
     for function in FUNCTIONS:

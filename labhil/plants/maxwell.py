@@ -1,4 +1,4 @@
-"""Dry friction shared by elements that stick and slip one by one: the generalised Maxwell-slip model.
+"""The generalised Maxwell-slip model: dry friction of elements that stick and slip one after the other.
 
 Al-Bender, Lampaert and Swevers (2005), IEEE Transactions on Automatic Control 50, 1883–1887. Element i of N
 bears the share αᵢ = 1/N of the dry level s(v):
@@ -11,8 +11,8 @@ each one holds is kept until it yields: the hysteresis remembers every turning p
 wiped out. One thing is added: an element that slips is loaded no faster than one that sticks. A part that
 slows down would else be given energy, since the level rises and the attraction does not wait for the way.
 
-The elements are the last ``N_ELEMENT_STATES`` of a part's states: their forces (N), then for each the side (±1) towards
-which it slips, or 0, and last the level's sum over time (N·s), of which the rate is the level at a step's
+The elements are the last ``N_ELEMENT_STATES`` of a part's states: their forces (N), then for each the side
+(±1) towards which it slips, or 0, and last the level's sum over time (N·s), of which the rate is the level at a step's
 end. Quantities of a rotor are N·m and rad.
 """
 
@@ -26,7 +26,7 @@ from labhil.signals import FloatArray
 
 N_ELEMENT_STATES = 2 * ELEMENTS + 1
 MAX_ATTRACTION_RATE = 1e4
-"""Rate (1/s) of the attraction C/s that is not passed: where the level goes to zero no step would do."""
+"""Largest rate (1/s) of the attraction C/s, which becomes infinite where the level goes to zero."""
 
 
 @compiled
@@ -38,7 +38,7 @@ def all_stick(s: FloatArray) -> None:
 
 @compiled
 def some_yield(s: FloatArray, side: float, level: float) -> bool:
-    """Whether an element that sticks bears more towards ``side`` than its share of the level (N)."""
+    """Whether a sticking element has more force towards ``side`` than its share of the level (N)."""
     for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         if s[i + ELEMENTS] != side and side * s[i] * ELEMENTS > level:
             return True
@@ -47,7 +47,7 @@ def some_yield(s: FloatArray, side: float, level: float) -> bool:
 
 @compiled
 def let_slip(s: FloatArray, side: float, level: float) -> None:
-    """Let those slip towards ``side`` that bear their share of the level (N); what slipped back sticks."""
+    """Let elements with their share of the level (N) slip towards ``side``; those that slipped back stick."""
     for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         if side * s[i] * ELEMENTS >= level:
             s[i + ELEMENTS] = side
@@ -63,7 +63,7 @@ def attraction(level: float, f: Friction) -> float:
 
 @compiled
 def held_force(s: FloatArray) -> float:
-    """Return the force (N) of all elements by their springs."""
+    """Return the force (N) of the springs of all elements."""
     force = 0.0
     for i in range(s.size - N_ELEMENT_STATES, s.size - N_ELEMENT_STATES + ELEMENTS):
         force += s[i]
@@ -72,7 +72,7 @@ def held_force(s: FloatArray) -> float:
 
 @compiled
 def elements_force(s: FloatArray, v: float, f: Friction) -> float:
-    """Return the dry friction (N) at velocity v (m/s): springs, and the dampers of those that stick."""
+    """Return the dry friction (N) at velocity v (m/s): springs, and the dampers of sticking elements."""
     stiffness, sticking = f.stiffest, 0.0
     for slipping in range(s.size - N_ELEMENT_STATES + ELEMENTS, s.size - 1):
         if s[slipping] * v <= 0.0:
@@ -102,7 +102,7 @@ def elements_drag(
 
 @compiled
 def relax_elements(s: FloatArray, v: float, level: float, h: float, f: Friction) -> None:
-    """Carry the elements over h (s) at constant v (m/s) and level (N): each solved exactly."""
+    """Advance the elements by h (s) at constant v (m/s) and level (N), by the exact solution."""
     side, share = side_of(v), level / ELEMENTS
     if side == 0.0:
         return

@@ -1,4 +1,4 @@
-"""A simulated solenoid: coil current in, plunger position out; field, spring, friction and two stops."""
+"""A simulated solenoid: coil current in, plunger position out, with field, spring, friction and two stops."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("plunger_position", "coil_current", "coil_voltage", "magnetic_force")
 TOLERANCE_WITH_HYSTERESIS = 1e-10
-"""Error of one step over the size of a state; a hysteresis bends within steps."""
+"""Error of a step relative to the size of a state; a hysteresis turns within steps."""
 TURNED, EDDY, TEMPERATURE = PLANT_STATES, PLANT_STATES + 1, PLANT_STATES + 2
-"""Places of the current at which the hysteresis stands, of the field's lag and of the coil's temperature."""
+"""Indices of the states: output of the hysteresis, lag of the field, temperature of the coil."""
 
 
 class Plunger(NamedTuple):
-    """Numbers of the plunger, its magnet and its coil (SI)."""
+    """Parameters of the plunger, its magnet and its coil, SI."""
 
     spring: float
     hardening: float
@@ -61,7 +61,7 @@ class Plunger(NamedTuple):
 
     @classmethod
     def of(cls, p: Mapping[str, float], table: FloatArray | None = None) -> Plunger:
-        """Pick them out of a plant's parameters; a ``table`` takes the place of the stated magnet."""
+        """Take them from the parameters of a plant; a ``table`` replaces the magnet of the parameters."""
         return cls(
             spring=p["spring_stiffness"],
             hardening=p.get("spring_hardening.coefficient", 0.0),
@@ -98,7 +98,7 @@ class Plunger(NamedTuple):
 
 @compiled
 def magnet_force(i: float, x: float, m: Plunger) -> float:
-    """Force (N) at field current ``i`` (A) and position ``x`` (m)."""
+    """Return the force (N) at field current ``i`` (A) and position ``x`` (m)."""
     if m.mapped:
         return mapped_force(i, x, m.table)[0]
     y = x / STROKE
@@ -108,7 +108,7 @@ def magnet_force(i: float, x: float, m: Plunger) -> float:
 
 @compiled
 def force_per_current(i: float, x: float, m: Plunger) -> float:
-    """∂F/∂i of the magnet, N/A; what a moving plunger induces, V·s/m."""
+    """Return ∂F/∂i of the magnet, N/A, which is also the induced voltage per velocity, V·s/m."""
     if m.mapped:
         return mapped_force(i, x, m.table)[1]
     y = x / STROKE
@@ -118,13 +118,13 @@ def force_per_current(i: float, x: float, m: Plunger) -> float:
 
 @compiled
 def turn_magnet(before: float, u: float, width: float) -> float:
-    """The current that a magnet remembers which comes from ``before`` to ``u`` (A): a play of full width."""
+    """Apply the hysteresis to a current (A): a backlash of full width ``width``, last at ``before``."""
     return min(max(before, u - 0.5 * width), u + 0.5 * width)
 
 
 @compiled
 def field_of(s: FloatArray, u: float, m: Plunger) -> float:
-    """The current (A) that the field corresponds to."""
+    """Return the current (A) that corresponds to the field."""
     i = s[EDDY] if m.eddy > 0.0 else turn_magnet(s[TURNED], u, m.width)
     i += m.residual
     return i / (1.0 + m.knee * abs(i))
@@ -132,7 +132,10 @@ def field_of(s: FloatArray, u: float, m: Plunger) -> float:
 
 @compiled
 def applied_force(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float, float, float]:
-    """Force without friction, further dry friction (N), and what is left of viscous friction."""
+    """Return the force without friction (N).
+
+    Additional dry friction (N), and the factor of viscous friction.
+    """
     x, v = s[X], s[V]
     rates[TURNED] = 0.0
     rates[EDDY] = (turn_magnet(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0
@@ -156,7 +159,7 @@ def applied_force(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tup
 
 @compiled
 def update_memory(s: FloatArray, u: float, m: Plunger) -> None:
-    """The magnet keeps where its current turned."""
+    """Update the output of the hysteresis."""
     s[TURNED] = turn_magnet(s[TURNED], u, m.width)
 
 
@@ -175,7 +178,7 @@ def run(
 
 @compiled
 def magnet(rows: FloatArray, m: Plunger, out: FloatArray) -> None:
-    """Field current, force and ∂F/∂i (n, 3) at states and acting currents (n, states + 1)."""
+    """Write field current, force and ∂F/∂i (n, 3) at states and acting currents (n, states + 1)."""
     for k in range(len(rows)):
         i = field_of(rows[k], rows[k, -1], m)
         out[k, 0], out[k, 1] = i, magnet_force(i, rows[k, X], m)
@@ -183,11 +186,14 @@ def magnet(rows: FloatArray, m: Plunger, out: FloatArray) -> None:
 
 
 class SolenoidPlant:
-    """The world of one solenoid; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated solenoid; it starts at rest at the lower stop, without current.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples; ``force_map`` a magnet's measured forces (``plants.force_map``) in the place of the
-    stated ones. Begins at rest at the lower stop, without current.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise.
+        period: Time between samples, s.
+        force_map: Measured forces of a magnet (:mod:`labhil.plants.force_map`) that replace the parameters.
     """
 
     def __init__(
@@ -226,17 +232,21 @@ class SolenoidPlant:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return self.simulation.time
 
     def step(self, current: float) -> Mapping[str, float]:
-        """Bring the current straight to ``current`` (A) in one sample period; the signals at its end."""
+        """Change the current linearly to ``current`` (A) within a sample period.
+
+        Return the signals at its end.
+        """
         return {name: float(x[0]) for name, x in self.advance(np.array([current])).items()}
 
     def advance(self, current: FloatArray) -> Mapping[str, FloatArray]:
-        """Bring the current straight to each of the currents (n,) in one sample period after the other.
+        """Change the current linearly to each of the currents (n,), A, within a sample period.
 
-        Returns the signals at their ends, measured, each (n,).
+        Returns:
+            The measured signals at the ends of the periods, (n,) each.
         """
         before = self.simulation.time
         rows, ends = self.simulation.advance(current)
@@ -246,9 +256,9 @@ class SolenoidPlant:
         return self._measure(rows, current, slope, ends)
 
     def simulate(self, current: FloatArray) -> Trajectory:
-        """Go on through the currents (n,) at the samples, straight in between; begins with now.
+        """Simulate with currents (n,), A, at the samples, linear in between; the first is now.
 
-        The trajectory's input is the current as it is measured.
+        The input of the trajectory is the measured current.
         """
         i = np.asarray(current, dtype=np.float64)
         start = self.simulation.time
@@ -266,7 +276,7 @@ class SolenoidPlant:
         return Trajectory(self.simulation.sample_times.recorded(t), measured["coil_current"], measured, truth)
 
     def coil(self) -> tuple[float, float]:
-        """The coil's resistance (Ω) and what the motion induces in it (V), now."""
+        """Return the present resistance of the coil (Ω) and its induced voltage (V)."""
         row = self.simulation.row[None]
         return float(self._resistance(row)[0]), float(self._induced(row, self._magnet(row)[:, 2])[0])
 

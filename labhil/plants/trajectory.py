@@ -1,4 +1,4 @@
-"""What a plant's simulation gives: samples as a bench would record them, and the truth behind."""
+"""Result of a simulation: samples as a rig records them, their noise and times, and the true states."""
 
 from __future__ import annotations
 
@@ -13,17 +13,21 @@ from labhil.errors import UsageError
 from labhil.signals import FloatArray
 
 MAX_JITTER = 0.4
-"""Share of a period by which a sample is early or late at most."""
+"""Largest jitter as a share of the period."""
 
 BLOCK_SIZE = 256
-"""Random numbers that are drawn together."""
+"""Number of random numbers that are drawn at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Samples at ``t`` (n,) s with the recorded ``input`` (n,) in effect there.
+    """Samples of a simulation, (n,) each, SI.
 
-    ``measured`` holds the contract's signals by name, ``truth`` the undisturbed states; each (n,), SI.
+    Attributes:
+        t: Time stamps, s.
+        input: Recorded input.
+        measured: Measured signals by name.
+        truth: True states by name.
     """
 
     t: FloatArray
@@ -33,15 +37,18 @@ class Trajectory:
 
 
 def random_generator(seed: int, what: str) -> np.random.Generator:
-    """Random numbers for one purpose, the same whatever else is drawn."""
+    """Make the random generator of a purpose; it does not depend on what else is drawn."""
     return np.random.default_rng([seed, crc32(what.encode())])
 
 
 class SampleTimes:
-    """When samples are taken and commands take effect, and the stamps of both.
+    """Times of samples and commands, and their time stamps.
 
-    ``stamp_jitter`` (s) is the standard deviation of both from an even beat, which the stamps show;
-    ``stamp_error`` (s) that of the stamps from the truth.
+    Args:
+        values: ``stamp_jitter`` is the standard deviation of the times from an even clock, ``stamp_error``
+            that of the time stamps from the times, s.
+        period: Period of the even clock, s.
+        seed: Seed of the random numbers.
     """
 
     def __init__(self, values: Mapping[str, float], period: float, seed: int) -> None:
@@ -56,7 +63,7 @@ class SampleTimes:
         self._n_samples = 0
 
     def ends(self, now: float, n: int) -> FloatArray:
-        """Ends (n,) of the next sample periods, s."""
+        """Return the ends (n,) of the next sample periods, s."""
         samples = self._n_samples + np.arange(1, n + 1)
         self._n_samples += n
         if not self._jitter:
@@ -66,12 +73,12 @@ class SampleTimes:
         return np.asarray(self.period * samples + np.minimum(np.maximum(jitter, -limit), limit))
 
     def recorded(self, t: FloatArray) -> FloatArray:
-        """The stamps of the true times ``t`` (n,)."""
+        """Return the time stamps of the true times ``t`` (n,)."""
         return t + self._error * self._error_source.standard_normal(len(t)) if self._error else t
 
 
 class Noise:
-    """Noise of unit variance and a correlation between neighbours (AR(1)) that goes on from call to call."""
+    """First-order autoregressive noise of unit variance that continues from call to call."""
 
     def __init__(self, random: np.random.Generator, correlation: float) -> None:
         self._random, self._correlation = random, correlation
@@ -80,12 +87,12 @@ class Noise:
         self._block, self._used = np.empty(0), 0
 
     def draw(self, n: int) -> FloatArray:
-        """The next n samples."""
+        """Draw the next n samples."""
         noise = self._draw_white(n)
         if not self._correlation or not n:
             return noise
         if self._last is None:
-            # the very first sample has no one before it, and is as large as the others
+            # the very first sample has no predecessor, and the same variance as the others
             noise[1:] *= self._innovation
         else:
             noise *= self._innovation
@@ -93,7 +100,7 @@ class Noise:
         if n == 1:
             noise[0] += previous
         else:
-            # a twin makes sample by sample, and starts in half the time without
+            # a twin draws single samples, and starts in half the time without this import
             from scipy.signal import lfilter
 
             noise = np.asarray(lfilter([1.0], [1.0, -self._correlation], noise, zi=[previous])[0])
@@ -101,7 +108,7 @@ class Noise:
         return noise
 
     def _draw_white(self, n: int) -> FloatArray:
-        """The next n of unit variance, drawn many at a time: a rig that is stepped asks for one by one."""
+        """Draw the next n of white noise, in blocks: a plant that is stepped needs single samples."""
         if self._used + n > len(self._block):
             rest_of_block = self._block[self._used :]
             self._block = np.append(
@@ -113,7 +120,7 @@ class Noise:
 
 
 class Channel:
-    """How one quantity is sampled: noise (standard deviation) and resolution, SI."""
+    """Noise (standard deviation) and resolution of a measured signal, SI."""
 
     def __init__(self, values: Mapping[str, float], name: str, seed: int, resolution: float = 0.0) -> None:
         self.noise = values[f"{name}_noise"]
@@ -121,15 +128,15 @@ class Channel:
         self._noise = Noise(random_generator(seed, name), values["noise_correlation"])
 
     def sample(self, x: FloatArray) -> FloatArray:
-        """Samples (n,) of the true values ``x`` (n,)."""
+        """Sample the true values ``x`` (n,)."""
         values = x + self.noise * self._noise.draw(len(x))
         return np.rint(values / self.resolution) * self.resolution if self.resolution else values
 
 
 def sense(x: FloatArray, values: Mapping[str, float], channel: str = "") -> FloatArray:
-    """What a sensor with nonlinearity, gain error and offset makes of ``x`` (n,), lagged already.
+    """Apply nonlinearity, gain error and offset of a sensor to ``x`` (n,).
 
-    A second ``channel`` (with "_" at its end) has a gain error and an offset of its own.
+    A second ``channel`` (with "_" at its end) has its own gain error and offset.
     """
     if not channel:
         x = x + values.get("sensor_nonlinearity.cubic", 0.0) * x**3

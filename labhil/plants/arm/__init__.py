@@ -1,4 +1,7 @@
-"""A simulated arm of the UR class: its rigid body by MuJoCo (extra ``arm``), all else of our own."""
+"""A simulated arm of the UR class.
+
+:class:`ArmPlant` with MuJoCo (extra ``arm``), :class:`LiveArm` without.
+"""
 
 from labhil.plants.arm.effects import EFFECTS, HIDDEN, all_parameters, parameters_of
 from labhil.plants.arm.links import ARMS, UR3E, UR5, UR10E, Link, Links

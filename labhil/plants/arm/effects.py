@@ -1,8 +1,8 @@
-"""What a simulated arm can be made of: effects by name, and every number that can be set.
+"""Parameters and effects of a simulated arm.
 
-A parameter is one number for the whole arm, or six, one a joint: ``coulomb_friction.level`` then stands
-for all joints and ``coulomb_friction.level[2]`` for joint 2 alone (joints count from 0). An effect may
-likewise be given to one joint only: ``load_dependent_friction[1]``.
+A parameter is one number for the whole arm, or one per joint: ``coulomb_friction.level`` is then that of all
+joints, ``coulomb_friction.level[2]`` that of joint 2 (counted from 0). An effect may belong to one joint:
+``load_dependent_friction[1]``.
 """
 
 from __future__ import annotations
@@ -23,10 +23,12 @@ Overrides = Mapping[str, float | Sequence[float]]
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One effect beyond the bare arm.
+    """An effect of a simulated arm.
 
-    ``strengths`` maps short names to defaults (SI) that make the effect vanish at zero; ``shapes`` are
-    its other numbers, without meaning while all strengths are zero.
+    Attributes:
+        about: What it is, with units.
+        strengths: Defaults (SI) by short name of the parameters at whose zero the effect vanishes.
+        shapes: Defaults of its other parameters.
     """
 
     about: str
@@ -41,7 +43,7 @@ def _same(value: float) -> PerJoint:
 BARE_ARM: Mapping[str, float | PerJoint] = {
     "torque_constant": (13.26, 11.13, 10.62, 11.03, 11.47, 11.61),  # N·m/A, gear ratio included
     "servo_bandwidth": 200.0,  # rad/s
-    "stamp_jitter": 0.0,  # s, largest deviation of a sample from its place in the raster
+    "stamp_jitter": 0.0,  # s, largest deviation of a sample from its regular time
     "q_noise": 1e-5,  # rad
     "qd_noise": 1e-3,  # rad/s
     "current_noise": (0.02, 0.02, 0.015, 0.006, 0.006, 0.006),  # A
@@ -127,7 +129,7 @@ EFFECTS: Mapping[str, Effect] = {
     "sensor_gain": Effect("measured current = (1 + gain)·current", {"gain": _same(0.05)}),
     "clock_offset": Effect("currents are reported later than angles, s", {"offset": 0.008}),
 }
-"""Every effect by its name; an arm that does not name one is exactly the arm without it."""
+"""All effects by name; an arm has those alone that it names."""
 
 HIDDEN: Mapping[str, Effect] = {
     "hidden_cable": Effect(
@@ -141,10 +143,9 @@ HIDDEN: Mapping[str, Effect] = {
         {"centre": _same(0.3), "width": _same(0.15)},
     ),
 }
-"""Effects that stand in no list of terms: what a diagnosis can find only as unmodelled."""
+"""Effects that no list of terms contains: a diagnosis can only state them as unmodelled."""
 
 ALL_EFFECTS: Mapping[str, Effect] = {**EFFECTS, **HIDDEN}
-"""Both."""
 
 DRY = (
     "coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction",
@@ -166,21 +167,21 @@ UPPER_LIMITS: Mapping[str, float] = {"clock_offset.offset": 0.1, "current_noise_
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Numbers of a world by name; what belongs to an absent effect is zero."""
+    """Parameters of an arm by name; those of an absent effect are zero."""
 
     numbers: Mapping[str, float]
     joints: Mapping[str, FloatArray]
 
     def number(self, name: str) -> float:
-        """One number of the whole arm; 0 where its effect is absent."""
+        """Return a parameter of the whole arm; 0 where its effect is absent."""
         return self.numbers.get(name, 0.0)
 
     def per_joint(self, name: str, absent: float = 0.0) -> FloatArray:
-        """One number a joint (6,); ``absent`` where the effect is."""
+        """Return a parameter of the joints (6,); ``absent`` where its effect is."""
         return self.joints.get(name, np.full(JOINTS, absent))
 
     def by_key(self) -> dict[str, float]:
-        """Every number by its key, ``coulomb_friction.level[2]`` for joint 2."""
+        """Return all parameters by key, ``coulomb_friction.level[2]`` for joint 2."""
         per_joint = {
             f"{name}[{j}]": float(x) for name, numbers in self.joints.items() for j, x in enumerate(numbers)
         }
@@ -197,7 +198,7 @@ def parameters_of(effect: str) -> dict[str, float | PerJoint]:
 
 
 def all_parameters() -> dict[str, float | PerJoint]:
-    """Return every parameter that an arm takes, with its default (SI): one number, or one a joint."""
+    """Return all parameters with their defaults (SI): one number, or one per joint."""
     known = dict(BARE_ARM)
     for effect in ALL_EFFECTS:
         known |= parameters_of(effect)
@@ -205,10 +206,19 @@ def all_parameters() -> dict[str, float | PerJoint]:
 
 
 def resolve(terms: Iterable[str], overrides: Overrides) -> Values:
-    """Return the numbers in force: the bare arm's and those of the effects in ``terms``.
+    """Return the parameters of an arm with some effects.
 
-    UnknownNameError for an effect or a parameter that does not exist; UsageError for a joint that does
-    not, for the parameter of an effect that is not among ``terms``, and for values that make no world.
+    Args:
+        terms: Names of the effects, with a joint in brackets or without.
+        overrides: Values by parameter name or key, SI.
+
+    Returns:
+        Values of all parameters.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A joint does not exist, a parameter belongs to an effect that is not in ``terms``, or a
+            value is out of range.
     """
     chosen = tuple(terms)
     values = {name: _array(value) for name, value in BARE_ARM.items()}
@@ -230,7 +240,7 @@ def resolve(terms: Iterable[str], overrides: Overrides) -> Values:
 
 
 def split_key(key: str) -> tuple[str, int | None]:
-    """Take ``name[2]`` apart; UsageError when what stands in the brackets is no joint."""
+    """Split ``name[2]`` into name and joint; UsageError where the brackets do not contain a joint."""
     name, bracket, suffix = key.partition("[")
     if not bracket:
         return key, None
@@ -240,7 +250,7 @@ def split_key(key: str) -> tuple[str, int | None]:
 
 
 def _joints_by_effect(terms: tuple[str, ...]) -> dict[str, set[int]]:
-    """Which joints have each effect."""
+    """Return the joints of each effect."""
     joints: dict[str, set[int]] = {}
     for term in terms:
         name, joint = split_key(term)
@@ -260,7 +270,7 @@ def _array(value: float | Sequence[float]) -> FloatArray:
 def _set(
     values: dict[str, FloatArray], key: str, value: float | Sequence[float], chosen: tuple[str, ...]
 ) -> None:
-    """Set one parameter, of one joint or of all."""
+    """Set a parameter of one joint or of all."""
     name, joint = split_key(key)
     if name not in values:
         _refuse(name, chosen)

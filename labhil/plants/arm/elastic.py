@@ -1,9 +1,9 @@
-"""Links on springs: the drive moves as the servo says, the link follows through the joint's compliance.
+"""Elastic joints: the drive follows the servo, and the link follows the drive through a spring.
 
 M(q)·q̈ + C(q, q̇)·q̇ + G(q) = K·(θ − q) + D·(θ̇ − q̇) with the drive's angle θ; the torque on the right is
-what the drive has to give. A step balances that at a share of itself: the middle for springs that are slow
-against it, the end for those that are too fast to be followed (and so come to rest). Springs are solved
-implicitly by adding to the inertia what they hold back within the step.
+the torque of the drive. A step is implicit at a share of itself: at the middle for springs that are slow
+compared with the step, at the end for fast ones, which so come to rest. The implicit part of the springs is
+an addition to the inertia.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from labhil.signals import FloatArray
 MAX_STEP = 2e-3
 """s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at 1/200 of them."""
 MIN_COMPLIANCE = 1e-7
-"""rad/(N·m), of the joints without elasticity beside those with it; they need no damping of their own."""
+"""rad/(N·m), of the joints without elasticity in an arm with some; they need no damping."""
 SETTLING_ITERATIONS = 20
 
 
@@ -36,7 +36,7 @@ class Springs:
 
     @classmethod
     def of(cls, values: Values) -> Springs | None:
-        """Pick them out of a plant's parameters; None when every joint is stiff."""
+        """Take them from the parameters of a plant; None where all joints are rigid."""
         compliance = values.per_joint("joint_elasticity.compliance")
         if not np.any(compliance > 0.0):
             return None
@@ -46,7 +46,7 @@ class Springs:
 
 
 class ElasticBody:
-    """The links behind their springs; begins in the balance that :meth:`settle` finds."""
+    """The links on their springs; they start in the equilibrium of :meth:`settle`."""
 
     def __init__(self, body: RigidBody | RecursiveBody, springs: Springs) -> None:
         self._body = body
@@ -57,7 +57,7 @@ class ElasticBody:
         self._inertia = np.ones(JOINTS)
 
     def settle(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> None:
-        """Put the links where they hang while the drives move steadily; (6,) each."""
+        """Set the links to their equilibrium while the drives move with these values, (6,) each."""
         self._body.set_armature(np.zeros(JOINTS))
         link = q.copy()
         for _ in range(SETTLING_ITERATIONS):
@@ -80,9 +80,9 @@ class ElasticBody:
         return out
 
     def _advance(self, q: FloatArray, qd: FloatArray, h: float, steps: int) -> FloatArray:
-        """Go ``steps`` steps on while the drives come to q and q̇ within h (s); return the torques (6,) then.
+        """Advance by ``steps`` steps while the drives move to q and q̇ within h (s); return the torques.
 
-        They are those of the last step's balance, drawn on to its end along those of the step before.
+        They are extrapolated to the end of the last step from those of the last two steps.
         """
         final = self._torque
         if steps:
@@ -108,6 +108,6 @@ class ElasticBody:
         return final
 
     def _implicit_shares(self, step: float) -> FloatArray:
-        """At which share of a step each spring is balanced (6,): from one half, slow, to one, fast."""
+        """Return the implicit share of a step of each spring (6,): from one half, slow, to one, fast."""
         relative_stiffness = self._springs.stiffness / self._inertia * step**2
         return np.asarray(0.5 + 0.5 * relative_stiffness / (1.0 + relative_stiffness))

@@ -1,8 +1,7 @@
-"""Friction of the simulated joints, and the warmth that it makes.
+"""Friction of the simulated joints, and their heating.
 
-The motion is given, so dry friction needs no event search: a joint that moves feels its level against
-the motion; one that stops keeps what it felt, until it has moved by ``STICKING_ANGLE`` again. Bristles, where they
-are among the effects, take the place of that.
+The motion is given, so dry friction needs no events: a moving joint has its level against the motion; one
+that stops keeps its friction until it has moved by ``STICKING_ANGLE`` again. Bristles replace that law.
 """
 
 from __future__ import annotations
@@ -15,17 +14,17 @@ from labhil.plants.arm.effects import Values
 from labhil.signals import FloatArray
 
 STICKING_ANGLE = 1e-6
-"""How far (rad) a joint moves from full dry friction one way to none, and once more to full the other way."""
+"""Angle (rad) from full dry friction in one direction to none, and again to full in the other."""
 STATIC_VELOCITY = 1e-3
-"""Speed (rad/s) over which the extra hold at rest is lost."""
+"""Speed (rad/s) over which the extra static friction is lost."""
 MIN_LEVEL = 1e-9
-"""Dry level (N·m) under which bristles carry nothing."""
+"""Dry level (N·m) below which bristles have no torque."""
 N_SUBSTEPS = 8
-"""Into how many moments the time between two samples is cut where friction remembers."""
+"""Substeps between two samples for the memory of friction."""
 
 
 class Friction(NamedTuple):
-    """Strengths of all friction effects, (6,) each (SI, eq. 4.64 and beyond); zero where one is absent."""
+    """Parameters of all friction effects, (6,) each (SI, eq. 4.64 and more); zero where one is absent."""
 
     viscous: FloatArray
     quadratic: FloatArray
@@ -72,7 +71,7 @@ class Friction(NamedTuple):
 
 
 class ThermalModel(NamedTuple):
-    """How joints warm up: K/W (6,), s, °C, Ω (6,), N·m/A (6,)."""
+    """Heating of the joints: K/W (6,), s, °C, Ω (6,), N·m/A (6,)."""
 
     warming: FloatArray
     time: float
@@ -93,10 +92,14 @@ class ThermalModel(NamedTuple):
 
 
 class JointMemory(NamedTuple):
-    """What the joints remember, (6,) each.
+    """State of the joints' friction, (6,) each.
 
-    ``angle`` rad and ``velocity`` rad/s at the last sample; ``sticking`` from −1 to 1, the share of the dry
-    level that is felt; ``bristle`` rad; ``temperature`` °C.
+    Attributes:
+        angle: At the last sample, rad.
+        velocity: At the last sample, rad/s.
+        sticking: Dry friction over its level, −1 to 1.
+        bristle: Deflection, rad.
+        temperature: °C.
     """
 
     angle: FloatArray
@@ -164,10 +167,10 @@ def dry_torque(q: float, v: float, load: float, j: int, m: JointMemory, f: Frict
 
 @compiled
 def update_memory(q: float, v: float, h: float, load: float, j: int, m: JointMemory, f: Friction) -> None:
-    """Carry joint j over h (s) to angle q and velocity v, its velocity on a straight line in between."""
+    """Advance the memory of joint j by h (s) to angle q and velocity v, with a linear velocity in between."""
     d = h / N_SUBSTEPS
     begin, angle = m.velocity[j], m.angle[j]
-    # the straight line of velocities need not end exactly at q; the rest is spread over the way
+    # the integral of the linear velocity may differ from q; the difference is distributed over the motion
     correction = ((q - angle) / h - 0.5 * (begin + v)) if h > 0.0 else 0.0
     for k in range(N_SUBSTEPS):
         if h == 0.0:
@@ -195,10 +198,12 @@ def apply_friction(
     out: FloatArray,
     temperatures: FloatArray,
 ) -> None:
-    """Walk a motion (n, 6), row i ``h[i]`` s after the one before; write friction N·m and temperatures °C.
+    """Write friction (n, 6) N·m and temperatures (n, 6) °C along a motion.
 
-    ``load`` and ``other_torque`` (n, 6) N·m are what the drive carries beside: the rigid body's torque, which
-    dry friction may depend on, and all else. Both warm the windings.
+    Row i comes ``h[i]`` s after the one before.
+
+    ``load`` and ``other_torque`` (n, 6) N·m are the other torques of the drive: that of the rigid body, on
+    which dry friction may depend, and the rest. Both heat the windings.
     """
     for i in range(h.size):
         decay = math.exp(-h[i] / w.time)

@@ -1,7 +1,7 @@
-"""A simulated arm that keeps pace with a clock: one sample at a time, within some tens of µs.
+"""A simulated arm in real time: one sample takes some tens of µs.
 
-The same world as :class:`~labhil.plants.arm.plant.ArmPlant` (effects, friction, warmth, sensors, servo),
-with the rigid body by recursion instead of a physics engine.
+It has the effects, friction, heating, sensors and servo of :class:`~labhil.plants.arm.plant.ArmPlant`, with
+the rigid body by recursion instead of a physics engine.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ ZERO_TIME = np.zeros(1)
 
 
 class OtherTorques(NamedTuple):
-    """Torques beside links and friction, (6,) each: ripple, inertia of the drives kg·m², steady N·m."""
+    """Torques in addition to links and friction, (6,) each.
+
+    Ripple, inertia of the drives kg·m², constant N·m.
+    """
 
     amplitude: FloatArray
     order: FloatArray
@@ -37,7 +40,7 @@ class OtherTorques(NamedTuple):
 
 
 class TrueState(NamedTuple):
-    """What is true now, (6,) each: rad, rad/s and N·m."""
+    """True state, (6,) each: rad, rad/s and N·m."""
 
     q: FloatArray
     qd: FloatArray
@@ -48,7 +51,7 @@ class TrueState(NamedTuple):
 
 
 class Setpoint(NamedTuple):
-    """What the controller plans at one moment: rad, rad/s, rad/s², (6,) each."""
+    """Setpoint of the controller: rad, rad/s, rad/s², (6,) each."""
 
     q: FloatArray
     qd: FloatArray
@@ -58,8 +61,8 @@ class Setpoint(NamedTuple):
 class Sample(NamedTuple):
     """Readings of an arm's sensors, (6,) each: rad, rad/s, A, °C; the supply's voltage, V.
 
-    ``target_current`` A and ``target_moment`` N·m are what the controller expects of the plan, by its own
-    model; ``friction`` (6,) N·m is the truth, which nobody measures.
+    ``target_current`` A and ``target_moment`` N·m are those that the controller's own model predicts;
+    ``friction`` (6,) N·m is the true one, which is not measured.
     """
 
     q: FloatArray
@@ -73,9 +76,9 @@ class Sample(NamedTuple):
 
 
 class LiveArm:
-    """The world of one arm, sample by sample; parameters, terms and errors as for ``ArmPlant``.
+    """A simulated arm, sample by sample; arguments and errors as for ``ArmPlant``.
 
-    ``hidden_cable`` is refused (it needs the physics engine); ``stamp_jitter`` has no meaning here.
+    ``hidden_cable`` is refused (it needs the physics engine); ``stamp_jitter`` has no effect.
     """
 
     def __init__(
@@ -111,7 +114,7 @@ class LiveArm:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number in force by its key: ``coulomb_friction.level[2]`` for joint 2."""
+        """All parameters by key: ``coulomb_friction.level[2]`` for joint 2."""
         return self._values.by_key()
 
     @property
@@ -120,7 +123,7 @@ class LiveArm:
         return self._thermal_model.torque_constant
 
     def place(self, q: FloatArray) -> None:
-        """Put the arm at rest at the angles (6,), rad; joints stay as warm as they are."""
+        """Set the arm at rest at angles (6,), rad; joints keep their temperatures."""
         zeros = np.zeros(JOINTS)
         self._clock = 0.0
         self._past = deque([(0.0, Setpoint(np.array(q, dtype=np.float64), zeros, zeros))])
@@ -135,17 +138,17 @@ class LiveArm:
         )
 
     def set_expected_load(self, mass: float, centre: Vector, gravity: Vector) -> None:
-        """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
+        """Set payload (kg, m) and gravity (m/s²) of the controller's model."""
         self._expected = RecursiveBody(self.links)
         self._expected.table.add_point_mass(mass, centre)
         self._expected.table.gravity[:] = gravity
 
     def expected(self) -> RecursiveBody:
-        """The controller's own model of the arm."""
+        """Return the controller's own model of the arm."""
         return self._expected
 
     def step(self, plan: Setpoint, h: float) -> Sample:
-        """Let h (s) pass while the drives follow the plan to a moment; sample then."""
+        """Advance by h (s) to a setpoint, and sample then."""
         self._clock += h
         self._h[0] = h
         delayed = plan
@@ -158,14 +161,14 @@ class LiveArm:
             state.body[:] = self._elastic.torques(motion, self._h)[0]
         advance(
             plan, delayed, self._h, self._bandwidth, self._servo, self._delayed_servo, self._elastic is None,
-            self._body.table, self._expected.table, self._memory, self._friction, self._thermal_model, self._other_torques,
-            state,
+            self._body.table, self._expected.table, self._memory, self._friction, self._thermal_model,
+            self._other_torques, state,
         )  # fmt: skip
         self._temperature = self._memory.temperature
         return self._sample()
 
     def _delayed_setpoint(self) -> Setpoint:
-        """The plan as it was ``clock_offset`` ago, on straight lines between ticks."""
+        """Return the setpoint ``clock_offset`` earlier, linear between ticks."""
         wanted, past = self._clock - self._clock_offset, self._past
         while len(past) > 2 and past[1][0] <= wanted:
             past.popleft()
@@ -174,7 +177,7 @@ class LiveArm:
         return Setpoint(*(a + share * (b - a) for a, b in zip(first, last, strict=True)))
 
     def _sample(self) -> Sample:
-        """Measure; arrays are the caller's own."""
+        """Measure; the arrays are new ones."""
         sensors, constant, state = self._sensors, self._thermal_model.torque_constant, self._state
         current = state.torque / constant
         power = state.torque * state.qd + self._thermal_model.resistance * current * current
@@ -215,7 +218,7 @@ def advance(
     other_torques: OtherTorques,
     state: TrueState,
 ) -> None:
-    """Carry the world over one tick, in place; ``state.body`` is given where the joints are not rigid."""
+    """Advance the arm by one tick, in place; ``state.body`` is an input where the joints are not rigid."""
     shape = (1, 6)
     q, qd, qdd = np.empty(shape), np.empty(shape), np.empty(shape)
     follow_plan(as_row(plan.q), as_row(plan.qd), as_row(plan.qdd), h, bandwidth, servo, q, qd, qdd)

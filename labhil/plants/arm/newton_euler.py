@@ -1,8 +1,8 @@
-"""The rigid body of the arm once more, without a physics engine: Newton and Euler's recursion, compiled.
+"""The rigid body of the arm by the recursive Newton-Euler algorithm, compiled, without a physics engine.
 
-For worlds that keep pace with a clock: one evaluation takes a few µs, and nothing beyond numpy is
-installed. It agrees with :mod:`labhil.plants.arm.rigid_body` to rounding, which the tests hold. Outward from
-the base: velocities and accelerations; inward from the tool: forces and moments, in each link's own frame.
+One evaluation takes a few µs. It agrees with :mod:`labhil.plants.arm.rigid_body` to rounding (see its tests).
+Outward from the base: velocities and accelerations; inward from the tool: forces and moments, in the frame of
+each link.
 """
 
 from __future__ import annotations
@@ -36,12 +36,13 @@ class LinkArrays(NamedTuple):
 
     @classmethod
     def of(cls, links: Links, load: Load) -> LinkArrays:
-        """Write links and load down; the payload becomes part of the last link.
+        """Make the arrays; the payload becomes part of the last link.
 
-        UsageError for a load with a cable, which needs the physics engine.
+        Raises:
+            UsageError: The load has a cable, which needs the physics engine.
         """
         if load.cable_stiffness != 0.0:
-            raise UsageError("hidden_cable is not among the effects of an arm that keeps pace with a clock")
+            raise UsageError("hidden_cable is not among the effects of an arm in real time")
         parts = links.links
         table = cls(
             a=np.array([link.a for link in parts]),
@@ -80,7 +81,7 @@ def _point_inertia(r: FloatArray) -> FloatArray:
 
 
 class RecursiveBody:
-    """Rigid links with one hinge each; the same doors as :class:`~labhil.plants.arm.rigid_body.RigidBody`."""
+    """Rigid links with one hinge each; the interface of :class:`~labhil.plants.arm.rigid_body.RigidBody`."""
 
     def __init__(self, links: Links, load: Load | None = None) -> None:
         self.table = LinkArrays.of(links, load or Load())
@@ -96,7 +97,7 @@ class RecursiveBody:
         return out + self._armature * qdd
 
     def torque(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Return the joint torques (6,) N·m of one moment, without armature."""
+        """Return the joint torques (6,) N·m at one instant, without armature."""
         out = np.empty(JOINTS)
         recursion(self.table, q, qd, qdd, out)
         return out
@@ -120,7 +121,7 @@ class RecursiveBody:
 
 @compiled
 def recursion(table: LinkArrays, q: FloatArray, qd: FloatArray, qdd: FloatArray, out: FloatArray) -> None:
-    """Write the joint torques (6,) N·m of one moment: rad, rad/s, rad/s²."""
+    """Write the joint torques (6,) N·m at one instant: rad, rad/s, rad/s²."""
     rotations = np.zeros((7, 3, 3))
     forces, moments = np.zeros((6, 3)), np.zeros((6, 3))
     arms = np.zeros((6, 3))
@@ -155,7 +156,7 @@ def recursion(table: LinkArrays, q: FloatArray, qd: FloatArray, qdd: FloatArray,
 
 @compiled
 def mass_matrix(table: LinkArrays, q: FloatArray, out: FloatArray) -> None:
-    """Write M(q) (6, 6) kg·m²: the torques of a unit acceleration of each joint, without weight."""
+    """Write M(q) (6, 6) kg·m²: the torques of a unit acceleration of each joint, without gravity."""
     weight, column, zeros = np.zeros(6), np.zeros(6), np.zeros(6)
     recursion(table, q, zeros, zeros, weight)
     for i in range(6):

@@ -1,4 +1,4 @@
-"""A simulated arm: a planned motion in, the signals of its controller out."""
+"""A simulated arm: planned motion in, signals of the controller out (needs MuJoCo)."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from labhil.signals import FloatArray
 
 SAMPLE_PERIOD = 0.008
 SETTLING_TIME = 0.05
-"""How long (s) the joints have been moving steadily when a motion that begins in motion begins."""
+"""Time (s) of steady motion of the joints before the first row of a plan."""
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What nobody measures, (n, 6) each, at the stamps; torques N·m on the drive's side of the gear.
+    """True quantities at the time stamps, (n, 6) each; torques N·m on the drive's side of the gear.
 
-    ``body`` is the rigid body's torque (through the springs of elastic joints), ``friction`` that of
-    the joints, ``torque`` all of it; ``current`` A.
+    ``body`` is the torque of the rigid body (through the springs of elastic joints), ``friction`` that of the
+    joints, ``torque`` the sum; ``current`` A.
     """
 
     q: FloatArray
@@ -42,9 +42,9 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """What the controller reports at the stamps ``t`` (n,) s: one row a sample, six joints.
+    """Signals of the controller at the time stamps ``t`` (n,) s, (n, 6) each.
 
-    Angles rad, currents A, moments N·m, temperatures °C, voltage (n,) V. ``truth`` stands beside it.
+    Angles rad, currents A, moments N·m, temperatures °C, voltage (n,) V; and the true quantities.
     """
 
     t: FloatArray
@@ -61,19 +61,26 @@ class Trajectory:
     truth: Truth
 
     def signals(self) -> dict[str, FloatArray]:
-        """All signals by name, (n, 6) or (n,), without stamps and truth."""
+        """Return all signals by name, (n, 6) or (n,), without time stamps and truth."""
         names = (name for name in self.__dataclass_fields__ if name not in {"t", "truth"})
         return {name: getattr(self, name) for name in names}
 
 
 class ArmPlant:
-    """The world of one arm; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated arm; it starts at rest with all angles zero.
 
-    ``parameters`` overrides defaults by name (SI): ``coulomb_friction.level`` of all joints (one number
-    or six), ``coulomb_friction.level[2]`` of joint 2. ``seed`` fixes the noise and what friction is left
-    at rest; ``period`` is the time (s) between samples. Begins at rest with all angles zero. Raises
-    UnknownNameError or UsageError for names and values that make no world, MissingExtraError without
-    ``mujoco``.
+    Args:
+        parameters: Values by name, SI, that replace defaults: ``coulomb_friction.level`` of all joints (one
+            number or six), ``coulomb_friction.level[2]`` of joint 2.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise, and of the friction at rest.
+        period: Time between samples, s.
+        links: Its links.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A value is out of range.
+        MissingExtraError: The package ``mujoco`` is not installed.
     """
 
     def __init__(
@@ -111,7 +118,7 @@ class ArmPlant:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number in force by its key: ``coulomb_friction.level[2]`` for joint 2."""
+        """All parameters by key: ``coulomb_friction.level[2]`` for joint 2."""
         return self._values.by_key()
 
     @property
@@ -120,12 +127,12 @@ class ArmPlant:
         return self._memory.temperature.copy()
 
     def place(self, q: FloatArray) -> None:
-        """Put the arm at rest at the angles (6,), rad, its clock at 0; joints stay as warm as they are."""
+        """Set the arm at rest at angles (6,), rad, and its clock to 0; joints keep their temperatures."""
         zeros = np.zeros(JOINTS)
         self._start(np.array([0.0]), np.asarray(q, dtype=np.float64)[None], zeros[None], zeros[None])
 
     def step(self, q_ref: FloatArray, qd_ref: FloatArray, qdd_ref: FloatArray, dt: float) -> Trajectory:
-        """Let dt (s) pass while the plan goes to angles, velocities and accelerations (6,); sample then."""
+        """Advance by dt (s) to planned angles, velocities and accelerations (6,), and sample then."""
         if not dt > 0.0:
             raise UsageError(f"dt must be a positive time in s, found {dt!r}")
         row = (np.asarray(x, dtype=np.float64)[None] for x in (q_ref, qd_ref, qdd_ref))
@@ -140,11 +147,20 @@ class ArmPlant:
         return self._simulate(self._recent, now)
 
     def follow(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Trajectory:
-        """Follow a plan of one row (n, 6) a sample period, from its first row on; return one sample a row.
+        """Follow a plan with one row (n, 6) per sample period; the arm starts in its first row.
 
-        The arm is there when the motion begins, with joints as warm as they are. Samples are taken up to
-        ``stamp_jitter`` s off the raster, where that is among the parameters; stamps say when.
-        UsageError for a plan that has no rows, is not finite or has other than six joints.
+        Samples deviate by up to ``stamp_jitter`` s from regular times; the time stamps contain that.
+
+        Args:
+            q: Angles, rad.
+            qd: Velocities, rad/s.
+            qdd: Accelerations, rad/s².
+
+        Returns:
+            One sample per row.
+
+        Raises:
+            UsageError: The plan has no rows, is not finite or has not six joints.
         """
         plan = [np.ascontiguousarray(x, dtype=np.float64) for x in (q, qd, qdd)]
         for name, rows in zip(("q", "qd", "qdd"), plan, strict=True):
@@ -165,7 +181,7 @@ class ArmPlant:
         return self._simulate(planned, stamps)
 
     def _start(self, t: FloatArray, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> Motion:
-        """Put the arm where a plan begins, everything that passes away settled; return the plan."""
+        """Set the arm to the first row of a plan, without transients; return the plan."""
         planned = Motion(t, q, qd, qdd)
         self._recent = planned
         self._clock = float(t[0])
@@ -179,7 +195,7 @@ class ArmPlant:
         return planned
 
     def _settle_friction(self, begin: Motion) -> None:
-        """Let the joints come to the first row of a motion steadily, or from a movement long ago."""
+        """Let the joints arrive at the first row of a motion at constant velocity."""
         sticking = self._random.uniform(-1.0, 1.0, JOINTS)
         bent = sticking * self._friction.coulomb / np.maximum(self._friction.stiffness, 1.0)
         self._memory = JointMemory(
@@ -194,7 +210,7 @@ class ArmPlant:
         self._memory.temperature[:] = self._temperature
 
     def _simulate(self, plan: Motion, stamps: FloatArray) -> Trajectory:
-        """Go on to the stamps (n,), and sample there."""
+        """Advance to the time stamps (n,), and sample there."""
         h = np.diff(stamps, prepend=self._clock)
         self._clock = float(stamps[-1])
         target = plan.at(stamps)
@@ -212,13 +228,13 @@ class ArmPlant:
         return self._sample(target, truth)
 
     def _body_torque(self, motion: Motion, h: FloatArray) -> FloatArray:
-        """Torques (n, 6) N·m of the links, payload and cable under a motion of the drives."""
+        """Return the torques (n, 6) N·m of links, payload and cable under a motion of the drives."""
         if self._elastic is not None:
             return self._elastic.torques(motion, h)
         return self._body.torques(motion.q, motion.qd, motion.qdd)
 
     def _other_torque(self, motion: Motion) -> FloatArray:
-        """Torques (n, 6) N·m that neither the links nor friction ask for."""
+        """Return the torques (n, 6) N·m of neither links nor friction."""
         per_joint = self._values.per_joint
         phase = per_joint("torque_ripple.order") * motion.q + per_joint("torque_ripple.phase")
         return np.asarray(
@@ -239,7 +255,7 @@ class ArmPlant:
         return friction, temperature
 
     def _sample(self, target: Motion, truth: Truth) -> Trajectory:
-        """Measure all that the controller reports, and add what it planned and expected."""
+        """Measure the signals of the controller, and add its plan and its predictions."""
         constant = self._thermal_model.torque_constant
         moment = self._expected.torques(target.q, target.qd, target.qdd)
         power = truth.torque * truth.qd + self._thermal_model.resistance * truth.current**2

@@ -17,16 +17,20 @@ GRAVITY = 9.81
 """m/s²."""
 CABLE_ON_FOREARM: Vector = (0.12, 0.0, 0.10)
 CABLE_ON_FLANGE: Vector = (0.05, 0.0, -0.01)
-"""Where the hidden cable is tied: m, in the frames of link 3 (from 1) and of the flange."""
+"""Ends of the hidden cable, m, in the frames of link 3 (from 1) and of the flange."""
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What the arm carries and how it stands, beside its links.
+    """Payload, tilt of the base, and cable.
 
-    ``mass`` kg at ``centre`` m (in the flange's frame, a point); the base is rolled about its x axis
-    and then pitched about the y axis of the floor, rad; a cable of ``cable_length`` m and
-    ``cable_stiffness`` N/m between forearm and flange pulls once it is taut.
+    Attributes:
+        mass: Mass of the payload, a point, kg.
+        centre: Its position in the flange's frame, m.
+        roll: Roll of the base about its x axis, rad, before
+        pitch: its pitch about the y axis of the floor, rad.
+        cable_stiffness: Stiffness of a cable between forearm and flange, N/m.
+        cable_length: Length above which the cable is taut, m.
     """
 
     mass: float = 0.0
@@ -38,7 +42,7 @@ class Load:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Load:
-        """Pick it out of a plant's parameters."""
+        """Take it from the parameters of a plant."""
         return cls(
             mass=values.get("payload.mass", 0.0),
             centre=(
@@ -84,7 +88,7 @@ class RigidBody:
     def accelerations(self, q: FloatArray, qd: FloatArray, torque: FloatArray) -> FloatArray:
         """Return the joint accelerations (6,) rad/s² under joint torques (6,) N·m, armature included.
 
-        The array is the engine's own and holds until the next call.
+        The array belongs to the engine and is valid until the next call.
         """
         self.data.qpos[:] = q
         self.data.qvel[:] = qd
@@ -103,7 +107,7 @@ def physics_engine() -> Any:
 
 
 def to_mjcf(links: Links, load: Load) -> str:
-    """Return the arm as an MJCF document, one body a link, in the frames of the table of links."""
+    """Return the arm as an MJCF document, one body per link."""
     children = _payload(load) + _site("flange", CABLE_ON_FLANGE)
     for number in reversed(range(JOINTS)):
         site = _site("forearm", CABLE_ON_FOREARM) if number == 2 else ""
@@ -117,7 +121,10 @@ def to_mjcf(links: Links, load: Load) -> str:
 
 
 def _body(number: int, link: Link, children: str) -> str:
-    """One link: its frame seen from the one before at angle zero, its hinge there, its inertia here."""
+    """Return a link with its children.
+
+    Its frame relative to the previous one at angle zero, hinge and inertia.
+    """
     c, s = cos(link.alpha), sin(link.alpha)
     hinge = (-link.a, -link.d * s, -link.d * c)
     turned = (cos(link.alpha / 2), sin(link.alpha / 2), 0.0, 0.0)

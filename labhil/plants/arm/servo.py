@@ -1,7 +1,7 @@
-"""How the joints follow what the controller plans, and the plan between its rows.
+"""The servo: how the joints follow a plan, and the plan between its rows.
 
 The servo feeds position and velocity forward, not acceleration: its error e = q − q_plan obeys
-ë = −ω²·e − 2ω·ė − q̈_plan. With q̈_plan on a straight line between two samples that is solved exactly.
+ë = −ω²·e − 2ω·ė − q̈_plan. With q̈_plan linear between two samples the solution is exact.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ class Motion:
 
     @classmethod
     def empty(cls, t: FloatArray) -> Motion:
-        """Room for a motion at the times ``t``."""
+        """Allocate a motion at the times ``t``."""
         shape = (len(t), JOINTS)
         return cls(t, np.empty(shape), np.empty(shape), np.empty(shape))
 
     def at(self, t: FloatArray) -> Motion:
-        """Return the motion at other times (m,): cubics between the rows, steady acceleration beyond them."""
+        """Return the motion at other times (m,): cubics between the rows, constant acceleration outside."""
         if np.array_equal(t, self.t):
             return self
         row = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
@@ -65,14 +65,17 @@ def cubic(
 def cubic_slope(
     y0: FloatArray, slope0: FloatArray, y1: FloatArray, slope1: FloatArray, s: FloatArray, span: FloatArray
 ) -> FloatArray:
-    """Return the slope of that cubic."""
+    """Return the slope of the cubic of :func:`cubic`."""
     u = s / span
     ends = (1.0 - u) * (1.0 - 3.0 * u) * slope0 + u * (3.0 * u - 2.0) * slope1
     return np.asarray(6.0 * u * (1.0 - u) * (y1 - y0) / span + ends)
 
 
 class ServoState(NamedTuple):
-    """What the servo remembers, (6,) each: its error rad and that error's rate, the planned acceleration."""
+    """State of the servo, (6,) each.
+
+    Its error rad, the rate of the error, and the last planned acceleration.
+    """
 
     error: FloatArray
     rate: FloatArray
@@ -80,7 +83,7 @@ class ServoState(NamedTuple):
 
     @classmethod
     def steady(cls, qdd: FloatArray, bandwidth: float) -> ServoState:
-        """The servo that has followed a steady acceleration (6,) for long."""
+        """Return the steady state under a constant acceleration (6,)."""
         return cls(-qdd / bandwidth**2, np.zeros(JOINTS), qdd.copy())
 
 
@@ -106,7 +109,7 @@ def follow_plan(
     out_qd: FloatArray,
     out_qdd: FloatArray,
 ) -> None:
-    """Walk the servo's error through all rows, in place; see ``track``."""
+    """Advance the servo's error through all rows, in place; see ``track``."""
     for i in range(h.size):
         decay = math.exp(-w * h[i])
         for j in range(q.shape[1]):
