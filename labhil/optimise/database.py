@@ -1,4 +1,4 @@
-"""The simulated runs as a database of force curves, interpolated between them.
+"""Interpolate the force curves of simulated designs.
 
 The interpolation goes through every simulated curve: cubic radial functions on top of a full quadratic in
 the five parameters, each scaled to its bounds, position by position. (The text interpolates "the median
@@ -18,7 +18,7 @@ from labhil.optimise.objectives import largest_force, rms_slope
 from labhil.signals import FloatArray
 
 MIN_DISTANCE = 0.01
-"""Of the ranges: designs nearer than this would make the interpolation ill-conditioned."""
+"""Least distance of designs, in ranges: closer ones would make the interpolation ill-conditioned."""
 
 if TYPE_CHECKING:
     from scipy.interpolate import RBFInterpolator
@@ -38,15 +38,15 @@ class Database:
         return _interpolant(self.designs, self.curves)
 
     def interpolate(self, designs: FloatArray) -> FloatArray:
-        """Force curves (k, m) in N of designs (k, 5) in m and rad, by interpolation."""
+        """Interpolate the force curves (k, m), N, of designs (k, 5), m and rad."""
         return np.asarray(self._interpolant(to_unit_box(designs)))
 
     def extend(self, designs: FloatArray, curves: FloatArray) -> Database:
-        """A database with these designs (k, 5) and curves (k, m) as well."""
+        """Return a database with these designs (k, 5) and curves (k, m) in addition."""
         return Database(np.vstack([self.designs, designs]), np.vstack([self.curves, curves]))
 
     def leave_one_out(self) -> FloatArray:
-        """(n, m): each simulated curve as the others would have it."""
+        """Interpolate each simulated curve from the others, (n, m)."""
         rows = np.arange(len(self.curves))
         predicted = [
             _interpolant(self.designs[rows != n], self.curves[rows != n])(
@@ -59,7 +59,7 @@ class Database:
 
 @dataclass(frozen=True, slots=True)
 class InterpolationError:
-    """How far interpolation is from the circuit at designs that it has not seen."""
+    """Error of the interpolation at designs that are not in the database."""
 
     designs: int
     curve_rms: float
@@ -75,7 +75,7 @@ class InterpolationError:
 
 
 def select_distinct(candidates: FloatArray, known: FloatArray, distance: float = MIN_DISTANCE) -> FloatArray:
-    """The candidates (k, 5) that are not within ``distance`` (of the ranges) of a known or earlier one."""
+    """Select the candidates (k, 5) farther than ``distance`` (in ranges) from all known and earlier ones."""
     kept, new = list(to_unit_box(known)), []
     for candidate, point in zip(candidates, to_unit_box(candidates), strict=True):
         if not kept or np.min(np.linalg.norm(np.array(kept) - point, axis=1)) > distance:
@@ -85,12 +85,12 @@ def select_distinct(candidates: FloatArray, known: FloatArray, distance: float =
 
 
 def to_unit_box(designs: FloatArray) -> FloatArray:
-    """Designs (n, 5) in m and rad as shares of Table A.2's ranges, 0 to 1."""
+    """Scale designs (n, 5), m and rad, to the ranges of Table A.2, 0 to 1."""
     return np.asarray((designs - LOWER) / (UPPER - LOWER))
 
 
 def interpolation_error(database: Database, designs: FloatArray, curves: FloatArray) -> InterpolationError:
-    """Compare with the circuit's curves (n, m) at designs (n, 5)."""
+    """Compare the database with the circuit's curves (n, m) at designs (n, 5)."""
     predicted = database.interpolate(designs)
     error = predicted - curves
     return InterpolationError(

@@ -1,4 +1,4 @@
-"""The same solenoid in a field solver: axisymmetric magnetostatics by finite elements (scikit-fem).
+"""Check of the circuit by a field solver: axisymmetric magnetostatics by finite elements (scikit-fem).
 
 With the azimuthal vector potential A the field is B = (−∂A/∂z, ∂A/∂r + A/r); it makes
 
@@ -9,7 +9,7 @@ quadrilaterals whose lines follow every edge of :mod:`labhil.optimise.geometry`,
 force is that of virtual work: Maxwell's stress against the gradient of a harmonic function that is 1 on
 the plunger and 0 on all other steel, which is smoother than the stress on any one surface.
 
-Nothing is shared with the equivalent circuit but the dimensions and the steel.
+It shares the dimensions and the steel with the equivalent circuit, and nothing else.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from labhil.signals import FloatArray
 
 MAX_STEPS = 60
 TOLERANCE = 1e-10
-"""Of the energy, relative, at which Newton's method ends."""
+"""Relative change of the energy at which Newton's method ends."""
 VANISHING = 1e-9
-"""T; below it the steel is linear."""
+"""Flux density, T, below which the steel is linear."""
 FINENESS = 1.0
-"""Of the grids of :func:`solve_solenoid`: one three times as fine changes forces by 0.1 to 0.3 %."""
+"""Refinement of the grid of :func:`solve_solenoid`; three times as fine changes forces by 0.1 to 0.3 %."""
 
 
 def load_skfem() -> ModuleType:
-    """The field solver's library; MissingExtraError when it is not installed."""
+    """Import the field solver; MissingExtraError when it is not installed."""
     module: ModuleType = load_optional("skfem", "the check against a field solver")
     return module
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A field that satisfies Ampère's law."""
+    """Solution of the field problem."""
 
     coenergy: float
     """J, of the whole section turned around the axis."""
@@ -66,16 +66,29 @@ def solve_solenoid(
     steel: Steel = FREE_CUTTING,
     fineness: float = FINENESS,
 ) -> Solution:
-    """The field of a design (5,) in m and rad at ``x`` m and ``current`` A.
+    """Solve for the field of a solenoid.
 
-    A solution's force counts towards +z, away from the pole piece. Errors: MissingExtraError; UsageError
-    for designs far out of Table A.2's bounds; RunError where Newton's method does not end.
+    Args:
+        design: Design (5,), m and rad.
+        x: Position of the plunger, m.
+        current: Coil current, A.
+        housing: Fixed dimensions.
+        steel: Magnetisation curve.
+        fineness: Refinement of the grid.
+
+    Returns:
+        The solution; its force counts towards +z, away from the pole piece.
+
+    Raises:
+        MissingExtraError: scikit-fem is not installed.
+        UsageError: The design is far outside of Table A.2's bounds.
+        RunError: Newton's method does not converge.
     """
     return FieldProblem(solenoid(check_designs(design)[0], x, current, housing, fineness), steel).solve()
 
 
 class FieldProblem:
-    """One section with one steel, ready to be solved."""
+    """The finite element problem of a section with one steel."""
 
     def __init__(self, section: Section, steel: Steel) -> None:
         library = load_skfem()
@@ -92,7 +105,7 @@ class FieldProblem:
 
     @cached_property
     def fixed_unknowns(self) -> Any:
-        """Numbers of the unknowns that are held at zero."""
+        """Numbers of the unknowns that are zero."""
         location = self.basis.doflocs
         is_fixed = location[0] < 1e-12
         if self.section.closed:
@@ -102,7 +115,7 @@ class FieldProblem:
         return np.flatnonzero(is_fixed)
 
     def solve(self) -> Solution:
-        """Newton's method from a field of zero; RunError when it does not end."""
+        """Solve by Newton's method from a zero field; RunError where it does not converge."""
         A = np.zeros(self.basis.N)
         B = self.flux_density(A)
         energy = self.energies(A, B)[0]
@@ -118,12 +131,12 @@ class FieldProblem:
         raise RunError(f"field solver: expected Newton's method to end in {MAX_STEPS} steps, it did not")
 
     def flux_density(self, A: FloatArray) -> FloatArray:
-        """(2, cells, points): radial and axial component of B in T."""
+        """Return the radial and axial component of B (2, cells, points), T."""
         field = self.basis.interpolate(A)
         return np.stack([-field.grad[1], field.grad[0] + np.asarray(field) / self.r])
 
     def energies(self, A: FloatArray, B: FloatArray) -> tuple[float, float]:
-        """What the field minimises, ∫ w − J·A, and the coenergy ∫ ∫ B dH, both in J."""
+        """Return ∫ w − J·A, which the field minimises, and the coenergy ∫ ∫ B dH, both in J."""
         magnitude = np.hypot(B[0], B[1])
         H, _, stored = magnetisation_all(magnitude, self.steel)
         air = magnitude**2 / (2.0 * MU0)
@@ -133,7 +146,7 @@ class FieldProblem:
         return float(np.sum((energy - driven) * self.weight)), float(np.sum(coenergy * self.weight))
 
     def force(self, B: FloatArray) -> float:
-        """Force in N along +z on the moving cells, by virtual work in the air around them."""
+        """Return the force (N) along +z on the moving cells, by virtual work in the air around them."""
         g = self.basis.interpolate(self._virtual_displacement()).grad
         pull = B[0] * B[1] * g[0] + 0.5 * (B[1] ** 2 - B[0] ** 2) * g[1]
         return -float(np.sum(np.where(self.is_steel, 0.0, pull / MU0) * self.weight))
@@ -173,7 +186,7 @@ class FieldProblem:
     def _advance(
         self, A: FloatArray, direction: FloatArray, decrement: float, energy: float
     ) -> tuple[FloatArray, FloatArray, float]:
-        """One step along the direction, halved until the energy falls."""
+        """Step along the direction, halved until the energy decreases."""
         step = 1.0
         while step > 1e-6:
             trial = A - step * direction
@@ -185,7 +198,7 @@ class FieldProblem:
         raise RunError("field solver: no step lowers the energy any further, and it has not settled")
 
     def _virtual_displacement(self) -> FloatArray:
-        """The harmonic function that is 1 on the moving cells, 0 on the other steel and on the edges."""
+        """Solve for the harmonic function that is 1 on the moving cells, 0 on other steel and the edges."""
         library = load_skfem()
 
         def stiffness(u: Any, v: Any, w: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Which 55 designs are simulated: five parameters at the five levels of Table A.2.
+"""Choose the 55 designs to simulate: five parameters at the five levels of Table A.2.
 
 The reference text says 55 simulations "for different combinations" and no more. Ours are:
 
@@ -6,7 +6,7 @@ The reference text says 55 simulations "for different combinations" and no more.
   centre (what Figures A.4 to A.8 show);
 - 25 of an orthogonal array of strength two: every pair of levels of every pair of parameters occurs
   exactly once (columns a, b, a+b, a+2b, a+3b over the integers modulo 5; the seed renames the levels);
-- 8 corners of a quarter of the 2⁵ factorial, so that the bounds, where optima like to lie, are held;
+- 8 corners of a quarter of the 2⁵ factorial, for optima at the bounds;
 - the original design of Table A.3.
 """
 
@@ -24,7 +24,7 @@ COUNT = 55
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Designs to simulate, and why each is among them."""
+    """Designs to simulate, and the reason for each."""
 
     designs: FloatArray
     """(55, 5) in m and rad."""
@@ -33,7 +33,7 @@ class Runs:
 
 
 def design_runs(seed: int = 0) -> Runs:
-    """The 55 distinct runs; the seed decides which levels the orthogonal array combines."""
+    """Return the 55 distinct runs; the seed permutes the levels of the orthogonal array."""
     rng = np.random.default_rng(seed)
     fixed = np.vstack([_axis_points(), _corners(), _nearest_levels(ORIGINAL)])
     while True:

@@ -1,4 +1,4 @@
-"""The study as tables that a person reads in a terminal."""
+"""Print the study as tables."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 MIN_SHOWN_ERROR = 0.1
-"""A promise of the interpolation that misses the circuit by more than this is printed."""
+"""Error of the interpolated optimum's CF above which it is printed."""
 
 
 def show(study: Optimisation, console: Console) -> None:
@@ -50,7 +50,7 @@ def _table(title: str) -> Table:
 
 
 def _candidate_table(study: Optimisation) -> Table:
-    table = _table("Designs, and what the magnetic circuit says of them (450 turns, 2.7 A, stroke 5 mm)")
+    table = _table("Designs, by the magnetic circuit (450 turns, 2.7 A, stroke 5 mm)")
     table.add_column("design", no_wrap=True)
     for parameter in PARAMETERS:
         table.add_column(f"{parameter.symbol}, {parameter.shown_unit}", justify="right", no_wrap=True)
@@ -86,8 +86,8 @@ def _conclusions(study: Optimisation) -> Iterator[str]:
     error = study.interpolation
     if abs(missed) > MIN_SHOWN_ERROR:
         yield (
-            f"The optimum of the interpolated database is promised CF {study.predicted_cost:.2f} and gets "
-            f"{interpolated.cost:.2f} from the circuit: an optimiser goes where the interpolation errs."
+            f"The optimum of the interpolated database has CF {study.predicted_cost:.2f} by interpolation, "
+            f"and {interpolated.cost:.2f} by the circuit: an optimiser moves to errors of the interpolation."
         )
     yield (
         f"Interpolation between the 55 runs, at {error.designs} designs it has not seen: "
@@ -143,7 +143,7 @@ def _field_table(field: FieldCheck) -> Table:
 
 
 def circuit_curve(field: FieldCheck, name: str) -> FloatArray:
-    """The circuit's forces (m,) in N of a candidate at full current."""
+    """Return the circuit's forces (m,), N, of a candidate at full current."""
     return np.array([p.circuit for p in field.points if p.candidate == name][:-1])
 
 

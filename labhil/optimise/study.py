@@ -140,7 +140,7 @@ class Optimisation:
         return next(candidate for candidate in self.candidates if candidate.name == name)
 
     def flattest_with_force_of(self, candidate: Candidate) -> int:
-        """Return the row of ``evaluated`` with the smallest slope among those with at least the candidate's force."""
+        """Return the row of ``evaluated`` with the least slope among those with the candidate's force."""
         strong = self.scores[:, 0] >= candidate.scores[0] - 1e-9
         return int(np.argmax(np.where(strong, self.scores[:, 1], -np.inf)))
 
@@ -282,9 +282,9 @@ def _refine(
     """Search the best design (5,) with runs of the circuit wherever swarms on the database end.
 
     The database starts with the 55 runs and the best other designs of the circuit. In each round swarms
-    maximise CF and criteria along the Pareto front. Their optima and random designs near the best ones, nearer
-    with every round, are run and enter the database, which corrects the errors of the interpolation there. A
-    simplex search on the circuit ends the search.
+    maximise CF and criteria along the Pareto front. Their optima and random designs near the best ones,
+    nearer with every round, are run and enter the database, which corrects the errors of the interpolation
+    there. A simplex search on the circuit ends the search.
     """
     best_known = circuit.designs()[
         np.argsort(-(_cost(objectives(circuit.all_curves()))))[: options.best_known]

@@ -1,4 +1,4 @@
-"""The reference text's particle swarm for a function that evaluates many designs at once."""
+"""Maximise a function that evaluates many designs at once by the reference text's particle swarm."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Function = Callable[[FloatArray], FloatArray]
 
 @dataclass(frozen=True, slots=True)
 class SwarmResult:
-    """Where a swarm ended."""
+    """The optimum of a swarm."""
 
     best: FloatArray
     """(k,)."""
@@ -24,7 +24,7 @@ class SwarmResult:
 
 
 class _BatchEvaluator(CostEvaluator):
-    """An evaluator whose populations are evaluated in one call."""
+    """An evaluator that evaluates a population in one call."""
 
     def __init__(self, costs: Function, box: Box, budget: Budget) -> None:
         super().__init__(lambda z: float(costs(z[None, :])[0]), box, budget)
@@ -39,9 +39,17 @@ class _BatchEvaluator(CostEvaluator):
 def maximise(
     function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int
 ) -> SwarmResult:
-    """The largest value of ``function`` ((n, k) → (n,)) between the bounds (k,) that the swarm comes upon.
+    """Maximise a function by the swarm of equations 3.1 to 3.3, ten particles per dimension.
 
-    The swarm is that of equations 3.1 to 3.3, with ten particles per dimension and walls at the bounds.
+    Args:
+        function: Points (n, k) to values (n,).
+        lower: Lower bounds (k,).
+        upper: Upper bounds (k,).
+        seed: Seed of the swarm.
+        iterations: Number of iterations.
+
+    Returns:
+        The best point and its value.
     """
     budget = Budget(PARTICLES_PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
     evaluator = _BatchEvaluator(lambda X: -function(X), Box(lower, upper), budget)

@@ -11,9 +11,9 @@ each one holds is kept until it yields: the hysteresis remembers every turning p
 wiped out. One thing is added: an element that slips is loaded no faster than one that sticks. A part that
 slows down would else be given energy, since the level rises and the attraction does not wait for the way.
 
-The elements are the last ``N_ELEMENT_STATES`` of a part's states: their forces (N), then for each the side
-(±1) towards which it slips, or 0, and last the level's sum over time (N·s), of which the rate is the level at a step's
-end. Quantities of a rotor are N·m and rad.
+The elements are the last ``N_ELEMENT_STATES`` of a part's states: their forces (N); then for each the side
+(±1) towards which it slips, or 0; and last the integral of the level over time (N·s), whose rate is the level
+at the end of a step. Quantities of a rotor are N·m and rad.
 """
 
 from __future__ import annotations
