@@ -76,10 +76,10 @@ class InterpolationError:
 
 def select_distinct(candidates: FloatArray, known: FloatArray, distance: float = MIN_DISTANCE) -> FloatArray:
     """Select the candidates (k, 5) farther than ``distance`` (in ranges) from all known and earlier ones."""
-    kept, new = list(to_unit_box(known)), []
+    selected, new = list(to_unit_box(known)), []
     for candidate, point in zip(candidates, to_unit_box(candidates), strict=True):
-        if not kept or np.min(np.linalg.norm(np.array(kept) - point, axis=1)) > distance:
-            kept.append(point)
+        if not selected or np.min(np.linalg.norm(np.array(selected) - point, axis=1)) > distance:
+            selected.append(point)
             new.append(candidate)
     return np.array(new).reshape(-1, candidates.shape[1])
 

@@ -76,8 +76,8 @@ def pareto_front(values: FloatArray, apart: float = 0.0) -> NDArray[np.intp]:
     second = values[order, 1]
     before = np.concatenate([[-np.inf], np.maximum.accumulate(second)[:-1]])
     front = order[second > before]
-    kept = [front[0]]
+    rows = [front[0]]
     for row in front[1:]:
-        if np.linalg.norm(values[row] - values[kept[-1]]) >= apart:
-            kept.append(row)
-    return np.array(kept)
+        if np.linalg.norm(values[row] - values[rows[-1]]) >= apart:
+            rows.append(row)
+    return np.array(rows)

@@ -125,9 +125,9 @@ def _motion(chain: Chain) -> tuple[FloatArray, FloatArray]:
 def _rotor_equivalents(chain: Chain) -> FloatArray:
     """Estimable parameters that act like a rotor's inertia, (P, n); 0 where none does."""
     columns, rotors = _motion(chain)
-    kept = columns[:, list(group_parameters(chain).kept)]
-    shares_of_rotor = np.linalg.lstsq(kept, rotors, rcond=1e-10)[0]
-    residual = np.linalg.norm(rotors - kept @ shares_of_rotor, axis=0) / np.linalg.norm(rotors, axis=0)
+    estimable = columns[:, list(group_parameters(chain).kept)]
+    shares_of_rotor = np.linalg.lstsq(estimable, rotors, rcond=1e-10)[0]
+    residual = np.linalg.norm(rotors - estimable @ shares_of_rotor, axis=0) / np.linalg.norm(rotors, axis=0)
     return np.where(residual < ROTOR_TOLERANCE, shares_of_rotor, 0.0)
 
 
@@ -144,8 +144,10 @@ def _fit_bodies(
     columns, _ = _motion(chain)
     torque = float(np.sqrt(np.mean((columns @ initial) ** 2)))
     # the weight of a change of an estimable parameter is the torque that it makes
-    kept = columns[:, list(group_parameters(chain).kept)] / (LOAD_TOLERANCE * torque * np.sqrt(len(columns)))
-    r = np.linalg.qr(kept, mode="r")
+    estimable = columns[:, list(group_parameters(chain).kept)] / (
+        LOAD_TOLERANCE * torque * np.sqrt(len(columns))
+    )
+    r = np.linalg.qr(estimable, mode="r")
     lower = np.tril_indices(4)
 
     def bodies(z: FloatArray) -> tuple[FloatArray, FloatArray]:
