@@ -1,6 +1,6 @@
 """The model of a user's own simulator with all effects of the catalogue (a ``physics.model.Model``).
 
-``tables`` evaluates simulators that cannot be compiled, ``laws`` compiles the others, ``confounded`` compares
+``right_hand_side`` evaluates the simulator, ``confounded`` compares
 the sensitivities of parameters and effects.
 """
 
@@ -10,12 +10,12 @@ import copy
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics import sliding, tabulated
+from labhil.physics import sliding
 from labhil.physics.at_port import Course, Pushes
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
@@ -28,10 +28,11 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray
 from labhil.simulators.catalogue import Sizes, catalogue, velocities_of
 from labhil.simulators.confounded import find_confounded, find_dependent
-from labhil.simulators.laws import Kernels, compile_kernels
+from labhil.simulators.laws import Kernels
 from labhil.simulators.probing import find_dead_parameters
-from labhil.simulators.stepped import NonSmooth, SteppedSimulator
-from labhil.simulators.tables import OperatingRange, TableShape, fill_table
+from labhil.simulators.right_hand_side import LocalDynamics, RightHandSide, kernels_of
+from labhil.simulators.stepped import SteppedSimulator
+from labhil.simulators.tables import OperatingRange
 
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
@@ -45,51 +46,17 @@ class SimulatorOptions:
         initial_time: Length of the straight line that gives the first state of a window, s.
         n_operating_points: Samples of the recording at which the right-hand side is linearised.
         min_horizon_samples: Shortest scored horizon in samples.
-        max_deviation: Deviation of a simulator's own steps from the fitted simulation, relative to the
-        motion,
-            above which a note states it.
-        difference: Step of the difference quotients of the right-hand side, SI.
-        cache_size: Sets of parameter values whose linearisations (and tables) are kept.
+        max_deviation: Deviation of a simulator's own steps from the fitted simulation above which a note
+            states it, relative to the motion.
     """
 
     initial_time: float = 0.05
     n_operating_points: int = 12
     min_horizon_samples: int = 40
     max_deviation: float = 0.1
-    difference: float = 1e-4
-    cache_size: int = 32
 
 
 OPTIONS = SimulatorOptions()
-_KERNELS: dict[int, tuple[Simulator, Kernels]] = {}
-
-
-def kernels_of(simulator: Simulator) -> Kernels:
-    """Return the kernels of a simulator, compiled once in a process; all stepped ones share theirs."""
-    if simulator.stepped is not None:
-        return Kernels(tabulated.look_up, tabulated.pulls, tabulated.run, tabulated.run_pushed)
-    entry = _KERNELS.get(id(simulator.f))
-    if entry is None or entry[0].f is not simulator.f or entry[0].states != simulator.states:
-        entry = _KERNELS[id(simulator.f)] = (simulator, compile_kernels(simulator))
-    return entry[1]
-
-
-class LocalDynamics(NamedTuple):
-    """The right-hand side at some values of its parameters.
-
-    Attributes:
-        values: The simulator at these values, as the kernels take it.
-        gain: Acceleration per unit of the input.
-        inertia: Generalised force per acceleration.
-        stiffness: Largest |∂f/∂x| at the operating points, 1/s².
-        damping: Largest |∂f/∂v| at the operating points, 1/s.
-    """
-
-    values: Any
-    gain: float
-    inertia: float
-    stiffness: float
-    damping: float
 
 
 class SimulatorModel:
@@ -124,11 +91,8 @@ class SimulatorModel:
         self.columns = [list(simulator.states).index(name) for name in simulator.outputs]
         self._velocity_column = self.columns.index(1) if 1 in self.columns else None
         self._path = InputPath()
-        self._cached_dynamics: dict[tuple[float, ...], LocalDynamics] = {}
-        self._operating_points = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
-        self._non_smooth = NonSmooth() if simulator.stepped is None else simulator.stepped.non_smooth
-        self._range = OperatingRange()
-        self._shape: TableShape | None = None
+        self._right_hand_side = RightHandSide(simulator)
+        self._non_smooth = self._right_hand_side.non_smooth
         parameters = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
         self._set_terms(parameters, {}, Sizes())
         self._scale_to(parameters, record)
@@ -153,8 +117,7 @@ class SimulatorModel:
             sizes = Sizes.of(record, self._velocity_column, dynamics.inertia, dynamics.gain)
             rows = np.linspace(0, len(record) - 2, self._options.n_operating_points).astype(int)
             initial = self.initial_states(record, Windows.of([(r, min(r + 8, len(record))) for r in rows]))
-            self._operating_points = np.column_stack([initial, record.inputs[rows, 0]])
-            self._cached_dynamics.clear()
+            self._right_hand_side.set_operating_points(np.column_stack([initial, record.inputs[rows, 0]]))
             period = (
                 2.0 * np.pi / float(np.sqrt(max(self._dynamics(start_values(parameters)).stiffness, 1e-12)))
             )
@@ -174,11 +137,10 @@ class SimulatorModel:
         speeds = np.concatenate(
             [velocities_of(recording, self._velocity_column) for recording in record.recordings()]
         )
-        self._range = OperatingRange.along(
-            positions, speeds, record.inputs[:, 0], record.max_horizon, self._non_smooth.clip
+        inputs, clip = record.inputs[:, 0], self._non_smooth.clip
+        self._right_hand_side.set_range(
+            OperatingRange.along(positions, speeds, inputs, record.max_horizon, clip)
         )
-        self._shape = None
-        self._cached_dynamics.clear()
 
     def _examine(self, parameters: tuple[Parameter, ...], record: Record) -> None:
         """Fix parameters that have no effect of their own, and exclude effects that cannot be observed."""
@@ -316,42 +278,8 @@ class SimulatorModel:
         return kernels_of(self.simulator)
 
     def _dynamics(self, theta: FloatArray) -> LocalDynamics:
-        """Linearise at these values, with a cache: most simulations change parameters of effects alone."""
-        names = self.simulator.parameters
-        own_values = tuple(self._values.of(theta, name) for name in names) or (0.0,)
-        dynamics = self._cached_dynamics.get(own_values)
-        if dynamics is None:
-            if len(self._cached_dynamics) >= self._options.cache_size:
-                self._cached_dynamics.clear()
-            dynamics = self._cached_dynamics[own_values] = self._linearise(own_values)
-        return dynamics
-
-    def _linearise(self, own_values: tuple[float, ...]) -> LocalDynamics:
-        p, f = self._kernel_parameters(own_values), self._kernels.acceleration
-        gain = f(0.0, 0.0, 1.0, p) - f(0.0, 0.0, 0.0, p)
-        inertia, h = self._stated_inertia(own_values), self._options.difference
-        stiffness = damping = 0.0
-        for x, v, u in self._operating_points.tolist():
-            acceleration = f(x, v, u, p)
-            stiffness = max(stiffness, abs(f(x + h, v, u, p) - acceleration) / h)
-            damping = max(damping, abs(f(x, v + h, u, p) - acceleration) / h)
-        effective_inertia = abs(inertia) if inertia is not None else 1.0 / max(abs(gain), 1e-12)
-        return LocalDynamics(p, gain, effective_inertia, stiffness, damping)
-
-    def _stated_inertia(self, own_values: tuple[float, ...]) -> float | None:
-        if self.simulator.stepped is not None:
-            return self.simulator.stepped.inertia(own_values)
-        name = self.simulator.coordinate.inertia
-        return dict(zip(self.simulator.parameters, own_values, strict=False)).get(name)
-
-    def _kernel_parameters(self, own_values: tuple[float, ...]) -> Any:
-        """Return the simulator at these values, in the form that the kernels take."""
-        if self.simulator.stepped is None:
-            return self.simulator.records[2](*own_values)
-        acceleration = self.simulator.stepped.acceleration_at(own_values)
-        if self._shape is None:
-            self._shape = TableShape.of(acceleration, self._range, self.kind, self._non_smooth.rounding)
-        return fill_table(acceleration, self._range, self._shape, self._non_smooth.clip)
+        numbers = tuple(self._values.of(theta, name) for name in self.simulator.parameters) or (0.0,)
+        return self._right_hand_side.at(numbers)
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:
         """Return the argument of the kernels and the total inertia."""
