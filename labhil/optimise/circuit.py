@@ -174,10 +174,7 @@ def _set_drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) 
 def _cell_ring(
     column: int, middle: float, front: float, design: FloatArray, housing: Housing
 ) -> tuple[float, float, bool]:
-    """Return inner and outer radius (m) of a column at the height ``middle``.
-
-    And whether it is steel there.
-    """
+    """Return inner and outer radius (m) of a column at height ``middle``, and whether it is steel there."""
     inside = design[0] + housing.clearance
     outside = inside + housing.wall
     if column == CASING:

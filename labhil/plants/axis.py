@@ -199,10 +199,7 @@ def passive_force(x: float, m: Carriage) -> float:
 
 @compiled
 def applied_force(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tuple[float, float, float]:
-    """Return the force without friction (N).
-
-    Additional dry friction (N), and the factor of viscous friction.
-    """
+    """Return force without friction (N), additional dry friction (N), and the factor of viscous friction."""
     x, v = s[X], s[V]
     force = u + passive_force(x, m)
     rates[LOAD_X], rates[LOAD_V] = 0.0, 0.0

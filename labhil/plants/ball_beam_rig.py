@@ -1,7 +1,4 @@
-"""The simulated ball and beam with the interface of the other plants.
-
-Named signals, coloured noise, jitter.
-"""
+"""The simulated ball and beam as a plant like the others: named signals, coloured noise, jitter."""
 
 from __future__ import annotations
 

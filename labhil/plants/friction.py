@@ -82,7 +82,7 @@ def side_of(v: float) -> float:
 def dry_level(x: float, speed: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the dry friction (N) of a part at x (m) that moves towards ``side``; never negative.
 
-    ``extra_level`` (N) is a rig's own: what grows with a load, or sticks at a place.
+    ``extra_level`` (N) is friction of the rig: by a load, or of a sticky patch.
     """
     level = f.coulomb + side * f.asymmetric_level + f.slope * x + extra_level
     if f.stribeck != 0.0:

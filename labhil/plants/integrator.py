@@ -99,10 +99,7 @@ class Body(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Work arrays: the stages (7.
-
-    N), the end of a step (n,), and the largest sizes of the states so far (n,).
-    """
+    """Work arrays: stages (7, n), end of a step (n,), and largest sizes of the states so far (n,)."""
 
     stages: FloatArray
     end: FloatArray
@@ -115,10 +112,7 @@ def applied_force(s: FloatArray, u: float, m: Any, rates: FloatArray) -> tuple[f
 
 
 def update_memory(s: FloatArray, u: float, m: Any) -> None:
-    """Placeholder that :func:`compile_integrator` replaces by the memory of a rig.
-
-    Updated after every step.
-    """
+    """Placeholder that :func:`compile_integrator` replaces by the update of a rig's memory after a step."""
 
 
 @compiled

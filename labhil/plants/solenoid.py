@@ -132,10 +132,7 @@ def field_of(s: FloatArray, u: float, m: Plunger) -> float:
 
 @compiled
 def applied_force(s: FloatArray, u: float, m: Plunger, rates: FloatArray) -> tuple[float, float, float]:
-    """Return the force without friction (N).
-
-    Additional dry friction (N), and the factor of viscous friction.
-    """
+    """Return force without friction (N), additional dry friction (N), and the factor of viscous friction."""
     x, v = s[X], s[V]
     rates[TURNED] = 0.0
     rates[EDDY] = (turn_magnet(s[TURNED], u, m.width) - s[EDDY]) / m.eddy if m.eddy > 0.0 else 0.0

@@ -53,10 +53,7 @@ class ArmWriter(Protocol):
         ...
 
     def stiffen(self, joint: int) -> bool:
-        """Make dry friction as firm as the time step allows.
-
-        False where the format has no attribute for that.
-        """
+        """Make dry friction as firm as the time step allows; False where the format has no attribute."""
         ...
 
 

@@ -57,7 +57,7 @@ class ArmFileRun(ArmFileModel):
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Return the outputs of the joints, (N, n).
 
-        The measured ones where a joint rests, which is not scored.
+        Where a joint rests, which is not scored, these are the measured outputs.
         """
         assert isinstance(record, PreparedRecord)
         parts = [self._outputs_of(recording) for recording in record.recordings()]

@@ -166,10 +166,7 @@ def _access(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> FmuAccess
 
 
 def _state_variables(file: FmuFile) -> list[Any]:
-    """Return the states that an FMU declares.
-
-    Of a co-simulation without any, the variables that can be set.
-    """
+    """Return the declared states; for a co-simulation without any, the variables that can be set."""
     derivatives = [unknown.variable for unknown in file.description.derivatives]
     declared = [v.derivative for v in derivatives if v is not None and v.derivative is not None]
     if declared or file.kind == MODEL_EXCHANGE:

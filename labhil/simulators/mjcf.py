@@ -179,10 +179,7 @@ def _actuation(model: Any, file: Path, name: str, actuator: int, joint: int) -> 
 def _outputs(
     model: Any, file: Path, names: Names, joint: int, stated: Mapping[str, str] | None
 ) -> tuple[str, str, tuple[str, ...], tuple[int, ...]]:
-    """Return the names of position and velocity.
-
-    Those that are measured, and the numbers of their sensors.
-    """
+    """Return the names of position and velocity, the measured ones, and the numbers of their sensors."""
     velocities = int(load_optional("mujoco", PURPOSE).mjtSensor.mjSENS_JOINTVEL)
     sensors = [s for s in names.sensors if s]
     stated = (

@@ -93,10 +93,7 @@ class MechanismFile:
         return int(self.model.jnt_type[0]) == hinge and (stated[-1] if stated else "degree") == "degree"
 
     def geom_masses(self, body: int) -> list[tuple[float | None, float]]:
-        """Return mass (None where the file has none) and density of each geom of a body.
-
-        In the order of the file.
-        """
+        """Return mass (None where the file has none) and density of each geom of a body in file order."""
         geoms = self._spec.bodies[body].geoms
         return [(None if isnan(float(g.mass)) else float(g.mass), float(g.density)) for g in geoms]
 

@@ -1,7 +1,6 @@
 """The model of a user's own simulator with all effects of the catalogue (a ``physics.model.Model``).
 
-``right_hand_side`` evaluates the simulator, ``confounded`` compares
-the sensitivities of parameters and effects.
+``right_hand_side`` evaluates the simulator, ``confounded`` compares sensitivities.
 """
 
 from __future__ import annotations

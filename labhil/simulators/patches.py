@@ -70,10 +70,7 @@ def patch_mjcf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) 
 
 
 def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> dict[str, float]:
-    """Add the extra friction at rest to the dry friction.
-
-    And set friction of the file to 0 that has no value.
-    """
+    """Add extra static friction to the dry friction; friction of the file without a value becomes 0."""
     own_friction = {
         name: 0.0 for field, name in FRICTION_FIELDS.items() if read_value(file.model, field, 0) != 0.0
     }

@@ -1,7 +1,4 @@
-"""Call a simulator at a few states before it is used.
-
-And state what was expected of it and what was found.
-"""
+"""Call a simulator at a few states before it is used, and report what was expected and found."""
 
 from __future__ import annotations
 

@@ -68,10 +68,7 @@ class XmlText:
         return cls(path, content, _elements(path, content))
 
     def inside(self, tag: str, ancestor: str) -> list[Element]:
-        """Return the elements of a tag ("" for all) below an element of another tag.
-
-        In the order of the file.
-        """
+        """Return the elements of a tag ("" for all) below an element of another tag, in file order."""
         return [
             e
             for e in self.elements

@@ -27,10 +27,7 @@ ZERO_TIME = np.zeros(1)
 
 
 class OtherTorques(NamedTuple):
-    """Torques in addition to links and friction, (6,) each.
-
-    Ripple, inertia of the drives kg·m², constant N·m.
-    """
+    """Torques beside links and friction, (6,) each: ripple, inertia of the drives kg·m², constant N·m."""
 
     amplitude: FloatArray
     order: FloatArray

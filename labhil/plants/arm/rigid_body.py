@@ -121,10 +121,7 @@ def to_mjcf(links: Links, load: Load) -> str:
 
 
 def _body(number: int, link: Link, children: str) -> str:
-    """Return a link with its children.
-
-    Its frame relative to the previous one at angle zero, hinge and inertia.
-    """
+    """Return a link with its children: frame at angle zero, hinge and inertia."""
     c, s = cos(link.alpha), sin(link.alpha)
     hinge = (-link.a, -link.d * s, -link.d * c)
     turned = (cos(link.alpha / 2), sin(link.alpha / 2), 0.0, 0.0)

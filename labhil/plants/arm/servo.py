@@ -72,10 +72,7 @@ def cubic_slope(
 
 
 class ServoState(NamedTuple):
-    """State of the servo, (6,) each.
-
-    Its error rad, the rate of the error, and the last planned acceleration.
-    """
+    """State of the servo, (6,) each: error rad, rate of the error, last planned acceleration."""
 
     error: FloatArray
     rate: FloatArray
