@@ -87,7 +87,7 @@ class BallBeamPlant:
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:
-        """Set the ball at rest at ``position`` (m), and the input path to its steady state at ``angle`` (rad)."""
+        """Set the ball at rest at ``position`` (m), and the input path to a steady ``angle`` (rad)."""
         self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position

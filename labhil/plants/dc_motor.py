@@ -96,8 +96,8 @@ def net_torque(s: FloatArray, m: Motor) -> float:
     angle, w = s[X], s[V]
     torque = m.constant * s[CURRENT] - m.load - m.spring * angle
     if m.cogging != 0.0 or m.second != 0.0:
-        angle = m.order * angle + m.phase
-        torque -= m.cogging * math.sin(angle) + m.second * math.sin(2.0 * angle)
+        phase = m.order * angle + m.phase
+        torque -= m.cogging * math.sin(phase) + m.second * math.sin(2.0 * phase)
     if m.magnet != 0.0:
         offset = angle_difference(angle, 0.0) / m.magnet_width
         torque -= m.magnet * offset * math.exp(0.5 - 0.5 * offset * offset)

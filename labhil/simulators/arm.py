@@ -235,7 +235,7 @@ class ArmFileModel(ArmModel):
         return tuple(dict.fromkeys(notes))
 
     def _reversed_joints(self, record: PreparedRecord, *, min_errors: float = 10.0) -> list[int]:
-        """Find joints whose output falls by ``min_errors`` standard errors with the torque of the rigid body."""
+        """Find joints whose output falls with the torque of the rigid body, by ``min_errors`` sigma."""
         torque = self._view(record).rigid(gravity_in_base(), 0.0) @ self.links.begin
         reversed_joints = []
         for joint in range(self.joints):

@@ -167,7 +167,7 @@ def _tree(
 
 
 def _pose(model: Any, body: int, joint_bodies: list[int]) -> tuple[int, FloatArray, FloatArray]:
-    """Return the joint that carries a body (−1: none), and the body's pose in the frame of that joint's body."""
+    """Return the joint that carries a body (−1: none), and the pose in the frame of that joint's body."""
     rotation, place = np.eye(3), np.zeros(3)
     while True:
         turn_of_body = matrix_of(model.body_quat[body])
