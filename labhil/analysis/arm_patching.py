@@ -20,7 +20,7 @@ from labhil.physics.terms import keyed
 from labhil.python_file import module_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.simulators.arm import TORQUE, ArmFileModel, ArmSimulator, arm_simulator
-from labhil.simulators.arm_companion import CompanionValues
+from labhil.simulators.arm_companion import ArmCompanion
 from labhil.simulators.arm_patches import ROTOR, PatchedArm, patch_arm
 from labhil.simulators.arm_run import ArmFileRun, Companion
 from labhil.simulators.xml_text import XmlText
@@ -93,9 +93,9 @@ def repair_arm(
         )
     )
     return Patch(
-        out, code, tuple(candidate.text.changes), tuple(candidate.left), difference(candidate.text, out),
+        out, code, tuple(candidate.text.changes), tuple(candidate.remaining), difference(candidate.text, out),
         source.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints,
-        companion.unheld,
+        companion.unsupported,
     )  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def _score(model: ArmFileModel, theta: np.ndarray, material: Dataset) -> Score:
 
 def _candidate(
     bench: ArmBench, model: ArmFileModel, theta: np.ndarray, values: Mapping[str, float], *, firm: bool
-) -> tuple[PatchedArm, CompanionValues]:
+) -> tuple[PatchedArm, ArmCompanion]:
     """The file with the values, and its companion."""
     inertial, payload = model.inertial_at(theta)
     base_keys = {key for key in values if key.startswith(("grouped_", "torque_constant["))}
@@ -132,12 +132,14 @@ def _candidate(
     text = XmlText.read(bench.path)
     patched = patch_arm(bench.simulator.arm, text, effects, inertial, payload, firm=firm)
     dry = [effects.get(keyed("coulomb_friction.level", j), 0.0) for j in range(model.joints)]
-    rotors = {key for key, v in patched.left.items() if key.startswith(ROTOR) and v > 0.0 and patched.urdf}
-    remaining = {key: v for key, v in patched.left.items() if key not in rotors}
-    armature = tuple(patched.left[k] if k in rotors else 0.0 for k in _joint_keys(ROTOR, model.joints))
+    rotors = {
+        key for key, v in patched.remaining.items() if key.startswith(ROTOR) and v > 0.0 and patched.is_urdf
+    }
+    remaining = {key: v for key, v in patched.remaining.items() if key not in rotors}
+    armature = tuple(patched.remaining[k] if k in rotors else 0.0 for k in _joint_keys(ROTOR, model.joints))
     constants = bench.constants(model, theta)
-    return patched, CompanionValues(
-        remaining, constants, bench.simulator.joints, dry, patched.unsaid, armature
+    return patched, ArmCompanion(
+        remaining, constants, bench.simulator.joints, dry, patched.needs_firm_friction, armature
     )
 
 
@@ -145,16 +147,16 @@ def _joint_keys(name: str, joints: int) -> list[str]:
     return [keyed(name, joint) for joint in range(joints)]
 
 
-def _bare_companion(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> CompanionValues:
+def _bare_companion(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> ArmCompanion:
     """The companion of the file as it was: torque constants alone."""
-    return CompanionValues({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
+    return ArmCompanion({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
 
 
 def _run(
     bench: ArmBench,
     model: ArmFileModel,
     out: Path,
-    companion: CompanionValues,
+    companion: ArmCompanion,
     material: Dataset,
     into: Path,
     candidate: PatchedArm | None = None,
@@ -173,9 +175,13 @@ def _run(
         return _score(file_run, start_values(file_run.parameters), material)
 
 
-def _refusal(into: Path, attempts: list[Attempt], promised: float, companion: CompanionValues) -> str:
+def _refusal(into: Path, attempts: list[Attempt], promised: float, companion: ArmCompanion) -> str:
     tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.3f} times)" for a in attempts)
-    without = f"; run without {', '.join(companion.unheld)}, which neither holds" if companion.unheld else ""
+    without = (
+        f"; run without {', '.join(companion.unsupported)}, which neither holds"
+        if companion.unsupported
+        else ""
+    )
     return (
         f"{into}: expected the repaired file to make an error of {promised:.4g} noise floors on held-out "
         f"data, or up to {KEPT:g} times that, found {tried}{without}; nothing is written"

@@ -18,12 +18,12 @@ from labhil.physics.model import Model, index_of, start_values
 from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.rig_sections import ModelSection
-from labhil.simulators.companion import SortedEffects, companion, sort_effects
-from labhil.simulators.mjcf import describe
-from labhil.simulators.mjcf_file import Described, load_model
-from labhil.simulators.patches import Patched, patch_mjcf, shorten_step, stiffen_friction
+from labhil.simulators.companion import SortedEffects, companion_text, sort_effects
+from labhil.simulators.mjcf import read_mechanism
+from labhil.simulators.mjcf_file import MechanismFile, load_model
+from labhil.simulators.patches import PatchedFile, patch_mjcf, shorten_step, stiffen_friction
 from labhil.simulators.rolled_out import RolledOutModel
-from labhil.simulators.urdf_patches import firm_friction, patch_urdf, shorten_urdf_step
+from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step, stiffen_model_friction
 from labhil.simulators.xml_text import XmlText
 
 STEP_DIVISORS = (2, 4, 8)
@@ -86,18 +86,23 @@ def patch(
     attempts: list[Attempt] = []
     for remedy, candidate in _candidates(bench.described, into, values):
         progress(f"running the repaired file on the held-out data{remedy and ', ' + remedy}")
-        remaining = sort_effects(candidate.left)
-        text = companion(
-            remaining, out.name, bench.signal, bench.rest_velocity(candidate), firm=candidate.unsaid
+        remaining = sort_effects(candidate.remaining)
+        text = companion_text(
+            remaining,
+            out.name,
+            bench.signal,
+            bench.rest_velocity(candidate),
+            firm=candidate.needs_firm_friction,
         )
         rmse = _run_candidate(bench, candidate, text, out, material, source.horizon)
         attempts.append(Attempt(remedy, rmse, rmse / model.rmse))
         if attempts[-1].ratio <= KEPT and not remaining.unknown:
-            needed = bool(candidate.left) or candidate.unsaid
+            needed = bool(candidate.remaining) or candidate.needs_firm_friction
             write(candidate.text, text if needed else "", out, code)
             return Patch(
                 out, code if needed else None, tuple(candidate.text.changes),
-                tuple(candidate.left), difference(candidate.text, out), source.promised, model.rmse, before,
+                tuple(candidate.remaining), difference(candidate.text, out), source.promised, model.rmse,
+                before,
                 tuple(attempts),
                 model.channels[0].unit if len(model.channels) == 1 else "noise floors",
             )  # fmt: skip
@@ -114,7 +119,7 @@ class Bench:
         section: Its ``[model]``; None without a rig file.
     """
 
-    described: Described
+    described: MechanismFile
     rig: RigFile
     section: ModelSection | None
 
@@ -131,15 +136,15 @@ class Bench:
         """Name of the recorded input."""
         return next(iter(self.described.simulator.inputs))
 
-    def rest_velocity(self, candidate: Patched) -> float:
+    def rest_velocity(self, candidate: PatchedFile) -> float:
         """Velocity below which a companion's dry friction is viscous, so that one step cannot reverse it."""
-        mechanism, remaining = self.described.mechanism, candidate.left
+        mechanism, remaining = self.described.mechanism, candidate.remaining
         inertia = mechanism.inertia([value.start for value in mechanism.values])
         level = sum(abs(number) for name, number in remaining.items() if name.startswith(DRY_FRICTION_TERMS))
-        return max(2.0 * mechanism.timestep / candidate.parts * level / inertia, 1e-6)
+        return max(2.0 * mechanism.timestep / candidate.substeps * level / inertia, 1e-6)
 
     def run(
-        self, described: Described, material: Dataset, values: Mapping[str, float], horizon: float
+        self, described: MechanismFile, material: Dataset, values: Mapping[str, float], horizon: float
     ) -> float:
         """RMSE of a file that MuJoCo simulates; ``values`` are effects that are applied in addition."""
         bare = default_rig(described.simulator.name)
@@ -147,10 +152,10 @@ class Bench:
         return _error(model, material, values, horizon).rmse
 
 
-def _describe(file: Path, section: ModelSection | None, name: str) -> Described:
+def _describe(file: Path, section: ModelSection | None, name: str) -> MechanismFile:
     """Read a file with the signal names of a rig file's section, or with its own."""
     inputs, outputs = (None, None) if section is None else (section.inputs, section.outputs)
-    return describe(file, inputs, outputs, name)
+    return read_mechanism(file, inputs, outputs, name)
 
 
 def _known_values(rig: RigFile) -> dict[str, float]:
@@ -168,41 +173,41 @@ def _error(model: Model, material: Dataset, values: Mapping[str, float], horizon
 
 
 def _candidates(
-    described: Described, into: Path, values: Mapping[str, float]
-) -> Iterator[tuple[str, Patched]]:
+    described: MechanismFile, into: Path, values: Mapping[str, float]
+) -> Iterator[tuple[str, PatchedFile]]:
     """Yield the file with the values, then with firmer friction and shorter steps; the remedy comes first."""
     urdf = XmlText.read(into).elements[0].tag == "robot"
     put, shorten = (patch_urdf, shorten_urdf_step) if urdf else (patch_mjcf, shorten_step)
     plain = put(described, XmlText.read(into), values)
     yield "", plain
     has_friction = any(change.attribute in ("frictionloss", "friction") for change in plain.text.changes)
-    for parts in (1, *STEP_DIVISORS) if has_friction else STEP_DIVISORS:
+    for substeps in (1, *STEP_DIVISORS) if has_friction else STEP_DIVISORS:
         candidate = put(described, XmlText.read(into), values)
         if has_friction and urdf:
-            candidate = replace(candidate, unsaid=True)
+            candidate = replace(candidate, needs_firm_friction=True)
         elif has_friction:
-            stiffen_friction(described, candidate.text, parts)
-        if parts > 1:
-            shorten(described, candidate.text, parts)
-            candidate = replace(candidate, parts=parts)
-        remedies = [FIRM] * has_friction + [f"steps of 1/{parts}"] * (parts > 1)
+            stiffen_friction(described, candidate.text, substeps)
+        if substeps > 1:
+            shorten(described, candidate.text, substeps)
+            candidate = replace(candidate, substeps=substeps)
+        remedies = [FIRM] * has_friction + [f"steps of 1/{substeps}"] * (substeps > 1)
         yield " and ".join(remedies), candidate
 
 
 def _run_candidate(
-    bench: Bench, candidate: Patched, text: str, out: Path, material: Dataset, horizon: float
+    bench: Bench, candidate: PatchedFile, text: str, out: Path, material: Dataset, horizon: float
 ) -> float:
     """RMSE of a candidate, which is loaded under a temporary name from the folder of the new file."""
     with drafts(out) as (draft, code):
         draft.write_bytes(candidate.text.changed())
         described = _describe(draft, bench.section, bench.described.simulator.name)
-        if candidate.unsaid:
-            firm_friction(described.model, described.mechanism.timestep)
-        if sort_effects(candidate.left).forces:
+        if candidate.needs_firm_friction:
+            stiffen_model_friction(described.model, described.mechanism.timestep)
+        if sort_effects(candidate.remaining).forces:
             code.write_text(text, encoding="utf-8")
             push: Any = object_of(f"{code.name}:force", code.parent)
-            described.mechanism.push = push
-        return bench.run(described, material, candidate.left, horizon)
+            described.mechanism.joint_force = push
+        return bench.run(described, material, candidate.remaining, horizon)
 
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, remaining: SortedEffects) -> str:

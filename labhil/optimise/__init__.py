@@ -1,1 +1,1 @@
-"""Optimisation of designs: the geometry of the solenoid (Appendix A of the reference text)."""
+"""Optimisation of the geometry of the solenoid (Appendix A of the reference text); start at ``study``."""

@@ -5,17 +5,16 @@ Cells in columns that run along the axis, joined by reluctances along it and acr
     bored core of the plunger | rings of its rim | clearance | rings of the wall | air | casing
 
 Each reluctance is steel that follows its curve, air, or both in series. The coil drives the loops between
-the columns ``air`` and ``casing``. So the flux that crosses the gap obliquely into the collar, saturates
-the corners of nose and collar as they pass each other, or leaks through ring and winding, finds its way by
-itself: that is what stands here for formulas of fringing. What such a circuit cannot know is that steel
-saturates by the magnitude of a field that turns; at corners its forces are somewhat too high
-(:mod:`labhil.optimise.field` shows how much).
+the columns ``air`` and ``casing``. The circuit so includes oblique flux from the gap into the collar,
+saturated corners of nose and collar, and leakage through ring and winding, without formulas for fringing. It
+does not include that steel saturates by the magnitude of a field that turns: at corners its forces are
+somewhat too high (:mod:`labhil.optimise.field` shows how much).
 
 The fluxes ψ of the loops (Wb) minimise the convex function Σ w(Φ) − Σ drive·ψ, w being a branch's energy
 ∫ u dΦ; Newton's method with a line search finds them. Minus the minimum is the coenergy W', and the force
 is dW'/dx at constant current. Cells move with the plunger, and x moves by exactly one of their heights per
-step, so that edges of the tube cross no border of cells in between: differences of W' are free of the
-discretisation's noise.
+step, so that no edge of the tube crosses a border of cells in between, and differences of W' have no noise
+from the discretisation.
 """
 
 from __future__ import annotations
@@ -43,19 +42,19 @@ AIR = FIRST_WALL + WALLS
 CASING = AIR + 1
 COLUMNS = CASING + 1
 AIR_THICKNESS = 2e-3
-"""Of the column of air next to the wall, m: what leaks there along the axis."""
+"""Thickness of the air column next to the wall, m, for the leakage along the axis."""
 
 FINE_AHEAD, FINE_BEHIND, COARSE, FEATURES = 13, 21, 5, 6
 CELLS = FINE_AHEAD + FINE_BEHIND + 2 * COARSE + FEATURES
 LOOPS = COLUMNS - 1
-SHORTEST = 1e-8
-"""Two borders that coincide are held this far apart, m, which keeps the circuit regular."""
+MIN_HEIGHT = 1e-8
+"""Least height of a cell between two equal borders, m, so that the circuit is regular."""
 ALONG, ACROSS = 0, 1
 
 TOLERANCE = 1e-11
-"""Of the coenergy, relative, at which Newton's method ends."""
-STEPS = 100
-SMALLEST_STEP = 1e-9
+"""Relative change of the coenergy at which Newton's method ends."""
+MAX_STEPS = 100
+MIN_LINE_SEARCH_STEP = 1e-9
 
 
 class Network(NamedTuple):
@@ -72,7 +71,7 @@ class Network(NamedTuple):
 
 
 def positions(housing: Housing = HOUSING) -> FloatArray:
-    """Positions of the plunger in m at which :func:`force_curves` gives the force: 0 to the whole travel."""
+    """Return the positions (m,) of the plunger, m, from 0 to the whole travel."""
     return np.asarray(PITCH * np.arange(round(housing.travel / PITCH) + 1), dtype=np.float64)
 
 
@@ -83,11 +82,20 @@ def force_curves(
     housing: Housing = HOUSING,
     steel: Steel = FREE_CUTTING,
 ) -> FloatArray:
-    """The force in N on the plunger, towards the pole piece, (n, m), of designs (n, 5) in m and rad.
+    """Compute the force on the plunger towards the pole piece along its travel; batches use all cores.
 
-    Columns belong to :func:`positions`; each is the mean force over one pitch around its position.
-    ``current`` in A, not 0 (default: the housing's). UsageError for designs far out of Table A.2's bounds,
-    RunError where Newton's method does not end. Large batches share the processor's cores.
+    Args:
+        designs: Designs (n, 5), m and rad.
+        current: Coil current, A, not 0; that of the housing when absent.
+        housing: Fixed dimensions.
+        steel: Magnetisation curve.
+
+    Returns:
+        Forces (n, m), N, at :func:`positions`; each is the mean over one pitch around its position.
+
+    Raises:
+        UsageError: A design is far outside of Table A.2's bounds.
+        RunError: Newton's method does not converge.
     """
     table = check_designs(designs)
     mmf = housing.turns * (housing.current if current is None else current)
@@ -106,7 +114,7 @@ def force_curves(
 
 @compiled
 def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel, out: FloatArray) -> bool:
-    """Fill ``out`` (n, m) with W' in J at x = −½, ½, 1½, … pitches; false where one did not settle."""
+    """Write W' (n, m) in J at x = −½, ½, 1½, … pitches; return whether all solutions converged."""
     z = np.empty(CELLS + 1)
     network = Network(
         np.zeros((2, CELLS, COLUMNS)),
@@ -115,27 +123,27 @@ def _coenergies(designs: FloatArray, mmf: float, housing: Housing, steel: Steel,
         np.zeros(CELLS - 1),
     )
     psi = np.zeros((CELLS - 1, LOOPS))
-    before = np.zeros((CELLS - 1, LOOPS))
+    psi_before = np.zeros((CELLS - 1, LOOPS))
     gradient = np.zeros((CELLS - 1, LOOPS))
     step = np.zeros((CELLS - 1, LOOPS))
     band = np.zeros((CELLS - 1, LOOPS, LOOPS + 1))
-    all_settled = True
+    all_converged = True
     for n in range(designs.shape[0]):
         psi[:] = 0.0
         for j in range(out.shape[1]):
             front = housing.residual_gap + housing.travel - (j - 0.5) * PITCH
-            _borders(front, designs[n], housing, z)
+            _set_borders(front, designs[n], housing, z)
             for i in range(CELLS):
                 _branches_of_cell(i, front, designs[n], housing, z, network)
-            _drives(mmf, housing, z, network.drive)
-            out[n, j], settled = _solve(network, steel, psi, before, gradient, step, band)
-            all_settled = all_settled and settled
-    return all_settled
+            _set_drives(mmf, housing, z, network.drive)
+            out[n, j], converged = _solve(network, steel, psi, psi_before, gradient, step, band)
+            all_converged = all_converged and converged
+    return all_converged
 
 
 @compiled
-def _borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) -> None:
-    """Fill z (cells + 1,) with ascending borders: fine ones around the front, coarse ones, and all edges."""
+def _set_borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) -> None:
+    """Write ascending borders z (cells + 1,): fine ones around the front, coarse ones, and all edges."""
     first, last = front - FINE_AHEAD * PITCH, front + FINE_BEHIND * PITCH
     n = 0
     for k in range(COARSE):
@@ -154,8 +162,8 @@ def _borders(front: float, design: FloatArray, housing: Housing, z: FloatArray) 
 
 
 @compiled
-def _drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> None:
-    """Fill ``drive`` with the coil's share between the middles of neighbouring cells, A."""
+def _set_drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> None:
+    """Write the magnetomotive force of the coil between the middles of neighbouring cells, A."""
     for i in range(CELLS - 1):
         top = min(0.5 * (z[i + 1] + z[i + 2]), housing.behind)
         bottom = max(0.5 * (z[i] + z[i + 1]), -housing.ahead)
@@ -163,10 +171,10 @@ def _drives(mmf: float, housing: Housing, z: FloatArray, drive: FloatArray) -> N
 
 
 @compiled
-def _ring(
+def _cell_ring(
     column: int, middle: float, front: float, design: FloatArray, housing: Housing
 ) -> tuple[float, float, bool]:
-    """Inner and outer radius (m) of a column at the height ``middle``, and whether it is of steel there."""
+    """Return inner and outer radius (m) of a column at height ``middle``, and whether it is steel there."""
     inside = design[0] + housing.clearance
     outside = inside + housing.wall
     if column == CASING:
@@ -196,18 +204,18 @@ def _ring(
 def _branches_of_cell(
     i: int, front: float, design: FloatArray, housing: Housing, z: FloatArray, network: Network
 ) -> None:
-    """Fill in the branches from cell i of every column to the next cell and to the next column."""
-    middle, height = 0.5 * (z[i] + z[i + 1]), max(z[i + 1] - z[i], SHORTEST)
+    """Write the branches from cell i of every column to the next cell and to the next column."""
+    middle, height = 0.5 * (z[i] + z[i + 1]), max(z[i + 1] - z[i], MIN_HEIGHT)
     for k in range(COLUMNS):
-        inner, outer, steel = _ring(k, middle, front, design, housing)
+        inner, outer, steel = _cell_ring(k, middle, front, design, housing)
         if i < CELLS - 1:
-            beyond, height2 = 0.5 * (z[i + 1] + z[i + 2]), max(z[i + 2] - z[i + 1], SHORTEST)
-            inner2, outer2, steel2 = _ring(k, beyond, front, design, housing)
+            next_middle, height2 = 0.5 * (z[i + 1] + z[i + 2]), max(z[i + 2] - z[i + 1], MIN_HEIGHT)
+            inner2, outer2, steel2 = _cell_ring(k, next_middle, front, design, housing)
             area, area2 = pi * (outer**2 - inner**2), pi * (outer2**2 - inner2**2)
             section = min(area, area2)
             if steel != steel2:
                 section = area if steel else area2
-            _halves(
+            _set_branch(
                 network,
                 ALONG,
                 i,
@@ -219,23 +227,23 @@ def _branches_of_cell(
             )
             network.section[ALONG, i, k] = section
         if k < COLUMNS - 1:
-            inner2, outer2, steel2 = _ring(k + 1, middle, front, design, housing)
+            inner2, outer2, steel2 = _cell_ring(k + 1, middle, front, design, housing)
             radius = 0.5 * (outer + inner2)
-            way = radius * log(2.0 * outer / (inner + outer))
-            way2 = radius * log((inner2 + outer2) / (2.0 * inner2))
-            _halves(network, ACROSS, i, k, way, steel, way2, steel2)
+            length = radius * log(2.0 * outer / (inner + outer))
+            length2 = radius * log((inner2 + outer2) / (2.0 * inner2))
+            _set_branch(network, ACROSS, i, k, length, steel, length2, steel2)
             if inner2 > outer * (1.0 + 1e-9):
                 network.air[ACROSS, i, k] += radius * log(inner2 / outer)
             network.section[ACROSS, i, k] = 2.0 * pi * radius * height
 
 
 @compiled
-def _halves(
-    network: Network, side: int, i: int, k: int, way: float, steel: bool, way2: float, steel2: bool
+def _set_branch(
+    network: Network, side: int, i: int, k: int, length: float, steel: bool, length2: float, steel2: bool
 ) -> None:
-    """Fill in what a branch goes through in its two cells."""
-    network.metal[side, i, k] = (way if steel else 0.0) + (way2 if steel2 else 0.0)
-    network.air[side, i, k] = (0.0 if steel else way) + (0.0 if steel2 else way2)
+    """Write the lengths of steel and air of a branch in its two cells."""
+    network.metal[side, i, k] = (length if steel else 0.0) + (length2 if steel2 else 0.0)
+    network.air[side, i, k] = (0.0 if steel else length) + (0.0 if steel2 else length2)
 
 
 @compiled
@@ -243,32 +251,32 @@ def _solve(
     network: Network,
     steel: Steel,
     psi: FloatArray,
-    before: FloatArray,
+    psi_before: FloatArray,
     gradient: FloatArray,
     step: FloatArray,
     band: FloatArray,
 ) -> tuple[float, bool]:
-    """Find the fluxes of the loops (in ``psi``: a start); returns the coenergy in J and whether it settled.
+    """Solve for the fluxes of the loops, from a start in ``psi``; return coenergy (J) and convergence.
 
-    The other arrays are room to work in.
+    The other arrays are work arrays.
     """
     energy = _linearise(network, steel, psi, gradient, band)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         step[:] = gradient
         decrement = _newton_step(band, step)
         if decrement <= TOLERANCE * abs(energy):
             return -energy, True
-        before[:] = psi
+        psi_before[:] = psi
         share = 1.0
         while True:
-            psi[:] = before - share * step
-            lower = _linearise(network, steel, psi, gradient, band)
-            if lower <= energy - 1e-3 * share * decrement:
+            psi[:] = psi_before - share * step
+            trial_energy = _linearise(network, steel, psi, gradient, band)
+            if trial_energy <= energy - 1e-3 * share * decrement:
                 break
             share *= 0.5
-            if share < SMALLEST_STEP:
+            if share < MIN_LINE_SEARCH_STEP:
                 return -energy, False
-        energy = lower
+        energy = trial_energy
     return -energy, False
 
 
@@ -276,7 +284,7 @@ def _solve(
 def _linearise(
     network: Network, steel: Steel, psi: FloatArray, gradient: FloatArray, band: FloatArray
 ) -> float:
-    """Energy (J) that the fluxes of the loops minimise, its gradient (A) and its Hessian (A/Wb).
+    """Return the energy (J) that the fluxes minimise; write its gradient (A) and Hessian (A/Wb).
 
     ``band[i, k, d]`` couples loop (i, k) to the one d places before it in row-major order.
     """
@@ -318,7 +326,7 @@ def _linearise(
 def _branch(
     flux: float, network: Network, side: int, i: int, k: int, steel: Steel
 ) -> tuple[float, float, float]:
-    """Magnetic voltage u (A) of a branch at ``flux`` (Wb), du/dΦ (A/Wb) and its energy ∫ u dΦ (J)."""
+    """Return magnetic voltage u (A) of a branch at ``flux`` (Wb), du/dΦ (A/Wb) and energy ∫ u dΦ (J)."""
     section = network.section[side, i, k]
     B = flux / section
     u = network.air[side, i, k] * B / MU0
@@ -335,7 +343,7 @@ def _branch(
 
 @compiled
 def _newton_step(matrix: FloatArray, right: FloatArray) -> float:
-    """Turn the gradient g in ``right`` into H⁻¹·g by a banded Cholesky factorisation; returns g·H⁻¹·g."""
+    """Replace the gradient g in ``right`` by H⁻¹·g (banded Cholesky); return g·H⁻¹·g."""
     size, width = matrix.shape[0] * matrix.shape[1], matrix.shape[2]
     band, g = matrix.reshape(size, width), right.reshape(size)
     decrement = 0.0

@@ -1,4 +1,4 @@
-"""The simulated runs as a database of force curves, interpolated between them.
+"""Interpolate the force curves of simulated designs.
 
 The interpolation goes through every simulated curve: cubic radial functions on top of a full quadratic in
 the five parameters, each scaled to its bounds, position by position. (The text interpolates "the median
@@ -17,8 +17,8 @@ from labhil.optimise.geometry import LOWER, UPPER
 from labhil.optimise.objectives import largest_force, rms_slope
 from labhil.signals import FloatArray
 
-APART = 0.01
-"""Of the ranges: designs nearer than this would make the interpolation ill-conditioned."""
+MIN_DISTANCE = 0.01
+"""Least distance of designs, in ranges: closer ones would make the interpolation ill-conditioned."""
 
 if TYPE_CHECKING:
     from scipy.interpolate import RBFInterpolator
@@ -38,20 +38,20 @@ class Database:
         return _interpolant(self.designs, self.curves)
 
     def interpolate(self, designs: FloatArray) -> FloatArray:
-        """Force curves (k, m) in N of designs (k, 5) in m and rad, by interpolation."""
-        return np.asarray(self._interpolant(as_shares(designs)))
+        """Interpolate the force curves (k, m), N, of designs (k, 5), m and rad."""
+        return np.asarray(self._interpolant(to_unit_box(designs)))
 
     def extend(self, designs: FloatArray, curves: FloatArray) -> Database:
-        """A database with these designs (k, 5) and curves (k, m) as well."""
+        """Return a database with these designs (k, 5) and curves (k, m) in addition."""
         return Database(np.vstack([self.designs, designs]), np.vstack([self.curves, curves]))
 
     def leave_one_out(self) -> FloatArray:
-        """(n, m): each simulated curve as the others would have it."""
+        """Interpolate each simulated curve from the others, (n, m)."""
         rows = np.arange(len(self.curves))
         predicted = [
-            _interpolant(self.designs[rows != n], self.curves[rows != n])(as_shares(self.designs[n : n + 1]))[
-                0
-            ]
+            _interpolant(self.designs[rows != n], self.curves[rows != n])(
+                to_unit_box(self.designs[n : n + 1])
+            )[0]
             for n in rows
         ]
         return np.array(predicted)
@@ -59,7 +59,7 @@ class Database:
 
 @dataclass(frozen=True, slots=True)
 class InterpolationError:
-    """How far interpolation is from the circuit at designs that it has not seen."""
+    """Error of the interpolation at designs that are not in the database."""
 
     designs: int
     curve_rms: float
@@ -74,23 +74,23 @@ class InterpolationError:
     """N, of the database's own curves, each left out in turn."""
 
 
-def apart(candidates: FloatArray, known: FloatArray, distance: float = APART) -> FloatArray:
-    """The candidates (k, 5) that are not within ``distance`` (of the ranges) of a known or earlier one."""
-    kept, new = list(as_shares(known)), []
-    for candidate, place in zip(candidates, as_shares(candidates), strict=True):
-        if not kept or np.min(np.linalg.norm(np.array(kept) - place, axis=1)) > distance:
-            kept.append(place)
+def select_distinct(candidates: FloatArray, known: FloatArray, distance: float = MIN_DISTANCE) -> FloatArray:
+    """Select the candidates (k, 5) farther than ``distance`` (in ranges) from all known and earlier ones."""
+    selected, new = list(to_unit_box(known)), []
+    for candidate, point in zip(candidates, to_unit_box(candidates), strict=True):
+        if not selected or np.min(np.linalg.norm(np.array(selected) - point, axis=1)) > distance:
+            selected.append(point)
             new.append(candidate)
     return np.array(new).reshape(-1, candidates.shape[1])
 
 
-def as_shares(designs: FloatArray) -> FloatArray:
-    """Designs (n, 5) in m and rad as shares of Table A.2's ranges, 0 to 1."""
+def to_unit_box(designs: FloatArray) -> FloatArray:
+    """Scale designs (n, 5), m and rad, to the ranges of Table A.2, 0 to 1."""
     return np.asarray((designs - LOWER) / (UPPER - LOWER))
 
 
 def interpolation_error(database: Database, designs: FloatArray, curves: FloatArray) -> InterpolationError:
-    """Compare with the circuit's curves (n, m) at designs (n, 5)."""
+    """Compare the database with the circuit's curves (n, m) at designs (n, 5)."""
     predicted = database.interpolate(designs)
     error = predicted - curves
     return InterpolationError(
@@ -106,7 +106,7 @@ def interpolation_error(database: Database, designs: FloatArray, curves: FloatAr
 def _interpolant(designs: FloatArray, curves: FloatArray) -> RBFInterpolator:
     from scipy.interpolate import RBFInterpolator
 
-    return RBFInterpolator(as_shares(designs), curves, kernel="cubic", degree=2)
+    return RBFInterpolator(to_unit_box(designs), curves, kernel="cubic", degree=2)
 
 
 def _rms(values: FloatArray) -> float:

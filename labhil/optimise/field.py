@@ -1,4 +1,4 @@
-"""The same solenoid in a field solver: axisymmetric magnetostatics by finite elements (scikit-fem).
+"""Check of the circuit by a field solver: axisymmetric magnetostatics by finite elements (scikit-fem).
 
 With the azimuthal vector potential A the field is B = (−∂A/∂z, ∂A/∂r + A/r); it makes
 
@@ -9,7 +9,7 @@ quadrilaterals whose lines follow every edge of :mod:`labhil.optimise.geometry`,
 force is that of virtual work: Maxwell's stress against the gradient of a harmonic function that is 1 on
 the plunger and 0 on all other steel, which is smoother than the stress on any one surface.
 
-Nothing is shared with the equivalent circuit but the dimensions and the steel.
+It shares the dimensions and the steel with the equivalent circuit, and nothing else.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ from labhil.optimise.geometry import HOUSING, Housing, check_designs
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, magnetisation_all
 from labhil.signals import FloatArray
 
-STEPS = 60
+MAX_STEPS = 60
 TOLERANCE = 1e-10
-"""Of the energy, relative, at which Newton's method ends."""
+"""Relative change of the energy at which Newton's method ends."""
 VANISHING = 1e-9
-"""T; below it the steel is linear."""
+"""Flux density, T, below which the steel is linear."""
 FINENESS = 1.0
-"""Of the grids of :func:`solve_solenoid`: one three times as fine changes forces by 0.1 to 0.3 %."""
+"""Refinement of the grid of :func:`solve_solenoid`; three times as fine changes forces by 0.1 to 0.3 %."""
 
 
-def skfem() -> ModuleType:
-    """The field solver's library; MissingExtraError when it is not installed."""
+def load_skfem() -> ModuleType:
+    """Import the field solver; MissingExtraError when it is not installed."""
     module: ModuleType = load_optional("skfem", "the check against a field solver")
     return module
 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """A field that satisfies Ampère's law."""
+    """Solution of the field problem."""
 
     coenergy: float
     """J, of the whole section turned around the axis."""
@@ -66,19 +66,32 @@ def solve_solenoid(
     steel: Steel = FREE_CUTTING,
     fineness: float = FINENESS,
 ) -> Solution:
-    """The field of a design (5,) in m and rad at ``x`` m and ``current`` A.
+    """Solve for the field of a solenoid.
 
-    A solution's force counts towards +z, away from the pole piece. Errors: MissingExtraError; UsageError
-    for designs far out of Table A.2's bounds; RunError where Newton's method does not end.
+    Args:
+        design: Design (5,), m and rad.
+        x: Position of the plunger, m.
+        current: Coil current, A.
+        housing: Fixed dimensions.
+        steel: Magnetisation curve.
+        fineness: Refinement of the grid.
+
+    Returns:
+        The solution; its force counts towards +z, away from the pole piece.
+
+    Raises:
+        MissingExtraError: scikit-fem is not installed.
+        UsageError: The design is far outside of Table A.2's bounds.
+        RunError: Newton's method does not converge.
     """
     return FieldProblem(solenoid(check_designs(design)[0], x, current, housing, fineness), steel).solve()
 
 
 class FieldProblem:
-    """One section with one steel, ready to be solved."""
+    """The finite element problem of a section with one steel."""
 
     def __init__(self, section: Section, steel: Steel) -> None:
-        library = skfem()
+        library = load_skfem()
         self.section, self.steel = section, steel
         nr, nz = section.r.shape
         node = np.arange(nr * nz).reshape(nr, nz)
@@ -91,22 +104,22 @@ class FieldProblem:
         self.current = section.current_density.ravel()[:, None] + 0.0 * self.r
 
     @cached_property
-    def fixed(self) -> Any:
-        """Numbers of the unknowns that are held at zero."""
-        at = self.basis.doflocs
-        held = at[0] < 1e-12
+    def fixed_unknowns(self) -> Any:
+        """Numbers of the unknowns that are zero."""
+        location = self.basis.doflocs
+        is_fixed = location[0] < 1e-12
         if self.section.closed:
             z = self.section.z
-            held |= at[0] > self.section.r.max() - 1e-12
-            held |= (at[1] < z.min() + 1e-12) | (at[1] > z.max() - 1e-12)
-        return np.flatnonzero(held)
+            is_fixed |= location[0] > self.section.r.max() - 1e-12
+            is_fixed |= (location[1] < z.min() + 1e-12) | (location[1] > z.max() - 1e-12)
+        return np.flatnonzero(is_fixed)
 
     def solve(self) -> Solution:
-        """Newton's method from a field of zero; RunError when it does not end."""
+        """Solve by Newton's method from a zero field; RunError where it does not converge."""
         A = np.zeros(self.basis.N)
         B = self.flux_density(A)
         energy = self.energies(A, B)[0]
-        for step in range(STEPS):
+        for step in range(MAX_STEPS):
             gradient, hessian = self._linearise(B)
             direction = self._solve_linear(hessian, gradient)
             decrement = float(gradient @ direction)
@@ -115,15 +128,15 @@ class FieldProblem:
                     self.energies(A, B)[1], self.force(B), B.mean(axis=2), int(self.basis.N), step
                 )
             A, B, energy = self._advance(A, direction, decrement, energy)
-        raise RunError(f"field solver: expected Newton's method to end in {STEPS} steps, it did not")
+        raise RunError(f"field solver: expected Newton's method to end in {MAX_STEPS} steps, it did not")
 
     def flux_density(self, A: FloatArray) -> FloatArray:
-        """(2, cells, points): radial and axial component of B in T."""
+        """Return the radial and axial component of B (2, cells, points), T."""
         field = self.basis.interpolate(A)
         return np.stack([-field.grad[1], field.grad[0] + np.asarray(field) / self.r])
 
     def energies(self, A: FloatArray, B: FloatArray) -> tuple[float, float]:
-        """What the field minimises, ∫ w − J·A, and the coenergy ∫ ∫ B dH, both in J."""
+        """Return ∫ w − J·A, which the field minimises, and the coenergy ∫ ∫ B dH, both in J."""
         magnitude = np.hypot(B[0], B[1])
         H, _, stored = magnetisation_all(magnitude, self.steel)
         air = magnitude**2 / (2.0 * MU0)
@@ -133,58 +146,60 @@ class FieldProblem:
         return float(np.sum((energy - driven) * self.weight)), float(np.sum(coenergy * self.weight))
 
     def force(self, B: FloatArray) -> float:
-        """Force in N along +z on the moving cells, by virtual work in the air around them."""
-        g = self.basis.interpolate(self._shift()).grad
+        """Return the force (N) along +z on the moving cells, by virtual work in the air around them."""
+        g = self.basis.interpolate(self._virtual_displacement()).grad
         pull = B[0] * B[1] * g[0] + 0.5 * (B[1] ** 2 - B[0] ** 2) * g[1]
         return -float(np.sum(np.where(self.is_steel, 0.0, pull / MU0) * self.weight))
 
     def _linearise(self, B: FloatArray) -> tuple[FloatArray, Any]:
-        library = skfem()
+        library = load_skfem()
         magnitude = np.hypot(B[0], B[1])
         H, slope, _ = magnetisation_all(magnitude, self.steel)
         # ν = H/B, and what dH/dB exceeds it by: it goes with the products of the components of B.
         small = magnitude < VANISHING
         nu = np.where(small, slope, H / np.maximum(magnitude, VANISHING))
-        bend = np.where(self.is_steel & ~small, (slope - nu) / np.maximum(magnitude, VANISHING) ** 2, 0.0)
+        curvature = np.where(
+            self.is_steel & ~small, (slope - nu) / np.maximum(magnitude, VANISHING) ** 2, 0.0
+        )
         nu = np.where(self.is_steel, nu, 1.0 / MU0)
 
         def residual(v: Any, w: Any) -> Any:
             r = w.x[0]
-            along = w.br * -v.grad[1] + w.bz * (v.grad[0] + v / r)
-            return 2.0 * np.pi * r * (w.nu * along - w.j * v)
+            curl_term = w.br * -v.grad[1] + w.bz * (v.grad[0] + v / r)
+            return 2.0 * np.pi * r * (w.nu * curl_term - w.j * v)
 
         def stiffness(u: Any, v: Any, w: Any) -> Any:
             r = w.x[0]
             ur, uz, vr, vz = -u.grad[1], u.grad[0] + u / r, -v.grad[1], v.grad[0] + v / r
-            across = w.bend * (w.br * ur + w.bz * uz) * (w.br * vr + w.bz * vz)
-            return 2.0 * np.pi * r * (w.nu * (ur * vr + uz * vz) + across)
+            saturation_term = w.curvature * (w.br * ur + w.bz * uz) * (w.br * vr + w.bz * vz)
+            return 2.0 * np.pi * r * (w.nu * (ur * vr + uz * vz) + saturation_term)
 
-        known = {"nu": nu, "bend": bend, "br": B[0], "bz": B[1], "j": self.current}
+        known = {"nu": nu, "curvature": curvature, "br": B[0], "bz": B[1], "j": self.current}
         gradient = library.LinearForm(residual).assemble(self.basis, **known)
-        gradient[self.fixed] = 0.0
+        gradient[self.fixed_unknowns] = 0.0
         return gradient, library.BilinearForm(stiffness).assemble(self.basis, **known)
 
     def _solve_linear(self, hessian: Any, gradient: FloatArray) -> FloatArray:
-        library = skfem()
-        return np.asarray(library.solve(*library.condense(hessian, gradient, D=self.fixed)))
+        library = load_skfem()
+        return np.asarray(library.solve(*library.condense(hessian, gradient, D=self.fixed_unknowns)))
 
     def _advance(
         self, A: FloatArray, direction: FloatArray, decrement: float, energy: float
     ) -> tuple[FloatArray, FloatArray, float]:
-        """One step along the direction, halved until the energy falls."""
+        """Step along the direction, halved until the energy decreases."""
         step = 1.0
         while step > 1e-6:
             trial = A - step * direction
             B = self.flux_density(trial)
-            lower = self.energies(trial, B)[0]
-            if lower <= energy - 1e-3 * step * decrement:
-                return trial, B, lower
+            trial_energy = self.energies(trial, B)[0]
+            if trial_energy <= energy - 1e-3 * step * decrement:
+                return trial, B, trial_energy
             step *= 0.5
         raise RunError("field solver: no step lowers the energy any further, and it has not settled")
 
-    def _shift(self) -> FloatArray:
-        """The harmonic function that is 1 on the moving cells, 0 on the other steel and on the edges."""
-        library = skfem()
+    def _virtual_displacement(self) -> FloatArray:
+        """Solve for the harmonic function that is 1 on the moving cells, 0 on other steel and the edges."""
+        library = load_skfem()
 
         def stiffness(u: Any, v: Any, w: Any) -> Any:
             return u.grad[0] * v.grad[0] + u.grad[1] * v.grad[1]
@@ -192,10 +207,14 @@ class FieldProblem:
         moving = self.section.moving.ravel()
         ones = np.unique(self.basis.element_dofs[:, moving])
         others = np.unique(self.basis.element_dofs[:, self.section.steel.ravel() & ~moving])
-        at, z = self.basis.doflocs, self.section.z
-        edge = (at[0] > self.section.r.max() - 1e-12) | (at[1] < z.min() + 1e-12) | (at[1] > z.max() - 1e-12)
-        held = np.union1d(np.union1d(ones, others), np.flatnonzero(edge))
+        location, z = self.basis.doflocs, self.section.z
+        edge = (
+            (location[0] > self.section.r.max() - 1e-12)
+            | (location[1] < z.min() + 1e-12)
+            | (location[1] > z.max() - 1e-12)
+        )
+        is_fixed = np.union1d(np.union1d(ones, others), np.flatnonzero(edge))
         g = np.zeros(self.basis.N)
         g[ones] = 1.0
         matrix = library.BilinearForm(stiffness).assemble(self.basis)
-        return np.asarray(library.solve(*library.condense(matrix, x=g, D=held)))
+        return np.asarray(library.solve(*library.condense(matrix, x=g, D=is_fixed)))

@@ -1,4 +1,4 @@
-"""The circuit's forces against the field solver's, and how far the field solver itself is from settled."""
+"""Compare the forces of the circuit with those of the field solver, and check the grid of the latter."""
 
 from __future__ import annotations
 
@@ -40,15 +40,22 @@ class FieldCheck:
     """Of the largest grid."""
 
     def ratios(self) -> FloatArray:
-        """Circuit over field, per point."""
+        """Return circuit over field per point."""
         return np.array([point.circuit / point.field for point in self.points])
 
 
 def check_by_field(designs: Mapping[str, FloatArray], progress: Callable[[str], None]) -> FieldCheck:
-    """Solve the field of the named designs ((5,), m and rad) along the stroke.
+    """Solve the field along the stroke, and in its middle at half the current and on a finer grid.
 
-    Also once at half the current and once on a finer grid, in the middle of the stroke. MissingExtraError
-    without scikit-fem.
+    Args:
+        designs: Designs (5,), m and rad, by name.
+        progress: Called with a line of text before each design.
+
+    Returns:
+        The forces of both methods.
+
+    Raises:
+        MissingExtraError: scikit-fem is not installed.
     """
     x, full = positions(), HOUSING.current
     middle = len(x) // 2

@@ -1,4 +1,4 @@
-"""Grids for the field solver: lines through every edge of the solenoid, bent along the cone."""
+"""Grids for the field solver: lines through all edges of the solenoid that follow the cone."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ FINEST = 0.3e-3
 """Cell beside an edge next to the gap, m, on the coarsest grid."""
 COARSEST = 6e-3
 GROWTH = 0.875
-"""Cells grow by this share of the distance from the next edge."""
+"""Growth of the cells per distance from the next edge."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A half plane (r, z) cut into quadrilaterals, and what fills them."""
+    """A half plane (r, z) of quadrilaterals with their materials and currents."""
 
     r: FloatArray
     """(nr + 1, nz + 1): radii of the nodes, m."""
@@ -33,7 +33,7 @@ class Section:
     steel: BoolArray
     """(nr, nz): cells of steel."""
     moving: BoolArray
-    """(nr, nz): cells of the part whose force is wanted."""
+    """(nr, nz): cells of the part whose force is computed."""
     current_density: FloatArray
     """(nr, nz): around the axis, A/m²."""
     closed: bool = True
@@ -41,9 +41,17 @@ class Section:
 
 
 def solenoid(design: FloatArray, x: float, current: float, housing: Housing, fineness: float) -> Section:
-    """The grid of a design (5,) in m and rad with its plunger at ``x`` m and ``current`` A in the coil.
+    """Make the grid of a solenoid.
 
-    ``fineness`` divides all cells (1 is the coarsest that resolves the clearance).
+    Args:
+        design: Design (5,), m and rad.
+        x: Position of the plunger, m.
+        current: Coil current, A.
+        housing: Fixed dimensions.
+        fineness: Divisor of all cells; 1 is the coarsest grid that resolves the clearance.
+
+    Returns:
+        The section.
     """
     R, L1, L2, W, _ = design
     front = housing.residual_gap + housing.travel - x
@@ -72,7 +80,7 @@ def solenoid(design: FloatArray, x: float, current: float, housing: Housing, fin
 
 
 def graded(edges: list[float], fineness: float) -> FloatArray:
-    """Ascending lines through all ``edges`` (m), close together beside them and wide in between."""
+    """Return ascending lines through all ``edges`` (m), dense next to them."""
     lines = []
     marks = np.unique(np.round(edges, 9))
     for low, high in pairwise(marks):
@@ -90,7 +98,7 @@ def graded(edges: list[float], fineness: float) -> FloatArray:
 def _bend(
     r: FloatArray, z: FloatArray, front: float, design: FloatArray, housing: Housing
 ) -> tuple[FloatArray, FloatArray]:
-    """The lines' crossings, moved inwards so that the line r = R follows the cone."""
+    """Return the nodes, moved inwards so that the line r = R follows the cone."""
     R, L2 = design[0], design[2]
     narrowing = np.interp(z, [0.0, front, front + L2], [0.0, L2 * np.tan(design[4]), 0.0])
     share = np.interp(r, [housing.bore_radius, R, R + housing.clearance], [0.0, 1.0, 0.0])

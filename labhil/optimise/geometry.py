@@ -1,4 +1,4 @@
-"""The solenoid's geometry: what the optimisation may change (Table A.2) and what stays.
+"""The solenoid's geometry: the five parameters of the optimisation (Table A.2) and the fixed dimensions.
 
 The reference text names the five parameters R, L1, L2, W, θ and their levels, and gives no dimensions of
 the rest; its figures are not available. So the meaning of L1 and L2 and every number of the housing are
@@ -34,7 +34,7 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class DesignParameter:
-    """One dimension of the design: its symbol in the text, its unit there, and its five levels in SI."""
+    """A dimension of the design: its symbol and unit in the text, and its five levels in SI."""
 
     name: str
     symbol: str
@@ -77,7 +77,7 @@ TEXT_OPTIMUM: FloatArray = np.array([10.0, 3.7, 4.0, 2.0, 4.5]) / SHOWN
 
 
 class Housing(NamedTuple):
-    """Everything that the optimisation leaves alone; lengths in m. All numbers but the coil are ours."""
+    """Fixed dimensions, m; all numbers but those of the coil are ours."""
 
     clearance: float = 0.15e-3
     """Radial gap between plunger and tube (a lining that is not magnetic)."""
@@ -109,7 +109,10 @@ HOUSING = Housing()
 
 
 def check_designs(designs: FloatArray) -> FloatArray:
-    """Return designs as a C-contiguous (n, 5) array of m and rad; UsageError for one that cannot be built."""
+    """Return designs as an array (n, 5) of m and rad.
+
+    UsageError for one far outside of Table A.2's bounds.
+    """
     table = np.ascontiguousarray(np.atleast_2d(np.asarray(designs, dtype=np.float64)))
     if table.ndim != 2 or table.shape[1] != len(PARAMETERS):
         raise UsageError(f"designs: expected rows of {len(PARAMETERS)} numbers, found shape {table.shape}")
@@ -123,7 +126,7 @@ def check_designs(designs: FloatArray) -> FloatArray:
 
 
 def design_text(design: FloatArray) -> str:
-    """A design (5,) as text in the text's units, like ``R 9.35 mm, L1 4.7 mm, …``."""
+    """Format a design (5,) in the text's units, like ``R 9.35 mm, L1 4.7 mm, …``."""
     return ", ".join(
         f"{p.symbol} {value * p.shown_scale:.4g}{'' if p.shown_unit == '°' else ' '}{p.shown_unit}"
         for p, value in zip(PARAMETERS, design, strict=True)

@@ -1,10 +1,10 @@
-"""What is optimised: a large force, and one that changes little along the stroke (A.1 to A.3).
+"""The objectives: a large force that changes little along the stroke (eq. A.1 to A.3).
 
-The text's second objective is the largest value of the normalised 1/(dF/dx). As it stands that is infinite
-for any curve with a maximum or minimum inside the stroke, however steep it is elsewhere; and the slope of a
-straight line through the curve is zero for any symmetric arch. Here the slope of a curve is therefore one
-positive number, the root of the mean square of dF/dx along the stroke, which is zero for a level curve and
-for no other; the straight line's slope, which is what the text quotes, is shown beside it.
+The text's second objective is the largest value of the normalised 1/(dF/dx). That is infinite for any curve
+with a maximum or minimum inside the stroke; and the slope of a straight line through the curve is zero for
+any symmetric arch. Here the slope of a curve is therefore the root mean square of dF/dx along the stroke,
+which is zero for a constant force alone. The slope of the straight line, as in the text, is shown in
+addition.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from labhil.signals import FloatArray
 
 
 def largest_force(curves: FloatArray) -> FloatArray:
-    """(n,) N, of force curves (n, m)."""
+    """Return the largest force (n,), N, of force curves (n, m)."""
     return np.asarray(curves.max(axis=1))
 
 
 def rms_slope(curves: FloatArray) -> FloatArray:
-    """(n,) N/m: root mean square of dF/dx, of force curves (n, m) at neighbouring :func:`positions`."""
+    """Return the root mean square of dF/dx (n,), N/m, of force curves (n, m) at :func:`positions`."""
     return np.asarray(np.sqrt(np.mean((np.diff(curves, axis=1) / PITCH) ** 2, axis=1)))
 
 
 def mean_slope(curves: FloatArray) -> FloatArray:
-    """(n,) N/m: slope of the straight line through each curve by least squares, with its sign."""
+    """Return the slope (n,), N/m, of the straight line through each curve by least squares."""
     x = positions() - positions().mean()
     return np.asarray(curves @ x / (x @ x))
 
@@ -45,30 +45,39 @@ class Objectives:
 
     @classmethod
     def of(cls, curves: FloatArray) -> Objectives:
-        """Normalisation by the force curves (n, m) of a database."""
+        """Normalise by the force curves (n, m) of a database."""
         force, inverse = largest_force(curves), 1.0 / rms_slope(curves)
         return cls((float(force.min()), float(force.max())), (float(inverse.min()), float(inverse.max())))
 
     def __call__(self, curves: FloatArray) -> FloatArray:
-        """(n, 2): CF1 of eq. A.2 and CF2 of eq. A.3; 0 and 1 are the extremes of the reference curves."""
+        """Return CF1 (eq. A.2) and CF2 (eq. A.3), (n, 2).
+
+        0 and 1 are the extremes of the reference curves.
+        """
         low, high = self.force_range
-        slow, shigh = self.inverse_slope_range
+        inverse_low, inverse_high = self.inverse_slope_range
         force = (largest_force(curves) - low) / (high - low)
-        return np.stack([force, (1.0 / rms_slope(curves) - slow) / (shigh - slow)], axis=1)
+        return np.stack(
+            [force, (1.0 / rms_slope(curves) - inverse_low) / (inverse_high - inverse_low)], axis=1
+        )
 
 
-def not_dominated(values: FloatArray, apart: float = 0.0) -> NDArray[np.intp]:
-    """Rows of values (n, 2), both wanted large, that no other row beats in one without losing in the other.
+def pareto_front(values: FloatArray, apart: float = 0.0) -> NDArray[np.intp]:
+    """Find the rows of values (n, 2), both to be maximised, that no other row dominates.
 
-    By falling first value; of equal rows the first. Of rows nearer than ``apart`` along the front only the
-    first is returned.
+    Args:
+        values: Pairs of objectives.
+        min_distance: Least distance between two rows along the front.
+
+    Returns:
+        Row numbers by decreasing first value; the first of equal rows.
     """
     order = np.lexsort((-values[:, 1], -values[:, 0]))
     second = values[order, 1]
     before = np.concatenate([[-np.inf], np.maximum.accumulate(second)[:-1]])
     front = order[second > before]
-    kept = [front[0]]
+    rows = [front[0]]
     for row in front[1:]:
-        if np.linalg.norm(values[row] - values[kept[-1]]) >= apart:
-            kept.append(row)
-    return np.array(kept)
+        if np.linalg.norm(values[row] - values[rows[-1]]) >= apart:
+            rows.append(row)
+    return np.array(rows)

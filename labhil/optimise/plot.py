@@ -1,4 +1,4 @@
-"""The study as a picture: force curves, Pareto front, interpolation, sensitivities."""
+"""Plot the study: force curves, Pareto front and sensitivities."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MARKERS = {ORIGINAL_NAME: "s", TEXT_NAME: "D", INTERPOLATED_NAME: "^", REFINED_N
 
 
 def plot(study: Optimisation, path: Path) -> None:
-    """Write four panels; UsageError when the file cannot be written or is no format of pictures."""
+    """Write four panels to a file; UsageError where it cannot be written or its suffix is not a format."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -62,9 +62,9 @@ def _draw_curves(axes: Axes, study: Optimisation) -> None:
 
 def _draw_front(axes: Axes, study: Optimisation) -> None:
     low, high = study.objectives.force_range
-    slow, shigh = study.objectives.inverse_slope_range
+    inverse_low, inverse_high = study.objectives.inverse_slope_range
     force = low + study.scores[:, 0] * (high - low)
-    slope = 1e-3 / (slow + study.scores[:, 1] * (shigh - slow))
+    slope = 1e-3 / (inverse_low + study.scores[:, 1] * (inverse_high - inverse_low))
     axes.plot(force, slope, ".", color="#999999", ms=2, alpha=0.5, label="every design evaluated")
     curves = study.database.curves
     axes.plot(
@@ -90,7 +90,7 @@ def _draw_front(axes: Axes, study: Optimisation) -> None:
 
 
 def _draw_local(axes: Axes, study: Optimisation) -> None:
-    """Per range, so that an angle of zero has a bar too."""
+    """Draw relative changes per range, so that an angle of zero has a bar."""
     width, at = 0.2, np.arange(len(PARAMETERS))
     n = 0
     for name, local in study.local.items():

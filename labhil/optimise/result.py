@@ -1,4 +1,4 @@
-"""The study as plain data, in SI units."""
+"""Turn the study into JSON, SI units (schema ``labhil.optimise/1``)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SCHEMA = "labhil.optimise/1"
 
 
 def optimisation_json(study: Optimisation) -> dict[str, Any]:
-    """Everything in ``study`` but the designs off the front; numbers that are not finite are None."""
+    """Return the study as plain data, without designs off the front; numbers that are not finite are None."""
     return {
         "schema": SCHEMA,
         "what": "solenoid",
@@ -53,8 +53,8 @@ def optimisation_json(study: Optimisation) -> dict[str, Any]:
             }
             for c in study.candidates
         ],
-        "promised_by_interpolation": study.promised,
-        "swarms": {"flown": study.swarms, "agreeing": study.agreeing},
+        "promised_by_interpolation": study.predicted_cost,
+        "swarms": {"flown": study.swarms, "agreeing": study.n_agreeing},
         "front": [
             {"design": study.evaluated[n].tolist(), "cf1": study.scores[n, 0], "cf2": study.scores[n, 1]}
             for n in study.front

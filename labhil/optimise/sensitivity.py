@@ -1,4 +1,4 @@
-"""What the parameters do to largest force and slope: here and there, and over all of Table A.2's ranges."""
+"""Sensitivities of largest force and slope: at a design, and over all of Table A.2's ranges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labhil.optimise.objectives import largest_force, rms_slope
 from labhil.signals import FloatArray
 
 STEP = 0.03
-"""Of a parameter's range, for differences."""
+"""Step of the difference quotients, in ranges."""
 CONFIDENCE = 0.95
 RESAMPLES = 200
 
@@ -22,7 +22,7 @@ OUTPUTS = ("largest_force", "rms_slope")
 
 @dataclass(frozen=True, slots=True)
 class LocalSensitivity:
-    """At one design, rows as in ``OUTPUTS``, columns as the parameters."""
+    """Sensitivities at a design, rows as in ``OUTPUTS``, columns as the parameters."""
 
     elasticity: FloatArray
     """(2, 5): (p/y)·∂y/∂p; NaN where the parameter is zero."""
@@ -45,7 +45,7 @@ class GlobalSensitivity:
 
 
 def local_sensitivity(design: FloatArray) -> LocalSensitivity:
-    """By differences of the circuit around a design (5,); one-sided at a bound."""
+    """Compute difference quotients of the circuit around a design (5,); one-sided at a bound."""
     step = STEP * (UPPER - LOWER)
     above, below = np.minimum(design + step, UPPER), np.maximum(design - step, LOWER)
     designs = np.vstack([_replace_each(design, above), _replace_each(design, below), design])
@@ -59,9 +59,15 @@ def local_sensitivity(design: FloatArray) -> LocalSensitivity:
 def global_sensitivity(
     curves_of: Callable[[FloatArray], FloatArray], samples: int, rng: np.random.Generator
 ) -> GlobalSensitivity:
-    """Sobol's indices of a function that gives curves (n, m) of designs (n, 5).
+    """Compute Sobol's indices over the box of Table A.2.
 
-    ``samples`` is a power of two; 7 times as many designs are evaluated.
+    Args:
+        curves_of: Designs (n, 5) to force curves (n, m).
+        samples: A power of two; 7 times as many designs are evaluated.
+        rng: Random generator.
+
+    Returns:
+        The indices with bootstrap intervals.
     """
     from scipy.stats import qmc
 
@@ -74,8 +80,8 @@ def global_sensitivity(
     f_AB = y[:, 2 * samples :].reshape(2, 5, samples).transpose(1, 0, 2)
     table = np.concatenate([y[:, :samples][None], y[:, samples : 2 * samples][None], f_AB])
     indices = _indices(table)
-    again = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
-    low, high = np.quantile(again, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
+    resampled = [_indices(table[:, :, rng.integers(samples, size=samples)])[1] for _ in range(RESAMPLES)]
+    low, high = np.quantile(resampled, [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], axis=0)
     return GlobalSensitivity(*indices, low, high, 7 * samples)
 
 
@@ -88,7 +94,7 @@ def _indices(table: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _outputs(curves: FloatArray) -> FloatArray:
-    """(2, n)."""
+    """Largest force and slope of curves (n, m), (2, n)."""
     return np.stack([largest_force(curves), rms_slope(curves)])
 
 

@@ -1,4 +1,4 @@
-"""The study as tables that a person reads in a terminal."""
+"""Print the study as tables."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from labhil.signals import FloatArray
 if TYPE_CHECKING:
     from rich.console import Console
 
-FAR_OFF = 0.1
-"""A promise of the interpolation that misses the circuit by more than this is printed."""
+MIN_SHOWN_ERROR = 0.1
+"""Error of the interpolated optimum's CF above which it is printed."""
 
 
 def show(study: Optimisation, console: Console) -> None:
     """Print the study."""
     console.print(_candidate_table(study))
-    for line in _findings(study):
+    for line in _conclusions(study):
         console.print(Text("· " + line))
     console.print(_sensitivity_table(study))
     if study.field is not None:
         console.print(_field_table(study.field))
-        for line in _field_findings(study.field):
+        for line in _field_conclusions(study.field):
             console.print(Text("· " + line))
     console.print(
         f"Model: equivalent circuit with our own housing and steel; {len(study.evaluated)} force curves in "
@@ -45,23 +45,23 @@ def show(study: Optimisation, console: Console) -> None:
     )
 
 
-def _plain(title: str) -> Table:
+def _table(title: str) -> Table:
     return Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
 
 
 def _candidate_table(study: Optimisation) -> Table:
-    table = _plain("Designs, and what the magnetic circuit says of them (450 turns, 2.7 A, stroke 5 mm)")
+    table = _table("Designs, by the magnetic circuit (450 turns, 2.7 A, stroke 5 mm)")
     table.add_column("design", no_wrap=True)
     for parameter in PARAMETERS:
         table.add_column(f"{parameter.symbol}, {parameter.shown_unit}", justify="right", no_wrap=True)
     for name in ("largest F, N", "rms dF/dx, N/mm", "mean dF/dx, N/mm", "CF1", "CF2", "CF"):
         table.add_column(name, justify="right", no_wrap=True)
     for candidate in study.candidates:
-        table.add_row(candidate.name, *_cells(candidate))
+        table.add_row(candidate.name, *_candidate_cells(candidate))
     return table
 
 
-def _cells(candidate: Candidate) -> Iterator[str]:
+def _candidate_cells(candidate: Candidate) -> Iterator[str]:
     for parameter, value in zip(PARAMETERS, candidate.design, strict=True):
         yield f"{value * parameter.shown_scale:.2f}"
     yield f"{candidate.largest_force:.1f}"
@@ -70,24 +70,24 @@ def _cells(candidate: Candidate) -> Iterator[str]:
     yield from (f"{score:.2f}" for score in (*candidate.scores, candidate.cost))
 
 
-def _findings(study: Optimisation) -> Iterator[str]:
+def _conclusions(study: Optimisation) -> Iterator[str]:
     original, text = study.candidate(ORIGINAL_NAME), study.candidate(TEXT_NAME)
     ours, interpolated = study.candidate(REFINED_NAME), study.candidate(INTERPOLATED_NAME)
     for name, candidate in (("The text's optimum", text), ("Ours", ours)):
-        yield f"{name} against the original: {_change(original, candidate)}."
+        yield f"{name} against the original: {_comparison(original, candidate)}."
     for candidate in (text, original):
-        better = study.no_weaker(candidate)
+        better = study.flattest_with_force_of(candidate)
         yield (
             f"Of all designs evaluated with at least {candidate.largest_force:.0f} N ({candidate.name}), the "
             f"most level one has {1e-3 * study.slope_of(better):.1f} N/mm: "
             f"{design_text(study.evaluated[better])}."
         )
-    missed = study.promised - interpolated.cost
+    missed = study.predicted_cost - interpolated.cost
     error = study.interpolation
-    if abs(missed) > FAR_OFF:
+    if abs(missed) > MIN_SHOWN_ERROR:
         yield (
-            f"The optimum of the interpolated database is promised CF {study.promised:.2f} and gets "
-            f"{interpolated.cost:.2f} from the circuit: an optimiser goes where the interpolation errs."
+            f"The optimum of the interpolated database has CF {study.predicted_cost:.2f} by interpolation, "
+            f"and {interpolated.cost:.2f} by the circuit: an optimiser moves to errors of the interpolation."
         )
     yield (
         f"Interpolation between the 55 runs, at {error.designs} designs it has not seen: "
@@ -95,19 +95,19 @@ def _findings(study: Optimisation) -> Iterator[str]:
         f"{1e-3 * error.slope_rms:.1f} N/mm of the slope; worst {error.curve_worst:.0f} N."
     )
     yield (
-        f"{study.agreeing} of {study.swarms} swarms on the database ended at its best CF (within 1 %); "
+        f"{study.n_agreeing} of {study.swarms} swarms on the database ended at its best CF (within 1 %); "
         f"{len(study.front)} designs of all evaluated ones are on the Pareto front."
     )
 
 
-def _change(before: Candidate, after: Candidate) -> str:
+def _comparison(before: Candidate, after: Candidate) -> str:
     force = 100.0 * (after.largest_force / before.largest_force - 1.0)
     slope = 100.0 * (after.rms_slope / before.rms_slope - 1.0)
     return f"largest force {force:+.0f} %, rms slope {slope:+.0f} %, CF {after.cost - before.cost:+.2f}"
 
 
 def _sensitivity_table(study: Optimisation) -> Table:
-    table = _plain("Sensitivities of largest force | rms slope")
+    table = _table("Sensitivities of largest force | rms slope")
     table.add_column("")
     for parameter in PARAMETERS:
         table.add_column(parameter.symbol, justify="right", no_wrap=True)
@@ -125,7 +125,7 @@ def _pair(values: FloatArray, style: str) -> str:
 
 def _field_table(field: FieldCheck) -> Table:
     x = [point.position for point in field.points if point.candidate == ORIGINAL_NAME][:-1]
-    table = _plain("Force by the field solver | by the circuit, N, at 2.7 A")
+    table = _table("Force by the field solver | by the circuit, N, at 2.7 A")
     table.add_column("x, mm")
     for name in field.curves:
         table.add_column(name, justify="right", no_wrap=True)
@@ -143,11 +143,11 @@ def _field_table(field: FieldCheck) -> Table:
 
 
 def circuit_curve(field: FieldCheck, name: str) -> FloatArray:
-    """The circuit's forces (m,) in N of a candidate at full current."""
+    """Return the circuit's forces (m,), N, of a candidate at full current."""
     return np.array([p.circuit for p in field.points if p.candidate == name][:-1])
 
 
-def _field_findings(field: FieldCheck) -> Iterator[str]:
+def _field_conclusions(field: FieldCheck) -> Iterator[str]:
     ratios = field.ratios()
     weak = [point.circuit / point.field for point in field.points if point.current < field.points[0].current]
     yield (

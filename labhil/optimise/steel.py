@@ -5,8 +5,8 @@ on top of vacuum, with values of the kind that a free-cutting steel has::
 
     B(H) = μ₀·H + J_s·H / (H₀ + |H|)
 
-It saturates at the polarisation J_s and has half of that at H = H₀. Circuit and field solver both ask for
-H at a given B, which is the positive root of a quadratic equation.
+It saturates at the polarisation J_s and has half of that at H = H₀. Circuit and field solver both need
+H at a given B, the positive root of a quadratic equation.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from labhil.signals import FloatArray
 
 MU0 = 4e-7 * np.pi
 SMALL = 1e-3
-"""H/H₀ below which t − log(1 + t) is summed as a series, where the difference would lose its digits."""
+"""H/H₀ below which t − log(1 + t) is a series, since the difference would lose its digits."""
 
 
 class Steel(NamedTuple):
@@ -36,13 +36,13 @@ FREE_CUTTING = Steel(1.85, 700.0)
 
 
 def flux_density(H: FloatArray, steel: Steel) -> FloatArray:
-    """B in T at field strengths H in A/m, any sign and shape."""
+    """Return B (T) at field strengths H (A/m) of any sign and shape."""
     return MU0 * H + steel.saturation * H / (steel.half_field + np.abs(H))
 
 
 @compiled
 def magnetisation(B: float, steel: Steel) -> tuple[float, float, float]:
-    """H (A/m), dH/dB (A/(m·T)) and ∫ H dB (J/m³) at a flux density B ≥ 0 in T."""
+    """Return H (A/m), dH/dB (A/(m·T)) and ∫ H dB (J/m³) at a flux density B ≥ 0 in T."""
     d = B - steel.saturation - MU0 * steel.half_field
     root = sqrt(d * d + 4.0 * MU0 * steel.half_field * B)
     # Two forms of one root: each where it subtracts no numbers that are nearly equal.
@@ -54,7 +54,7 @@ def magnetisation(B: float, steel: Steel) -> tuple[float, float, float]:
 
 
 def magnetisation_all(B: FloatArray, steel: Steel) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What :func:`magnetisation` returns, for flux densities B ≥ 0 of any shape."""
+    """Return the values of :func:`magnetisation` for flux densities B ≥ 0 of any shape."""
     J, H0 = steel
     d = B - J - MU0 * H0
     root = np.sqrt(d * d + 4.0 * MU0 * H0 * B)

@@ -1,4 +1,8 @@
-"""``labhil optimise solenoid``: Appendix A of the reference text from beginning to end, in our own model."""
+"""Run the study of ``labhil optimise solenoid``: Appendix A of the reference text with our own model.
+
+Read :mod:`labhil.optimise.geometry` for the design, ``circuit`` for the forces, ``database`` for the
+interpolation, and ``show`` and ``plot`` for the output.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.optimise.circuit import force_curves
-from labhil.optimise.database import Database, InterpolationError, apart, as_shares, interpolation_error
-from labhil.optimise.field import skfem
+from labhil.optimise.database import (
+    Database,
+    InterpolationError,
+    interpolation_error,
+    select_distinct,
+    to_unit_box,
+)
+from labhil.optimise.field import load_skfem
 from labhil.optimise.field_check import FieldCheck, check_by_field
 from labhil.optimise.geometry import LOWER, ORIGINAL, TEXT_OPTIMUM, UPPER
-from labhil.optimise.objectives import Objectives, largest_force, mean_slope, not_dominated, rms_slope
+from labhil.optimise.objectives import Objectives, largest_force, mean_slope, pareto_front, rms_slope
 from labhil.optimise.runs import Runs, design_runs
 from labhil.optimise.sensitivity import (
     GlobalSensitivity,
@@ -23,51 +33,59 @@ from labhil.optimise.sensitivity import (
     global_sensitivity,
     local_sensitivity,
 )
-from labhil.optimise.swarm import Flight, maximise
+from labhil.optimise.swarm import SwarmResult, maximise
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
 
 WEIGHTS = (1.0, 1.0)
 """k1 and k2 of eq. A.1."""
-CORNER = (-0.3, -0.3)
-"""Of CF1 and CF2: worse than any design on the Pareto front in both."""
-NEAR, RIVALS = 0.2, 4
-"""How near to the best known designs (of the ranges) others are tried in the first round, and of how many."""
-RIVALS_APART = 0.3
-"""Of the ranges: best known designs that are this far apart count as rivals."""
-SIMPLEX = 0.15
-"""Of the ranges: how large the last step's simplex is at first."""
-APART_ON_FRONT = 0.01
-"""In CF1 and CF2 together: designs nearer than this are one point of the front."""
-
 ORIGINAL_NAME, TEXT_NAME = "original", "text's optimum"
 INTERPOLATED_NAME, REFINED_NAME = "ours, 55 runs", "ours, refined"
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
-    """How much is computed; smaller numbers for tests."""
+class StudyOptions:
+    """Amount of computation and parameters of the search; tests use smaller numbers.
+
+    Lengths and distances without a unit are shares of the ranges of Table A.2.
+
+    Attributes:
+        held_out: Designs on which the interpolation is evaluated.
+        swarms: Swarms that maximise CF.
+        iterations: Iterations of a swarm.
+        best_known: Further designs of the circuit that join the refined database.
+        rounds: Rounds of the refinement.
+        local_evaluations: Most runs of the circuit in the final simplex search.
+        n_directions: Directions of the Pareto front that have a swarm of their own in each round.
+        sobol: Samples of the global sensitivities, a power of two; 7 times as many designs are evaluated.
+        near_radius: Distance of random designs from the best ones in the first round.
+        n_rivals: Number of best designs that have such neighbours.
+        min_rival_distance: Distance between two of them, at least.
+        simplex_size: Size of the first simplex.
+        min_front_distance: Distance in CF1 and CF2 below which designs are one point of the front.
+        reference_point: CF1 and CF2 below those of every design on the Pareto front.
+    """
 
     held_out: int = 200
-    """Designs that the interpolation is judged on."""
     swarms: int = 5
     iterations: int = 40
     best_known: int = 40
-    """Of the designs run for other ends, how many join the database that is refined."""
     rounds: int = 12
-    """Of runs added where the swarms end."""
-    settling: int = 150
-    """Runs of the circuit at most for the last step, from the best of those to the top of the hill."""
-    angles: int = 9
-    """Directions of the Pareto front that swarms fly for in each round."""
+    local_evaluations: int = 150
+    n_directions: int = 9
     sobol: int = 128
-    """Power of two; 7 times as many designs."""
+    near_radius: float = 0.2
+    n_rivals: int = 4
+    min_rival_distance: float = 0.3
+    simplex_size: float = 0.15
+    min_front_distance: float = 0.01
+    reference_point: tuple[float, float] = (-0.3, -0.3)
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One design with its figures by the circuit."""
+    """A design with its forces from the circuit."""
 
     name: str
     design: FloatArray
@@ -91,7 +109,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Optimisation:
-    """Everything that the study found."""
+    """Result of the study."""
 
     seed: int
     runs: Runs
@@ -100,9 +118,9 @@ class Optimisation:
     interpolation: InterpolationError
     candidates: tuple[Candidate, ...]
     """The original, the text's optimum, ours by interpolation of the 55 runs, ours after more runs."""
-    promised: float
-    """CF that the interpolated database gives to its own optimum; the candidate's own is the circuit's."""
-    agreeing: int
+    predicted_cost: float
+    """CF of the database's optimum by interpolation; the candidate has that by the circuit."""
+    n_agreeing: int
     """How many of ``swarms`` swarms on the database ended within 1 % of the best one's CF."""
     swarms: int
     evaluated: FloatArray
@@ -121,8 +139,8 @@ class Optimisation:
         """The candidate of this name."""
         return next(candidate for candidate in self.candidates if candidate.name == name)
 
-    def no_weaker(self, candidate: Candidate) -> int:
-        """The row of ``evaluated`` with the smallest slope of all with at least the candidate's force."""
+    def flattest_with_force_of(self, candidate: Candidate) -> int:
+        """Return the row of ``evaluated`` with the least slope among those with the candidate's force."""
         strong = self.scores[:, 0] >= candidate.scores[0] - 1e-9
         return int(np.argmax(np.where(strong, self.scores[:, 1], -np.inf)))
 
@@ -138,8 +156,8 @@ class Optimisation:
         return optimisation_json(self)
 
 
-class Bench:
-    """The circuit, with a log of every design that it was run on."""
+class CircuitLog:
+    """The magnetic circuit, with a log of all designs and their forces."""
 
     def __init__(self) -> None:
         self._designs: list[FloatArray] = []
@@ -166,33 +184,43 @@ def run(
     progress: Progress = lambda text: None,
     *,
     field: bool = False,
-    effort: Effort | None = None,
+    options: StudyOptions | None = None,
 ) -> Optimisation:
-    """Run the whole study; MissingExtraError when ``field`` is True and scikit-fem is not installed.
+    """Run the whole study.
 
-    The same seed gives the same result, but for ``seconds``.
+    Args:
+        seed: Seed of all random numbers; the result is reproducible except for ``seconds``.
+        progress: Called with a line of text before each stage.
+        field: Whether the field solver checks the forces.
+        options: Amount of computation.
+
+    Returns:
+        The result.
+
+    Raises:
+        MissingExtraError: ``field`` is True and scikit-fem is not installed.
     """
-    begin = time.perf_counter()
-    effort, rng, bench = effort or Effort(), np.random.default_rng(seed), Bench()
+    start_time = time.perf_counter()
+    options, rng, circuit = options or StudyOptions(), np.random.default_rng(seed), CircuitLog()
     if field:
-        skfem()
+        load_skfem()
     progress("magnetic circuit: the 55 runs of the database")
     runs = design_runs()
-    database = Database(runs.designs, bench.curves(runs.designs))
+    database = Database(runs.designs, circuit.curves(runs.designs))
     objectives = Objectives.of(database.curves)
-    unseen = LOWER + rng.random((effort.held_out, len(LOWER))) * (UPPER - LOWER)
-    interpolation = interpolation_error(database, unseen, bench.curves(unseen))
+    held_out = LOWER + rng.random((options.held_out, len(LOWER))) * (UPPER - LOWER)
+    interpolation = interpolation_error(database, held_out, circuit.curves(held_out))
     progress("particle swarms on the interpolated database")
-    flights = [_fly(database, objectives, _sum, effort, rng) for _ in range(effort.swarms)]
-    best = max(flights, key=lambda flight: flight.value)
+    results = [_run_swarm(database, objectives, _cost, options, rng) for _ in range(options.swarms)]
+    best = max(results, key=lambda result: result.value)
     progress("sensitivities over the whole box")
-    overall = global_sensitivity(bench.curves, effort.sobol, rng)
+    overall = global_sensitivity(circuit.curves, options.sobol, rng)
     progress("more runs of the circuit where the swarms end")
     designs = {ORIGINAL_NAME: ORIGINAL, TEXT_NAME: TEXT_OPTIMUM, INTERPOLATED_NAME: best.best}
-    designs[REFINED_NAME] = _refine(database, bench, objectives, effort, rng)
+    designs[REFINED_NAME] = _refine(database, circuit, objectives, options, rng)
     local = {name: local_sensitivity(designs[name]) for name in (ORIGINAL_NAME, REFINED_NAME)}
     field_check = check_by_field(designs, progress) if field else None
-    scores = objectives(bench.all_curves())
+    scores = objectives(circuit.all_curves())
     return Optimisation(
         seed=seed,
         runs=runs,
@@ -200,100 +228,119 @@ def run(
         objectives=objectives,
         interpolation=interpolation,
         candidates=tuple(_candidate(name, design, objectives) for name, design in designs.items()),
-        promised=best.value,
-        agreeing=sum(flight.value > best.value - 0.01 * abs(best.value) for flight in flights),
-        swarms=len(flights),
-        evaluated=bench.designs(),
+        predicted_cost=best.value,
+        n_agreeing=sum(result.value > best.value - 0.01 * abs(best.value) for result in results),
+        swarms=len(results),
+        evaluated=circuit.designs(),
         scores=scores,
-        front=not_dominated(scores, APART_ON_FRONT),
+        front=pareto_front(scores, options.min_front_distance),
         local=local,
         overall=overall,
         field=field_check,
-        seconds=time.perf_counter() - begin,
+        seconds=time.perf_counter() - start_time,
     )
 
 
-def _sum(scores: FloatArray) -> FloatArray:
+def _cost(scores: FloatArray) -> FloatArray:
     """(n,) CF of eq. A.1, of scores (n, 2)."""
     return np.asarray(scores @ WEIGHTS)
 
 
-def _towards(angle: float) -> Callable[[FloatArray], FloatArray]:
-    """A wish whose best design lies on the Pareto front in this direction from ``CORNER``.
+def _front_criterion(angle: float, reference: tuple[float, float]) -> Callable[[FloatArray], FloatArray]:
+    """Make a criterion whose maximum is on the Pareto front in this direction from the reference point.
 
-    A weighted sum never leads to the hollow parts of a front; the smaller of two ratios does.
+    It is the smaller of two ratios: a weighted sum has no maximum on the concave parts of a front.
     """
     direction = np.maximum([np.cos(angle), np.sin(angle)], 0.02)
-    return lambda scores: np.asarray(np.min((scores - CORNER) / direction, axis=1))
+    return lambda scores: np.asarray(np.min((scores - reference) / direction, axis=1))
 
 
-def _fly(
+def _run_swarm(
     database: Database,
     objectives: Objectives,
-    wish: Callable[[FloatArray], FloatArray],
-    effort: Effort,
+    criterion: Callable[[FloatArray], FloatArray],
+    options: StudyOptions,
     rng: np.random.Generator,
-) -> Flight:
-    """One swarm on the interpolated database; ``wish`` turns CF1 and CF2 (n, 2) into what is maximised."""
+) -> SwarmResult:
+    """Maximise a criterion of CF1 and CF2 (n, 2) on the interpolated database by a swarm."""
     return maximise(
-        lambda X: wish(objectives(database.interpolate(X))),
+        lambda X: criterion(objectives(database.interpolate(X))),
         LOWER,
         UPPER,
         int(rng.integers(2**31)),
-        effort.iterations,
+        options.iterations,
     )
 
 
 def _refine(
-    database: Database, bench: Bench, objectives: Objectives, effort: Effort, rng: np.random.Generator
+    database: Database,
+    circuit: CircuitLog,
+    objectives: Objectives,
+    options: StudyOptions,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """The best design (5,) after the circuit has been run, round by round, wherever swarms ended.
+    """Search the best design (5,) with runs of the circuit wherever swarms on the database end.
 
-    It begins with the 55 runs and the best of all other designs that the circuit has been run on. Each
-    round's swarms fly for CF and in directions all along the Pareto front, and their ends enter the
-    database that the next round interpolates: a promise that the circuit does not keep is not made twice.
-    Designs close to the best ones, closer with every round, join them; a simplex settles the rest.
+    The database starts with the 55 runs and the best other designs of the circuit. In each round swarms
+    maximise CF and criteria along the Pareto front. Their optima and random designs near the best ones,
+    nearer with every round, are run and enter the database, which corrects the errors of the interpolation
+    there. A simplex search on the circuit ends the search.
     """
-    known = bench.designs()[np.argsort(-(_sum(objectives(bench.all_curves()))))[: effort.best_known]]
-    known = apart(known, database.designs)
-    database = database.extend(known, bench.curves(known))
-    angles = np.linspace(0.0, np.pi / 2, effort.angles)
-    wishes = [_sum] * effort.swarms + [_towards(float(angle)) for angle in angles]
-    for rounds_left in range(effort.rounds, 0, -1):
-        ends = [_fly(database, objectives, wish, effort, rng).best for wish in wishes]
-        near = _nearby(database, objectives, NEAR * rounds_left / effort.rounds, rng)
-        new = apart(np.vstack([ends, near]), database.designs)
+    best_known = circuit.designs()[
+        np.argsort(-(_cost(objectives(circuit.all_curves()))))[: options.best_known]
+    ]
+    best_known = select_distinct(best_known, database.designs)
+    database = database.extend(best_known, circuit.curves(best_known))
+    angles = np.linspace(0.0, np.pi / 2, options.n_directions)
+    criteria = [_cost] * options.swarms + [
+        _front_criterion(float(angle), options.reference_point) for angle in angles
+    ]
+    for rounds_left in range(options.rounds, 0, -1):
+        swarm_optima = [
+            _run_swarm(database, objectives, criterion, options, rng).best for criterion in criteria
+        ]
+        nearby = _sample_near_best(database, objectives, rounds_left, options, rng)
+        new = select_distinct(np.vstack([swarm_optima, nearby]), database.designs)
         if len(new):
-            database = database.extend(new, bench.curves(new))
-    best = database.designs[np.argmax(_sum(objectives(database.curves)))]
-    return _settle(best, bench, objectives, effort)
+            database = database.extend(new, circuit.curves(new))
+    best = database.designs[np.argmax(_cost(objectives(database.curves)))]
+    return _refine_locally(best, circuit, objectives, options)
 
 
-def _settle(best: FloatArray, bench: Bench, objectives: Objectives, effort: Effort) -> FloatArray:
-    """The design (5,) at the top of the hill that ``best`` stands on, by simplex on the circuit itself."""
+def _refine_locally(
+    best: FloatArray, circuit: CircuitLog, objectives: Objectives, options: StudyOptions
+) -> FloatArray:
+    """Find the local optimum (5,) from ``best`` by a simplex search on the circuit."""
     from scipy.optimize import minimize
 
     def cost(shares: FloatArray) -> float:
-        return -float(_sum(objectives(bench.curves(LOWER + shares[None, :] * (UPPER - LOWER))))[0])
+        return -float(_cost(objectives(circuit.curves(LOWER + shares[None, :] * (UPPER - LOWER))))[0])
 
-    start = as_shares(best)
-    corners = np.vstack([start, start + np.where(start > 0.5, -SIMPLEX, SIMPLEX) * np.eye(len(start))])
-    options = {"initial_simplex": corners, "maxfev": effort.settling, "xatol": 1e-3, "fatol": 1e-4}
-    optimum = minimize(cost, start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(start), options=options)
+    start, size = to_unit_box(best), options.simplex_size
+    corners = np.vstack([start, start + np.where(start > 0.5, -size, size) * np.eye(len(start))])
+    settings = {"initial_simplex": corners, "maxfev": options.local_evaluations, "xatol": 1e-3, "fatol": 1e-4}
+    optimum = minimize(cost, start, method="Nelder-Mead", bounds=[(0.0, 1.0)] * len(start), options=settings)
     return np.asarray(LOWER + optimum.x * (UPPER - LOWER))
 
 
-def _nearby(database: Database, objectives: Objectives, reach: float, rng: np.random.Generator) -> FloatArray:
-    """Designs (n, 5) at random within ``reach`` (of the ranges) of the best ones.
+def _sample_near_best(
+    database: Database,
+    objectives: Objectives,
+    rounds_left: int,
+    options: StudyOptions,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Draw designs (n, 5) near the best ones, nearer with every round.
 
-    Half of them are near the best of all; of the others the first is near that too, the next near the best
-    that is far from it, and so on, so that rival optima are followed up.
+    Half of them are near the best design, the others near rivals that are far from it and from each other.
     """
-    order = np.argsort(-_sum(objectives(database.curves)))
-    far = apart(database.designs[order], np.empty((0, len(LOWER))), RIVALS_APART)[:RIVALS]
-    far = np.vstack([far, np.tile(far[0], (len(far), 1))])
-    moves = reach * rng.uniform(-1.0, 1.0, far.shape) * (UPPER - LOWER)
-    return np.asarray(np.clip(far + moves, LOWER, UPPER))
+    order = np.argsort(-_cost(objectives(database.curves)))
+    best = database.designs[order]
+    rivals = select_distinct(best, np.empty((0, len(LOWER))), options.min_rival_distance)[: options.n_rivals]
+    rivals = np.vstack([rivals, np.tile(rivals[0], (len(rivals), 1))])
+    radius = options.near_radius * rounds_left / options.rounds
+    steps = radius * rng.uniform(-1.0, 1.0, rivals.shape) * (UPPER - LOWER)
+    return np.asarray(np.clip(rivals + steps, LOWER, UPPER))
 
 
 def _candidate(name: str, design: FloatArray, objectives: Objectives) -> Candidate:

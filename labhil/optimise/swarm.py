@@ -1,4 +1,4 @@
-"""The reference text's particle swarm for a function that evaluates many designs at once."""
+"""Maximise a function that evaluates many designs at once by the reference text's particle swarm."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
-    """Where a swarm ended."""
+class SwarmResult:
+    """The optimum of a swarm."""
 
     best: FloatArray
     """(k,)."""
     value: float
 
 
-class _Batches(CostEvaluator):
-    """An evaluator whose populations are evaluated in one call."""
+class _BatchEvaluator(CostEvaluator):
+    """An evaluator that evaluates a population in one call."""
 
     def __init__(self, costs: Function, box: Box, budget: Budget) -> None:
         super().__init__(lambda z: float(costs(z[None, :])[0]), box, budget)
@@ -36,12 +36,22 @@ class _Batches(CostEvaluator):
         return np.array([self._note(z, float(c)) for z, c in zip(inside, self._costs(inside), strict=True)])
 
 
-def maximise(function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int) -> Flight:
-    """The largest value of ``function`` ((n, k) → (n,)) between the bounds (k,) that the swarm comes upon.
+def maximise(
+    function: Function, lower: FloatArray, upper: FloatArray, seed: int, iterations: int
+) -> SwarmResult:
+    """Maximise a function by the swarm of equations 3.1 to 3.3, ten particles per dimension.
 
-    The swarm is that of equations 3.1 to 3.3, with ten particles per dimension and walls at the bounds.
+    Args:
+        function: Points (n, k) to values (n,).
+        lower: Lower bounds (k,).
+        upper: Upper bounds (k,).
+        seed: Seed of the swarm.
+        iterations: Number of iterations.
+
+    Returns:
+        The best point and its value.
     """
     budget = Budget(PARTICLES_PER_DIMENSION * len(lower) * (iterations + 1), threshold=-np.inf)
-    evaluator = _Batches(lambda X: -function(X), Box(lower, upper), budget)
+    evaluator = _BatchEvaluator(lambda X: -function(X), Box(lower, upper), budget)
     result = reference_swarm(evaluator, seed, iterations=iterations)
-    return Flight(result.z, -result.cost)
+    return SwarmResult(result.z, -result.cost)

@@ -1,4 +1,4 @@
-"""A simulated axis: held force in, position out; rigid, or with its load behind a spring."""
+"""A simulated linear axis: held force in, position out; rigid, or with an elastically coupled load."""
 
 from __future__ import annotations
 
@@ -9,19 +9,27 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
-from labhil.plants.driven import TOLERANCE, Drive, kernel_for
+from labhil.plants.definition import (
+    FRICTION,
+    INPUT_EFFECTS,
+    OUTPUT_EFFECTS,
+    POSITIVE,
+    SAMPLING,
+    PlantDefinition,
+    with_sizes,
+)
+from labhil.plants.driven import TOLERANCE, PlantSimulation, compile_kernel
 from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
-from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
-from labhil.plants.trajectory import Channel, Stamps, Trajectory, sense
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, with_sizes
+from labhil.plants.integrator import PLANT_STATES, SENSOR, Body, V, Workspace, X
+from labhil.plants.trajectory import Channel, SampleTimes, Trajectory, sense
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("position", "velocity", "temperature", "drive_current")
-WARMTH, LOAD_X, LOAD_V = INNER, INNER + 1, INNER + 2
+TEMPERATURE, LOAD_X, LOAD_V = PLANT_STATES, PLANT_STATES + 1, PLANT_STATES + 2
 
-AXIS = World(
+AXIS = PlantDefinition(
     bare={
         "moving_mass": 95.0,  # kg
         "drive_gain": 35.15,  # N/V, of the voltage that is reported beside the force
@@ -68,7 +76,7 @@ AXIS = World(
             {"compliance": 2e-6, "damping": 300.0, "share": 0.7},
         ),
         **with_sizes(
-            WAY_IN,
+            INPUT_EFFECTS,
             {
                 "time_delay": {"delay": 0.004},
                 "dead_zone": {"left": 5.0, "right": 5.0},
@@ -79,7 +87,7 @@ AXIS = World(
             },
         ),
         **with_sizes(
-            WAY_OUT,
+            OUTPUT_EFFECTS,
             {
                 "sensor_offset": {"offset": 0.001},
                 "sensor_nonlinearity": {"cubic": 0.1},
@@ -102,7 +110,7 @@ AXIS = World(
 
 
 class Carriage(NamedTuple):
-    """Numbers of the axis (SI)."""
+    """Parameters of the axis, SI."""
 
     force: float
     spring: float
@@ -111,12 +119,12 @@ class Carriage(NamedTuple):
     second: float
     order: float
     phase: float
-    load_share: float
+    load_coefficient: float
     start: float
     reference: float
     warming: float
     cooling: float
-    thinning: float
+    viscosity_rate: float
     viscous: float
     dry: float
     load: float
@@ -125,14 +133,14 @@ class Carriage(NamedTuple):
     magnet: float
     magnet_width: float
     cable: float
-    cable_from: float
+    cable_start: float
     patch: float
-    patch_place: float
+    patch_position: float
     patch_width: float
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Carriage:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         compliance = p.get("joint_elasticity.compliance", 0.0)
         return cls(
             force=p.get("constant_force.force", 0.0),
@@ -142,97 +150,102 @@ class Carriage(NamedTuple):
             second=p.get("cogging_torque.second", 0.0),
             order=p.get("cogging_torque.order", 1.0),
             phase=p.get("cogging_torque.phase", 0.0),
-            load_share=p.get("load_dependent_friction.coefficient", 0.0),
+            load_coefficient=p.get("load_dependent_friction.coefficient", 0.0),
             start=p["temperature_start"],
             reference=p["reference_temperature"],
             warming=p["warming"],
             cooling=p["cooling"],
-            thinning=p.get("temperature_dependent_friction.rate", 0.0),
+            viscosity_rate=p.get("temperature_dependent_friction.rate", 0.0),
             viscous=p.get("viscous_friction.coefficient", 0.0),
             dry=p.get("coulomb_friction.level", 0.0),
-            load=behind_spring(p),
+            load=elastic_mass(p),
             stiffness=1.0 / compliance if compliance else 0.0,
             damping=p.get("joint_elasticity.damping", 0.0),
             magnet=p.get("hidden_magnet.pull", 0.0),
             magnet_width=p.get("hidden_magnet.width", 1.0),
             cable=p.get("hidden_cable.stiffness", 0.0),
-            cable_from=p.get("hidden_cable.from", 0.0),
+            cable_start=p.get("hidden_cable.from", 0.0),
             patch=p.get("hidden_sticky_patch.level", 0.0),
-            patch_place=p.get("hidden_sticky_patch.place", 0.0),
+            patch_position=p.get("hidden_sticky_patch.place", 0.0),
             patch_width=p.get("hidden_sticky_patch.width", 1.0),
         )
 
 
-def mass_of(p: Mapping[str, float]) -> float:
-    """All that moves, kg."""
+def total_mass(p: Mapping[str, float]) -> float:
+    """Return the total moving mass, kg."""
     return p["moving_mass"] + p.get("added_inertia.mass", 0.0)
 
 
-def behind_spring(p: Mapping[str, float]) -> float:
-    """What of it hangs on the spring, kg; nothing where the joint does not give way."""
+def elastic_mass(p: Mapping[str, float]) -> float:
+    """Return the elastically coupled mass, kg; 0 where the joint is rigid."""
     share = p.get("joint_elasticity.share", 0.0) if p.get("joint_elasticity.compliance", 0.0) else 0.0
-    return share * mass_of(p)
+    return share * total_mass(p)
 
 
 @compiled
-def force_of(x: float, m: Carriage) -> float:
-    """Force (N) along the way by all but the drive, friction and the load."""
+def passive_force(x: float, m: Carriage) -> float:
+    """Return the force (N) at a position without drive, friction and load."""
     force = m.force - x * (m.spring + m.hardening * x * x)
     if m.cogging != 0.0 or m.second != 0.0:
-        turned = m.order * x + m.phase
-        force -= m.cogging * math.sin(turned) + m.second * math.sin(2.0 * turned)
+        angle = m.order * x + m.phase
+        force -= m.cogging * math.sin(angle) + m.second * math.sin(2.0 * angle)
     if m.magnet != 0.0:
-        away = x / m.magnet_width
-        force -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
-    if m.cable != 0.0 and x > m.cable_from:
-        force -= m.cable * (x - m.cable_from)
+        offset = x / m.magnet_width
+        force -= m.magnet * offset * math.exp(0.5 - 0.5 * offset * offset)
+    if m.cable != 0.0 and x > m.cable_start:
+        force -= m.cable * (x - m.cable_start)
     return force
 
 
 @compiled
-def push(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tuple[float, float, float]:
-    """Force without friction, further dry friction (N), and what is left of viscous friction."""
+def applied_force(s: FloatArray, u: float, m: Carriage, rates: FloatArray) -> tuple[float, float, float]:
+    """Return force without friction (N), additional dry friction (N), and the factor of viscous friction."""
     x, v = s[X], s[V]
-    force = u + force_of(x, m)
+    force = u + passive_force(x, m)
     rates[LOAD_X], rates[LOAD_V] = 0.0, 0.0
     if m.load > 0.0:
         pull = m.stiffness * (x - s[LOAD_X]) + m.damping * (v - s[LOAD_V])
         rates[LOAD_X], rates[LOAD_V] = s[LOAD_V], pull / m.load
         force -= pull
-    thinned = math.exp(-m.thinning * (s[WARMTH] - m.reference)) if m.thinning != 0.0 else 1.0
+    viscosity = (
+        math.exp(-m.viscosity_rate * (s[TEMPERATURE] - m.reference)) if m.viscosity_rate != 0.0 else 1.0
+    )
     speed = abs(v)
-    heat = speed * (m.dry + thinned * m.viscous * speed)
-    rates[WARMTH] = m.warming * heat - m.cooling * (s[WARMTH] - m.start)
-    rubs = m.load_share * abs(u)
+    heat = speed * (m.dry + viscosity * m.viscous * speed)
+    rates[TEMPERATURE] = m.warming * heat - m.cooling * (s[TEMPERATURE] - m.start)
+    extra_level = m.load_coefficient * abs(u)
     if m.patch != 0.0:
-        away = (x - m.patch_place) / m.patch_width
-        rubs += m.patch * math.exp(-0.5 * away * away)
-    return force, rubs, thinned
+        offset = (x - m.patch_position) / m.patch_width
+        extra_level += m.patch * math.exp(-0.5 * offset * offset)
+    return force, extra_level, viscosity
 
 
 @compiled
-def remember(s: FloatArray, u: float, m: Carriage) -> None:
-    """An axis keeps nothing beside its states."""
+def update_memory(s: FloatArray, u: float, m: Carriage) -> None:
+    """Do nothing: an axis has no memory beside its states."""
 
 
-run_axis = kernel_for(push, remember, __name__)
+run_axis = compile_kernel(applied_force, update_memory, __name__)
 
 
 @compiled
 def run(
     inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
-    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
-    b: Body, m: Carriage, f: Friction, p: InputPath, w: Work, out: FloatArray,
+    counters: IntArray, memory: FloatArray, is_held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Carriage, f: Friction, p: InputPath, w: Workspace, out: FloatArray,
 ) -> None:  # fmt: skip
     """See :func:`labhil.plants.driven.run`."""
-    run_axis(inputs, ends, clock, times, values, count, memory, held, s, mode, b, m, f, p, w, out)
+    run_axis(inputs, ends, clock, times, values, counters, memory, is_held, s, mode, b, m, f, p, w, out)
 
 
 class AxisPlant:
-    """The world of one axis; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated axis; it starts at rest at position 0.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples. Begins at rest at position zero.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise.
+        period: Time between samples, s.
     """
 
     def __init__(
@@ -246,42 +259,44 @@ class AxisPlant:
         self.parameters = p = AXIS.resolve(self.terms, parameters or {})
         self.period = period
         lag, sensor_lag = (p.get(f"{name}.time_constant", 0.0) for name in ("actuator_lag", "sensor_lag"))
-        body = Body(mass_of(p) - behind_spring(p), -math.inf, math.inf, 0.0, lag, sensor_lag, X, TOLERANCE)
-        inner = (p["temperature_start"], 0.0, 0.0)
-        self.drive = Drive(p, run, Carriage.of(p), body, Stamps(p, period, seed), inner=inner)
+        body = Body(total_mass(p) - elastic_mass(p), -math.inf, math.inf, 0.0, lag, sensor_lag, X, TOLERANCE)
+        plant_states = (p["temperature_start"], 0.0, 0.0)
+        self.simulation = PlantSimulation(
+            p, run, Carriage.of(p), body, SampleTimes(p, period, seed), plant_states=plant_states
+        )
         step = p.get("quantisation.step", 0.0)
         self._channels = {name: Channel(p, name, seed, step * (name == "position")) for name in SIGNALS}
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
-        return self.drive.time
+        """Time since the start, s."""
+        return self.simulation.time
 
     def step(self, force: float) -> Mapping[str, float]:
-        """Hold ``force`` (N) for one sample period; return the signals at its end, measured."""
-        seen = self._measure(self.drive.step(force), np.array([force]))
-        return {name: float(x[0]) for name, x in seen.items()}
+        """Hold ``force`` (N) for one sample period; return the measured signals at its end."""
+        measured = self._measure(self.simulation.step(force), np.array([force]))
+        return {name: float(x[0]) for name, x in measured.items()}
 
     def simulate(self, force: FloatArray) -> Trajectory:
-        """Go on through the forces (n,) that are held from each sample to the next; begins with now."""
+        """Simulate with forces (n,), N, that are held from each sample to the next; the first is now."""
         u = np.asarray(force, dtype=np.float64)
-        rows, t = self.drive.follow(u)
+        rows, t = self.simulation.simulate(u)
         truth = {
             "position": rows[:, X],
             "velocity": rows[:, V],
-            "temperature": rows[:, WARMTH],
+            "temperature": rows[:, TEMPERATURE],
             "acting_force": rows[:, -1],
         }
-        return Trajectory(self.drive.stamps.seen(t), u, self._measure(rows, u), truth)
+        return Trajectory(self.simulation.sample_times.recorded(t), u, self._measure(rows, u), truth)
 
     def _measure(self, rows: FloatArray, force: FloatArray) -> dict[str, FloatArray]:
         p = self.parameters
         position = rows[:, SENSOR if "sensor_lag.time_constant" in p else X]
-        true = {
+        signals = {
             "position": sense(position, p),
             "velocity": rows[:, V],
-            "temperature": rows[:, WARMTH],
+            "temperature": rows[:, TEMPERATURE],
             "drive_current": rows[:, -1] / p["drive_constant"],
         }
-        seen = {name: self._channels[name].sample(x) for name, x in true.items()}
-        return seen | {"drive_voltage": force / p["drive_gain"]}
+        measured = {name: self._channels[name].sample(x) for name, x in signals.items()}
+        return measured | {"drive_voltage": force / p["drive_gain"]}

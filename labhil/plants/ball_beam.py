@@ -1,4 +1,4 @@
-"""A simulated ball and beam: servo angle in, converter counts out, one sample after the other."""
+"""A simulated ball and beam: servo angle in, converter counts out."""
 
 from __future__ import annotations
 
@@ -9,27 +9,39 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.errors import UsageError
+from labhil.plants.ball_motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
 from labhil.plants.effects import resolve
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import HISTORY, NEUTRAL, InputPath, first_order, follow, read_delayed, settle
-from labhil.plants.motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
+from labhil.plants.input_path import (
+    HISTORY,
+    NEUTRAL,
+    InputPath,
+    apply_lag,
+    pass_through,
+    read_delayed,
+    settled_path,
+)
 from labhil.plants.sensor import Sensor
 from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
-MOMENTS = 50
-"""Into how many moments a sample period is cut where the way in or the sensor has a memory.
+N_SUBSTEPS = 50
+"""Substeps of a sample period where the input path or the sensor has a memory.
 
-Controllers make the servo chatter, and β̇² remembers every corner that a coarser cut would round off.
+Controllers make the servo chatter, and coarser substeps would smooth the corners of β̇².
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """What happened at each sample; all arrays have shape (n,).
+    """Samples of a simulation, (n,) each.
 
-    ``counts`` is what the converter gave and ``measured`` (m) what it stands for; ``position`` (m)
-    and ``velocity`` (m/s) are the truth.
+    Attributes:
+        t: Times, s.
+        counts: Counts of the converter.
+        measured: Positions of the counts, m.
+        position: True position, m.
+        velocity: True velocity, m/s.
     """
 
     t: FloatArray
@@ -40,11 +52,17 @@ class Trajectory:
 
 
 class BallBeamPlant:
-    """The world of one rig; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated ball and beam; it starts level, with the ball at rest at ``start_position``.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise, which ``noise`` draws (unit
-    variance); ``period`` is the time (s) between samples. Begins level, with the ball at rest at
-    ``start_position``. Raises UnknownNameError or UsageError for names and values that make no world.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise; ``noise`` draws that, with unit variance.
+        period: Time between samples, s.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A value is out of range.
     """
 
     def __init__(
@@ -63,28 +81,28 @@ class BallBeamPlant:
         self._path = InputPath.of(self.parameters)
         if self._path.delay > (HISTORY - 2) * period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
-        remembers = self._path != NEUTRAL or self.sensor.lag > 0.0
-        self._moments = moments_of(self._path.delay / period) if remembers else np.ones(1)
+        has_memory = self._path != NEUTRAL or self.sensor.lag > 0.0
+        self._substeps = substep_ends(self._path.delay / period) if has_memory else np.ones(1)
         self.noise: Callable[[int], FloatArray] = np.random.default_rng(seed).standard_normal
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:
-        """Put the ball at rest at ``position`` (m), all else settled at a servo angle of ``angle`` (rad)."""
+        """Set the ball at rest at ``position`` (m), and the input path to a steady ``angle`` (rad)."""
         self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position
-        self._memory = settle(angle, self._path)
+        self._memory = settled_path(angle, self._path)
         self._lagged = np.array([position])
         self._history = np.full(HISTORY, angle)
         self._newest = 0
 
     def step(self, angle: float) -> int:
-        """Let one sample period pass while the servo turns straight to ``angle`` (rad); return the count."""
-        self._walk(np.array([angle]))
+        """Simulate a sample period in which the servo turns linearly to ``angle`` (rad); return the count."""
+        self._run(np.array([angle]))
         return self.count()
 
     def count(self) -> int:
-        """Sample the sensor now, once more; return the count."""
+        """Sample the sensor again at the present time; return the count."""
         return int(self.sensor.counts(self._lagged, self.noise(1))[0])
 
     @property
@@ -98,16 +116,16 @@ class BallBeamPlant:
         return float(self._ball[VELOCITY])
 
     def simulate(self, angles: FloatArray) -> Trajectory:
-        """Go on through the angles (n,) in effect at the samples, rad; the first one is that of now.
+        """Simulate with servo angles (n,), rad, at the samples; the first is now.
 
-        A first angle that differs from the present one starts the way in afresh, settled there.
+        A first angle that differs from the present one sets the input path to its steady state there.
         """
         if angles[0] != self.angle:
             self.angle = float(angles[0])
-            self._memory = settle(self.angle, self._path)
+            self._memory = settled_path(self.angle, self._path)
             self._history[:] = self.angle
         first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
-        truth = np.concatenate([first, self._walk(np.asarray(angles[1:], dtype=np.float64))])
+        truth = np.concatenate([first, self._run(np.asarray(angles[1:], dtype=np.float64))])
         counts = self.sensor.counts(truth[:, 2], self.noise(len(truth)))
         return Trajectory(
             t=self.period * np.arange(len(truth), dtype=np.float64),
@@ -117,17 +135,17 @@ class BallBeamPlant:
             velocity=truth[:, 1],
         )
 
-    def _walk(self, angles: FloatArray) -> FloatArray:
-        """Let one sample period pass per angle; return true position, velocity and lagged position (n, 3)."""
+    def _run(self, angles: FloatArray) -> FloatArray:
+        """Simulate a sample period per angle; return true position, velocity and lagged position, (n, 3)."""
         out = np.empty((len(angles), 3))
-        walk(
+        run(
             angles,
             self._ball,
             self._memory,
             self._lagged,
             self._history,
             self._newest,
-            self._moments,
+            self._substeps,
             self.period,
             self.sensor.lag,
             self._mechanics,
@@ -141,27 +159,27 @@ class BallBeamPlant:
         return out
 
 
-def moments_of(delay: float) -> FloatArray:
-    """Ends of the moments of a sample period, as shares of it; one is where the delayed servo turns.
+def substep_ends(delay: float) -> FloatArray:
+    """Return the ends of the substeps as shares of a sample period; one is at a corner of the delayed input.
 
     ``delay`` is in sample periods.
     """
-    corner = delay % 1.0
-    ends = np.arange(1, MOMENTS + 1) / MOMENTS
-    if np.min(np.abs(ends - corner)) < 1e-9 or corner < 1e-9:
+    delay_fraction = delay % 1.0
+    ends = np.arange(1, N_SUBSTEPS + 1) / N_SUBSTEPS
+    if np.min(np.abs(ends - delay_fraction)) < 1e-9 or delay_fraction < 1e-9:
         return ends
-    return np.sort(np.append(ends, corner))
+    return np.sort(np.append(ends, delay_fraction))
 
 
 @compiled
-def walk(
+def run(
     angles: FloatArray,
     ball: FloatArray,
     memory: FloatArray,
     lagged: FloatArray,
     history: FloatArray,
     newest: int,
-    moments: FloatArray,
+    substeps: FloatArray,
     period: float,
     sensor_lag: float,
     m: Mechanics,
@@ -169,23 +187,23 @@ def walk(
     p: InputPath,
     out: FloatArray,
 ) -> None:
-    """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._walk``.
+    """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._run``.
 
-    ``moments`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
+    ``substeps`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
     sample i, up to ``newest``; ``memory`` is the way in's, its last entry the angle at the linkage;
     ``lagged`` (1,) is the sensor's.
     """
     for i in range(angles.size):
         newest += 1
         history[newest % HISTORY] = angles[i]
-        passed = 0.0
-        for moment in moments:
-            h = (moment - passed) * period
-            passed = moment
-            behind = p.delay / period + 1.0 - moment
-            linkage = memory[-1]
+        previous_end = 0.0
+        for substep_end in substeps:
+            h = (substep_end - previous_end) * period
+            previous_end = substep_end
+            samples_back = p.delay / period + 1.0 - substep_end
+            crank_before = memory[-1]
             before = ball[POSITION]
-            turned = follow(memory, read_delayed(history, newest, behind), h, p)
-            move(ball, linkage, turned, h, m, f)
-            lagged[0] = first_order(lagged[0], before, ball[POSITION], h, sensor_lag)
+            crank_angle = pass_through(memory, read_delayed(history, newest, samples_back), h, p)
+            move(ball, crank_before, crank_angle, h, m, f)
+            lagged[0] = apply_lag(lagged[0], before, ball[POSITION], h, sensor_lag)
         out[i, 0], out[i, 1], out[i, 2] = ball[POSITION], ball[VELOCITY], lagged[0]

@@ -1,4 +1,4 @@
-"""The ball and beam in the manner of the other rigs: signals by name, coloured noise, uneven samples."""
+"""The simulated ball and beam as a plant like the others: named signals, coloured noise, jitter."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.plants.ball_beam import SAMPLE_PERIOD, BallBeamPlant
+from labhil.plants.definition import SAMPLING, PlantDefinition
 from labhil.plants.effects import BARE_RIG, EFFECTS, HIDDEN, POSITIVE
-from labhil.plants.trajectory import Noise, Stamps, Trajectory, generator
-from labhil.plants.world import SAMPLING, World
+from labhil.plants.trajectory import Noise, SampleTimes, Trajectory, random_generator
 from labhil.signals import FloatArray
 
-BALL_BEAM = World({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIVE), HIDDEN)
+BALL_BEAM = PlantDefinition({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIVE), HIDDEN)
 
 
 class BallBeamRig:
-    """A :class:`BallBeamPlant` with contract signals; servo angle in (rad), straight between samples.
+    """A :class:`BallBeamPlant` with named signals; the servo angle (rad) is linear between samples.
 
-    Takes the plant's parameters and those of ``SAMPLING``. Begins level, at rest at ``start_position``.
+    It takes the parameters of the plant and those of ``SAMPLING``.
     """
 
     def __init__(
@@ -32,10 +32,10 @@ class BallBeamRig:
         self.terms = tuple(terms)
         self.parameters = p = BALL_BEAM.resolve(self.terms, parameters or {})
         self.period = period
-        self.stamps = Stamps(p, period, seed)
-        own = {name: value for name, value in (parameters or {}).items() if name not in SAMPLING}
-        self.plant = BallBeamPlant(own, self.terms, seed, period)
-        self.plant.noise = Noise(generator(seed, "ball_position"), p["noise_correlation"]).draw
+        self.sample_times = SampleTimes(p, period, seed)
+        overrides = {name: value for name, value in (parameters or {}).items() if name not in SAMPLING}
+        self.plant = BallBeamPlant(overrides, self.terms, seed, period)
+        self.plant.noise = Noise(random_generator(seed, "ball_position"), p["noise_correlation"]).draw
         self._uneven = p["stamp_jitter"] > 0.0
         if self._uneven and p.get("time_delay.delay", 0.0):
             raise UsageError("a ball and beam with time_delay takes no stamp_jitter: it counts samples")
@@ -43,43 +43,43 @@ class BallBeamRig:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return self._time
 
     def step(self, angle: float) -> Mapping[str, float]:
-        """Turn straight to ``angle`` (rad) in one sample period; the signals at its end."""
-        self._beat()
+        """Turn linearly to ``angle`` (rad) within a sample period; return the signals at its end."""
+        self._advance_clock()
         return {"ball_position": self._position(np.array([self.plant.step(angle)]))[0]}
 
     def simulate(self, angle: FloatArray) -> Trajectory:
-        """Go on through the angles (n,) at the samples, straight in between; begins with now.
+        """Simulate with servo angles (n,), rad, at the samples, linear in between; the first is now.
 
-        A first angle that differs from the present one starts the way in afresh, settled there.
+        A first angle that differs from the present one sets the input path to its steady state there.
         """
         u = np.asarray(angle, dtype=np.float64)
         if not len(u) or not np.all(np.isfinite(u)):
             raise UsageError("a simulation needs one finite value of its input at least, and no others")
         if self._uneven:
-            return self._uneven_run(u)
+            return self._simulate_uneven(u)
         run = self.plant.simulate(u)
-        self._time = float(self.stamps.ends(self._time, len(u) - 1)[-1]) if len(u) > 1 else self._time
+        self._time = float(self.sample_times.ends(self._time, len(u) - 1)[-1]) if len(u) > 1 else self._time
         truth = {"ball_position": run.position, "ball_velocity": run.velocity}
-        return Trajectory(self.stamps.seen(run.t), u, {"ball_position": run.measured}, truth)
+        return Trajectory(self.sample_times.recorded(run.t), u, {"ball_position": run.measured}, truth)
 
-    def _uneven_run(self, u: FloatArray) -> Trajectory:
-        begin, plant = self._time, self.plant
+    def _simulate_uneven(self, u: FloatArray) -> Trajectory:
+        start, plant = self._time, self.plant
         first = plant.simulate(u[:1])
         rows = [(0.0, first.measured[0], first.position[0], first.velocity[0])]
         for angle in u[1:]:
-            self._beat()
-            seen = self._position(np.array([plant.step(float(angle))]))[0]
-            rows.append((self._time - begin, seen, plant.position, plant.velocity))
-        t, seen, x, v = np.array(rows).T
+            self._advance_clock()
+            measured = self._position(np.array([plant.step(float(angle))]))[0]
+            rows.append((self._time - start, measured, plant.position, plant.velocity))
+        t, measured, x, v = np.array(rows).T
         truth = {"ball_position": x, "ball_velocity": v}
-        return Trajectory(self.stamps.seen(t), u, {"ball_position": seen}, truth)
+        return Trajectory(self.sample_times.recorded(t), u, {"ball_position": measured}, truth)
 
-    def _beat(self) -> None:
-        end = float(self.stamps.ends(self._time, 1)[0])
+    def _advance_clock(self) -> None:
+        end = float(self.sample_times.ends(self._time, 1)[0])
         self.plant.period, self._time = end - self._time, end
 
     def _position(self, counts: FloatArray) -> FloatArray:

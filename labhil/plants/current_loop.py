@@ -1,4 +1,4 @@
-"""A current loop: a PI that brings a coil's current to a command by its voltage, step by step in a device.
+"""A digital current loop: a PI controller of the current of a coil.
 
 Coil: L·di/dt = u − R·i − e, with e what a motion induces; solved exactly for a voltage that is held over
 a step. PI: u = L/τ·(i* − i) + R/τ·∫(i* − i)dt, so that its zero cancels the coil's pole and the current
@@ -15,34 +15,41 @@ from labhil.compiled import compiled
 from labhil.errors import UsageError
 from labhil.signals import FloatArray
 
-NOW, SUM = range(2)
-"""Places of the current (A) and of the PI's integral (V)."""
+CURRENT, INTEGRAL = range(2)
+"""Indices of the current (A) and of the controller's integral (V)."""
 
 
 @compiled
-def walk(
+def run_loop(
     state: FloatArray, commands: FloatArray, steps: int, h: float,
     resistance: float, inductance: float, lag: float, supply: float, induced: float, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Currents ``out`` (n,) at the ends of sample periods in which the ``commands`` (n,) are held."""
-    keeps = math.exp(-resistance * h / inductance)
+    """Write the currents ``out`` (n,) at the ends of sample periods with held ``commands`` (n,)."""
+    decay = math.exp(-resistance * h / inductance)
     for n in range(commands.size):
         for _ in range(steps):
-            error = commands[n] - state[NOW]
-            wanted = inductance / lag * error + state[SUM]
-            given = min(max(wanted, -supply), supply)
-            if given == wanted:
-                state[SUM] += resistance / lag * error * h
-            settled = (given - induced) / resistance
-            state[NOW] = settled + (state[NOW] - settled) * keeps
-        out[n] = state[NOW]
+            error = commands[n] - state[CURRENT]
+            demand = inductance / lag * error + state[INTEGRAL]
+            voltage = min(max(demand, -supply), supply)
+            if voltage == demand:
+                state[INTEGRAL] += resistance / lag * error * h
+            final_current = (voltage - induced) / resistance
+            state[CURRENT] = final_current + (state[CURRENT] - final_current) * decay
+        out[n] = state[CURRENT]
 
 
 class CurrentLoop:
-    """Coil (Ω, H) and PI of lag ``lag`` (s) with a supply of ± ``supply`` (V), ``rate`` steps per second.
+    """A coil and its PI controller.
 
-    ``period`` (s) is that of the samples. UsageError when the PI is too slow for its lag, or makes no
-    whole steps per sample: it would not be stable.
+    Args:
+        inductance: Inductance of the coil, H.
+        lag: Time constant of the closed loop, s.
+        supply: Limit of the voltage, ±V.
+        rate: Steps of the controller per second.
+        period: Time between samples, s.
+
+    Raises:
+        UsageError: The lag is shorter than two steps: the loop would not be stable.
     """
 
     def __init__(self, inductance: float, lag: float, supply: float, rate: float, period: float) -> None:
@@ -56,12 +63,12 @@ class CurrentLoop:
         self._state = np.zeros(2)
 
     def follow(self, commands: FloatArray, resistance: float, induced: float = 0.0) -> FloatArray:
-        """Currents (n,) A at the ends of sample periods in which ``commands`` (n,) are held.
+        """Return the currents (n,), A, at the ends of sample periods in which ``commands`` (n,), A, are held.
 
-        ``resistance`` (Ω) and the ``induced`` voltage (V) are those of this stretch.
+        ``resistance`` (Ω) and ``induced`` voltage (V) are constant in these periods.
         """
         out = np.empty(len(commands))
-        walk(
+        run_loop(
             self._state, np.asarray(commands, dtype=np.float64), self._steps, self._h,
             resistance, self._inductance, self._lag, self._supply, induced, out,
         )  # fmt: skip

@@ -9,34 +9,34 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import compiled
-from labhil.plants.dc_motor_world import MOTOR
-from labhil.plants.driven import TOLERANCE, Drive, kernel_for
+from labhil.plants.dc_motor_definition import MOTOR
+from labhil.plants.driven import TOLERANCE, PlantSimulation, compile_kernel
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
-from labhil.plants.mover import INNER, SENSOR, Body, V, Work, X
-from labhil.plants.trajectory import Channel, Stamps, Trajectory, sense
+from labhil.plants.integrator import PLANT_STATES, SENSOR, Body, V, Workspace, X
+from labhil.plants.trajectory import Channel, SampleTimes, Trajectory, sense
 from labhil.signals import FloatArray, IntArray
 
 SIGNALS = ("speed", "current", "angle", "winding_temperature")
 BRUSH_CURRENT = 0.01
 """Current (A) over which the brushes' drop changes its sign."""
-CURRENT, WARMTH = INNER, INNER + 1
+CURRENT, TEMPERATURE = PLANT_STATES, PLANT_STATES + 1
 
 
 class Motor(NamedTuple):
-    """Numbers of the motor (SI)."""
+    """Parameters of the motor, SI."""
 
     constant: float
     resistance: float
     copper: float
     inductance: float
-    capacity: float
-    to_air: float
+    heat_capacity: float
+    thermal_resistance: float
     ambient: float
     reference: float
-    thinning: float
+    viscosity_rate: float
     load: float
-    load_share: float
+    load_coefficient: float
     cogging: float
     second: float
     order: float
@@ -49,24 +49,24 @@ class Motor(NamedTuple):
     drag: float
     drag_speed: float
     patch: float
-    patch_place: float
+    patch_position: float
     patch_width: float
 
     @classmethod
     def of(cls, p: Mapping[str, float]) -> Motor:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         return cls(
             constant=p["torque_constant"],
             resistance=p["resistance"],
             copper=p.get("thermal_resistance.coefficient", 0.0),
             inductance=p["inductance"],
-            capacity=p["heat_capacity"],
-            to_air=p["heat_resistance"],
+            heat_capacity=p["heat_capacity"],
+            thermal_resistance=p["heat_resistance"],
             ambient=p["ambient"],
             reference=p["reference_temperature"],
-            thinning=p.get("temperature_dependent_friction.rate", 0.0),
+            viscosity_rate=p.get("temperature_dependent_friction.rate", 0.0),
             load=p.get("constant_force.force", 0.0),
-            load_share=p.get("load_dependent_friction.coefficient", 0.0),
+            load_coefficient=p.get("load_dependent_friction.coefficient", 0.0),
             cogging=p.get("cogging_torque.amplitude", 0.0),
             second=p.get("cogging_torque.second", 0.0),
             order=p.get("cogging_torque.order", 1.0),
@@ -79,75 +79,84 @@ class Motor(NamedTuple):
             drag=p.get("hidden_drag.level", 0.0),
             drag_speed=p.get("hidden_drag.speed", 1.0),
             patch=p.get("hidden_sticky_patch.level", 0.0),
-            patch_place=p.get("hidden_sticky_patch.place", 0.0),
+            patch_position=p.get("hidden_sticky_patch.place", 0.0),
             patch_width=p.get("hidden_sticky_patch.width", 1.0),
         )
 
 
 @compiled
-def away_from(angle: float, place: float) -> float:
-    """How far an angle is from a place on the turn, −π … π."""
+def angle_difference(angle: float, place: float) -> float:
+    """Return the difference of two angles, −π … π."""
     return (angle - place + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @compiled
-def torque_of(s: FloatArray, m: Motor) -> float:
-    """Torque on the rotor by all but friction, N·m."""
+def net_torque(s: FloatArray, m: Motor) -> float:
+    """Return the torque on the rotor without friction, N·m."""
     angle, w = s[X], s[V]
     torque = m.constant * s[CURRENT] - m.load - m.spring * angle
     if m.cogging != 0.0 or m.second != 0.0:
-        turned = m.order * angle + m.phase
-        torque -= m.cogging * math.sin(turned) + m.second * math.sin(2.0 * turned)
+        phase = m.order * angle + m.phase
+        torque -= m.cogging * math.sin(phase) + m.second * math.sin(2.0 * phase)
     if m.magnet != 0.0:
-        away = away_from(angle, 0.0) / m.magnet_width
-        torque -= m.magnet * away * math.exp(0.5 - 0.5 * away * away)
+        offset = angle_difference(angle, 0.0) / m.magnet_width
+        torque -= m.magnet * offset * math.exp(0.5 - 0.5 * offset * offset)
     if m.drag != 0.0:
         torque -= m.drag * w / m.drag_speed * math.exp(1.0 - abs(w) / m.drag_speed)
     return torque
 
 
 @compiled
-def push(s: FloatArray, u: float, m: Motor, rates: FloatArray) -> tuple[float, float, float]:
-    """Torque without friction, further dry friction (N·m), and what is left of viscous friction.
+def applied_force(s: FloatArray, u: float, m: Motor, rates: FloatArray) -> tuple[float, float, float]:
+    """Return torque without friction, additional dry friction (N·m), and the factor of viscous friction.
 
     L·di/dt = U − R·i − K·ω − brushes; C·dT/dt = R·i² − (T − T_air)/R_th.
     """
-    i, warmth = s[CURRENT], s[WARMTH] - m.reference
-    resistance = m.resistance * (1.0 + m.copper * warmth)
+    i, excess_temperature = s[CURRENT], s[TEMPERATURE] - m.reference
+    resistance = m.resistance * (1.0 + m.copper * excess_temperature)
     supplied = u * (1.0 - m.sag * abs(u))
     drop = m.brush * math.tanh(i / BRUSH_CURRENT) if m.brush != 0.0 else 0.0
     rates[CURRENT] = (supplied - resistance * i - m.constant * s[V] - drop) / m.inductance
-    rates[WARMTH] = (resistance * i * i - (s[WARMTH] - m.ambient) / m.to_air) / m.capacity
-    rubs = m.load_share * abs(m.constant * i)
+    rates[TEMPERATURE] = (
+        resistance * i * i - (s[TEMPERATURE] - m.ambient) / m.thermal_resistance
+    ) / m.heat_capacity
+    extra_level = m.load_coefficient * abs(m.constant * i)
     if m.patch != 0.0:
-        away = away_from(s[X], m.patch_place) / m.patch_width
-        rubs += m.patch * math.exp(-0.5 * away * away)
-    return torque_of(s, m), rubs, math.exp(-m.thinning * warmth) if m.thinning != 0.0 else 1.0
+        offset = angle_difference(s[X], m.patch_position) / m.patch_width
+        extra_level += m.patch * math.exp(-0.5 * offset * offset)
+    return (
+        net_torque(s, m),
+        extra_level,
+        math.exp(-m.viscosity_rate * excess_temperature) if m.viscosity_rate != 0.0 else 1.0,
+    )
 
 
 @compiled
-def remember(s: FloatArray, u: float, m: Motor) -> None:
-    """A motor keeps nothing beside its states."""
+def update_memory(s: FloatArray, u: float, m: Motor) -> None:
+    """Do nothing: a motor has no memory beside its states."""
 
 
-run_motor = kernel_for(push, remember, __name__)
+run_motor = compile_kernel(applied_force, update_memory, __name__)
 
 
 @compiled
 def run(
     inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
-    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
-    b: Body, m: Motor, f: Friction, p: InputPath, w: Work, out: FloatArray,
+    counters: IntArray, memory: FloatArray, is_held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Motor, f: Friction, p: InputPath, w: Workspace, out: FloatArray,
 ) -> None:  # fmt: skip
     """See :func:`labhil.plants.driven.run`."""
-    run_motor(inputs, ends, clock, times, values, count, memory, held, s, mode, b, m, f, p, w, out)
+    run_motor(inputs, ends, clock, times, values, counters, memory, is_held, s, mode, b, m, f, p, w, out)
 
 
 class DcMotorPlant:
-    """The world of one motor; it is made of the effects in ``terms`` and of nothing else.
+    """A simulated motor; it starts at rest without current, at ambient temperature.
 
-    ``parameters`` overrides defaults by name (SI); ``seed`` fixes the noise; ``period`` is the time (s)
-    between samples. Begins at rest without current, at ambient temperature.
+    Args:
+        parameters: Values by name, SI, that replace defaults.
+        terms: Names of the effects that it has.
+        seed: Seed of the noise.
+        period: Time between samples, s.
     """
 
     def __init__(
@@ -163,39 +172,44 @@ class DcMotorPlant:
         inertia = p["inertia"] + p.get("added_inertia.mass", 0.0)
         lag, sensor_lag = (p.get(f"{name}.time_constant", 0.0) for name in ("actuator_lag", "sensor_lag"))
         body = Body(inertia, -math.inf, math.inf, 0.0, lag, sensor_lag, V, TOLERANCE)
-        stamps = Stamps(p, period, seed)
-        self.drive = Drive(p, run, Motor.of(p), body, stamps, inner=(0.0, p["ambient"]))
+        sample_times = SampleTimes(p, period, seed)
+        self.simulation = PlantSimulation(
+            p, run, Motor.of(p), body, sample_times, plant_states=(0.0, p["ambient"])
+        )
         step = p.get("quantisation.step", 0.0)
         self._channels = {name: Channel(p, name, seed, step * (name == "speed")) for name in SIGNALS}
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
-        return self.drive.time
+        """Time since the start, s."""
+        return self.simulation.time
 
     def step(self, voltage: float) -> Mapping[str, float]:
-        """Hold ``voltage`` (V) for one sample period; return the signals at its end, measured."""
+        """Hold ``voltage`` (V) for one sample period; return the measured signals at its end."""
         return {name: float(x[0]) for name, x in self.advance(np.array([voltage])).items()}
 
     def advance(self, voltage: FloatArray) -> Mapping[str, FloatArray]:
-        """Hold each of the voltages (n,) for one sample period; the signals at their ends, measured, (n,)."""
-        return self._measure(self.drive.advance(voltage)[0])
+        """Hold each of the voltages (n,), V, for one sample period.
+
+        Return the measured signals at the ends, (n,).
+        """
+        return self._measure(self.simulation.advance(voltage)[0])
 
     def simulate(self, voltage: FloatArray) -> Trajectory:
-        """Go on through the voltages (n,) that are held from each sample to the next; begins with now."""
+        """Simulate with voltages (n,), V, that are held from each sample to the next; the first is now."""
         u = np.asarray(voltage, dtype=np.float64)
-        rows, t = self.drive.follow(u)
-        columns = (V, CURRENT, X, WARMTH, -1)
+        rows, t = self.simulation.simulate(u)
+        columns = (V, CURRENT, X, TEMPERATURE, -1)
         truth = dict(zip((*SIGNALS, "terminal_voltage"), rows.T[list(columns)], strict=True))
-        return Trajectory(self.drive.stamps.seen(t), u, self._measure(rows), truth)
+        return Trajectory(self.simulation.sample_times.recorded(t), u, self._measure(rows), truth)
 
     def _measure(self, rows: FloatArray) -> dict[str, FloatArray]:
         p = self.parameters
         speed = rows[:, SENSOR if "sensor_lag.time_constant" in p else V]
-        true = {
+        signals = {
             "speed": sense(speed, p),
             "current": sense(rows[:, CURRENT], p, "current_"),
             "angle": rows[:, X],
-            "winding_temperature": rows[:, WARMTH],
+            "winding_temperature": rows[:, TEMPERATURE],
         }
-        return {name: self._channels[name].sample(x) for name, x in true.items()}
+        return {name: self._channels[name].sample(x) for name, x in signals.items()}

@@ -1,4 +1,4 @@
-"""A plant that one command drives: sample after sample through the way in, and what it remembers of it."""
+"""Simulate a plant with one input from sample to sample, through its input path."""
 
 from __future__ import annotations
 
@@ -12,46 +12,57 @@ from labhil.compiled import specialised
 from labhil.errors import UsageError
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
-from labhil.plants.maxwell import ROOM
-from labhil.plants.mover import FLOOR, INNER, LAG, SENSOR, STAGES, Body, Work, X, move, mover_for
-from labhil.plants.trajectory import Stamps
-from labhil.plants.way_in import HISTORY, LIMITED, NEWEST, add, command, through
+from labhil.plants.input_stages import HISTORY, LIMITED, NEWEST, add_command, delayed_command, pass_through
+from labhil.plants.integrator import (
+    LAG,
+    MIN_STATE_SIZE,
+    PLANT_STATES,
+    SENSOR,
+    STAGES,
+    Body,
+    Workspace,
+    X,
+    compile_integrator,
+    integrate,
+)
+from labhil.plants.maxwell import N_ELEMENT_STATES
+from labhil.plants.trajectory import SampleTimes
 from labhil.signals import FloatArray, IntArray
 
-NEAR = 1e-9
-"""Share of a sample period within which two moments are one."""
-FIRST_PACE = 0.05
-"""Share of a sample period that the very first step takes."""
-LONGEST_DELAY = HISTORY - 24
-"""Sample periods that a delay may last."""
+TIME_TOLERANCE = 1e-9
+"""Share of a sample period within which two instants are equal."""
+INITIAL_STEP = 0.05
+"""Length of the very first step, as a share of a sample period."""
+MAX_DELAY_SAMPLES = HISTORY - 24
+"""Longest delay in sample periods."""
 TOLERANCE = 1e-9
-"""Error of one step over the largest size that a state has had, where nothing but events is abrupt."""
+"""Error of one step relative to the largest size of a state so far, for plants without hysteresis."""
 
 Kernel = Callable[..., None]
 
 
 def run(
     inputs: FloatArray, ends: FloatArray, clock: FloatArray, times: FloatArray, values: FloatArray,
-    count: IntArray, memory: FloatArray, held: bool, s: FloatArray, mode: FloatArray,
-    b: Body, m: Any, f: Friction, p: InputPath, w: Work, out: FloatArray,
+    counters: IntArray, memory: FloatArray, is_held: bool, s: FloatArray, mode: FloatArray,
+    b: Body, m: Any, f: Friction, p: InputPath, w: Workspace, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Let time pass up to each of ``ends`` (n,) s with the inputs (n,); ``out`` (n, states + 1).
+    """Simulate sample periods up to ``ends`` (n,) s with the inputs (n,); write ``out`` (n, states + 1).
 
-    An input that is held acts from the beginning of its period, another one is reached straight at its end.
-    A row of ``out`` holds the states at the end of a period and the input that acts there.
+    A held input acts from the start of its period; another one is linear between the samples. A row of
+    ``out`` has the states at the end of a period and the acting input.
     """
     for n in range(inputs.size):
-        begin, end = clock[0], ends[n]
-        near = NEAR * (end - begin)
-        add(times, values, count, begin if held else end, inputs[n])
-        t, u = begin, 0.0
-        while end - t > near:
-            course = command(times, values, count, t, p.delay, near, held)
-            u, rise, remaining = through(memory, course, p)
-            h = max(min(remaining, end - t), near)
-            move(s, mode, u, rise, h, b, m, f, w)
-            memory[LIMITED] += h * rise
-            u += h * rise
+        start, end = clock[0], ends[n]
+        tolerance_s = TIME_TOLERANCE * (end - start)
+        add_command(times, values, counters, start if is_held else end, inputs[n])
+        t, u = start, 0.0
+        while end - t > tolerance_s:
+            segment = delayed_command(times, values, counters, t, p.delay, tolerance_s, is_held)
+            u, slope, remaining = pass_through(memory, segment, p)
+            h = max(min(remaining, end - t), tolerance_s)
+            integrate(s, mode, u, slope, h, b, m, f, w)
+            memory[LIMITED] += h * slope
+            u += h * slope
             t += h
         clock[0] = end
         for j in range(s.size):
@@ -59,19 +70,19 @@ def run(
         out[n, s.size] = s[LAG] if b.lag > 0.0 else u
 
 
-def kernel_for(push: Callable[..., Any], remember: Callable[..., Any], rig: str) -> Kernel:
-    """:func:`run` compiled for a rig's push, to be called by a kernel that is kept on disk.
+def compile_kernel(applied_force: Callable[..., Any], update_memory: Callable[..., Any], rig: str) -> Kernel:
+    """Compile :func:`run` for a rig, to be called by a cached kernel; arguments as for `compile_integrator`.
 
-    ``rig`` is the name of the rig's module: two rigs' pieces of the same name, loaded from disk into one
-    process, would otherwise be taken for each other.
+    ``rig`` is the name of the rig's module: numba would otherwise confuse functions of the same name of two
+    rigs that a process loads from the cache.
     """
-    scope = {**globals(), "__name__": rig, "move": mover_for(push, remember, rig)}
+    scope = {**globals(), "__name__": rig, "integrate": compile_integrator(applied_force, update_memory, rig)}
     bound: Kernel = specialised(FunctionType(run.__code__, scope, "run"))
     return bound
 
 
 def pack(numbers: Any) -> Any:
-    """A named tuple of numbers, and of arrays of them, as one record, which kernels hand on as a whole."""
+    """Pack a named tuple of numbers and arrays into one record, which kernels pass on faster."""
     kinds = [
         (name, value.dtype, value.shape) if isinstance(value, np.ndarray) else (name, type(value))
         for name, value in zip(numbers._fields, numbers, strict=True)
@@ -79,12 +90,18 @@ def pack(numbers: Any) -> Any:
     return np.array([tuple(numbers)], dtype=kinds)[0]
 
 
-class Drive:
-    """A rig in time: its states, its clock, and what its way in remembers.
+class PlantSimulation:
+    """The states, the clock and the input history of a plant with one input.
 
-    ``kernel`` is the rig's :func:`run`, ``numbers`` what its push takes and ``inner`` its own states at the
-    beginning; the part begins at rest at ``place``, at a command of 0 as after a long time. Without
-    ``held`` a command is reached straight at the end of its period.
+    Args:
+        values: Parameters of the plant.
+        kernel: The rig's :func:`run`.
+        numbers: Argument of the rig's applied force.
+        body: The moving part.
+        stamps: Times of the samples.
+        is_held: Whether the input is held from sample to sample; else it is linear between them.
+        position: First position; the part starts at rest, after a long time at input 0.
+        plant_states: First values of the rig's own states.
     """
 
     def __init__(
@@ -93,33 +110,33 @@ class Drive:
         kernel: Kernel,
         numbers: Any,
         body: Body,
-        stamps: Stamps,
-        held: bool = True,
-        place: float = 0.0,
-        inner: Sequence[float] = (),
+        sample_times: SampleTimes,
+        is_held: bool = True,
+        position: float = 0.0,
+        plant_states: Sequence[float] = (),
     ) -> None:
         self.path = InputPath.of(values)
-        if self.path.delay > LONGEST_DELAY * stamps.period:
-            raise UsageError(f"time_delay.delay is too long for a sample period of {stamps.period:g} s")
+        if self.path.delay > MAX_DELAY_SAMPLES * sample_times.period:
+            raise UsageError(f"time_delay.delay is too long for a sample period of {sample_times.period:g} s")
         self._kernel, self._numbers, self._body = kernel, pack(numbers), pack(body)
         friction = Friction.of(values)
         self._friction, self._way = pack(friction), pack(self.path)
-        self.stamps, self._held = stamps, held
-        inner_end = INNER + len(inner)
-        n = inner_end + (ROOM if friction.attraction > 0.0 else 0)
+        self.sample_times, self._is_held = sample_times, is_held
+        n_states = PLANT_STATES + len(plant_states)
+        n = n_states + (N_ELEMENT_STATES if friction.attraction > 0.0 else 0)
         self._state = np.zeros(n)
-        self._state[X], self._state[INNER:inner_end] = place, inner
-        self._state[SENSOR] = self._state[body.seen]
-        self._mode = np.array([0.0, FIRST_PACE * stamps.period])
+        self._state[X], self._state[PLANT_STATES:n_states] = position, plant_states
+        self._state[SENSOR] = self._state[body.measured_state]
+        self._mode = np.array([0.0, INITIAL_STEP * sample_times.period])
         self._clock, self._memory = np.zeros(1), np.zeros(2)
         self._times, self._values = np.zeros(HISTORY), np.zeros(HISTORY)
-        self._count = np.zeros(2, dtype=np.int64)
-        self._work = Work(np.zeros((STAGES, n)), np.zeros(n), np.full(n, FLOOR))
+        self._counters = np.zeros(2, dtype=np.int64)
+        self._work = Workspace(np.zeros((STAGES, n)), np.zeros(n), np.full(n, MIN_STATE_SIZE))
         self._row = np.append(self._state, 0.0)
 
     @property
     def tolerance(self) -> float:
-        """Error of a step that is let pass, over the size of the state."""
+        """Tolerated error of a step, relative to the size of the state."""
         return float(self._body["tolerance"])
 
     @tolerance.setter
@@ -128,44 +145,48 @@ class Drive:
 
     @property
     def time(self) -> float:
-        """Time since the plant began, s."""
+        """Time since the start, s."""
         return float(self._clock[0])
 
     @property
     def row(self) -> FloatArray:
-        """The states and the acting input (states + 1,) now."""
+        """The present states and acting input, (states + 1,)."""
         return self._row
 
     def step(self, value: float) -> FloatArray:
-        """Let one sample period pass; the states and the acting input (1, states + 1) at its end."""
+        """Simulate one sample period; return the states and the acting input at its end, (1, states + 1)."""
         return self.advance(np.array([value]))[0]
 
     def advance(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Let a sample period pass for each of the input's values (n,).
+        """Simulate a sample period for each of the input's values (n,).
 
-        Returns the states and the acting input at their ends, (n, states + 1), and the ends (n,), s.
+        Returns:
+            The states and the acting input at the ends (n, states + 1), and the ends (n,), s.
         """
-        return self._walk(values)
+        return self._run(values)
 
-    def follow(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Go on through the input's values (n,) at the samples, the first of which is now.
+    def simulate(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Simulate with the input's values (n,) at the samples, the first of which is now.
 
-        Returns the states and the acting input at the samples, (n, states + 1), and their times (n,), s from
-        now. UsageError for values that are not finite, and for a plant that runs away.
+        Returns:
+            The states and the acting input at the samples (n, states + 1), and their times (n,), s from now.
+
+        Raises:
+            UsageError: A value is not finite, or the states of the plant become infinite.
         """
         if not len(values) or not np.all(np.isfinite(values)):
             raise UsageError("a simulation needs one finite value of its input at least, and no others")
-        begin, first = self.time, self._row
-        if not self._held:
-            self._jump(float(values[0]))
-        rows, ends = self._walk(values[:-1] if self._held else values[1:])
-        return np.vstack([first, rows]), np.append(begin, ends) - begin
+        start, first = self.time, self._row
+        if not self._is_held:
+            self._restart_input(float(values[0]))
+        rows, ends = self._run(values[:-1] if self._is_held else values[1:])
+        return np.vstack([first, rows]), np.append(start, ends) - start
 
-    def _walk(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        ends = self.stamps.ends(self.time, len(values))
+    def _run(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        ends = self.sample_times.ends(self.time, len(values))
         rows = np.empty((len(values), len(self._row)))
         self._kernel(
-            values, ends, self._clock, self._times, self._values, self._count, self._memory, self._held,
+            values, ends, self._clock, self._times, self._values, self._counters, self._memory, self._is_held,
             self._state, self._mode, self._body, self._numbers,
             self._friction, self._way, self._work, rows,
         )  # fmt: skip
@@ -175,7 +196,7 @@ class Drive:
             raise UsageError("the plant runs away with these parameters: its states are no finite numbers")
         return rows, ends
 
-    def _jump(self, value: float) -> None:
-        """A straight input that does not begin where it was last jumps there."""
-        if value != self._values[self._count[NEWEST] % HISTORY]:
-            add(self._times, self._values, self._count, self.time, value)
+    def _restart_input(self, value: float) -> None:
+        """Let a linear input jump to its first value."""
+        if value != self._values[self._counters[NEWEST] % HISTORY]:
+            add_command(self._times, self._values, self._counters, self.time, value)

@@ -1,4 +1,4 @@
-"""What a simulated ball and beam can be made of: effects by name, and every number that can be set."""
+"""Parameters and effects of the simulated ball and beam."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from labhil.errors import UnknownNameError, UsageError
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One effect beyond the bare rig; ``parameters`` maps short names to default strengths (SI)."""
+    """An effect of a simulated rig; ``parameters`` maps short names to defaults (SI)."""
 
     about: str
     parameters: Mapping[str, float]
@@ -70,7 +70,7 @@ EFFECTS: Mapping[str, Effect] = {
     "sensor_offset": Effect("measured = x + offset, m", {"offset": 0.005}),
     "sensor_lag": Effect("the sensor follows with a first-order lag, s", {"time_constant": 0.05}),
 }
-"""Every effect by its name; a plant that does not name one is exactly the plant without it."""
+"""All effects by name; a plant has those alone that it names."""
 
 HIDDEN: Mapping[str, Effect] = {
     "hidden_magnet": Effect(
@@ -84,7 +84,7 @@ HIDDEN: Mapping[str, Effect] = {
         "a cable that pulls the ball back beyond a place, N/m", {"stiffness": 1.0, "from": 0.05}
     ),
 }
-"""Effects in no list of names, for trials with physics that nobody expects."""
+"""Effects that no list contains, for trials with unmodelled physics."""
 
 DRY = ("coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction")
 POSITIVE = {
@@ -95,7 +95,7 @@ POSITIVE = {
     "maxwell_slip_friction.attraction",
 }  # fmt: skip
 CARRIERS = ("presliding_friction", "maxwell_slip_friction")
-"""Effects that take the place of the event-based law of dry friction."""
+"""Effects that replace the event-based law of dry friction."""
 LONGEST_DELAY = 2.0
 
 
@@ -106,16 +106,24 @@ def parameters_of(effect: str) -> dict[str, float]:
 
 
 def all_parameters() -> dict[str, float]:
-    """Return every parameter that a plant takes, with its default (SI)."""
+    """Return all parameters of a plant with their defaults (SI), without those of hidden effects."""
     named = (parameters_of(effect) for effect in EFFECTS)
     return dict(BARE_RIG) | {name: value for group in named for name, value in group.items()}
 
 
 def resolve(terms: Iterable[str], overrides: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters in force: the bare rig's and those of the effects in ``terms``.
+    """Return the parameters of the ball and beam with some effects.
 
-    UnknownNameError for an effect or a parameter that does not exist; UsageError for the parameter
-    of an effect that is not among ``terms``, and for values that make no world.
+    Args:
+        terms: Names of the effects.
+        overrides: Values by parameter name, SI.
+
+    Returns:
+        Values of all parameters, SI.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A parameter belongs to an effect that is not in ``terms``, or a value is out of range.
     """
     chosen = tuple(terms)
     for term in chosen:
@@ -166,6 +174,6 @@ def _check(values: Mapping[str, float], chosen: tuple[str, ...]) -> None:
 
 
 def check_carriers(chosen: Iterable[str]) -> None:
-    """UsageError where more than one effect is to carry the dry friction."""
+    """Raise UsageError where more than one effect replaces the law of dry friction."""
     if set(CARRIERS) <= set(chosen):
         raise UsageError(f"{' and '.join(CARRIERS)} both carry the dry friction; choose one of them")

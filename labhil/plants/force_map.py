@@ -1,4 +1,4 @@
-"""A magnet's measured forces in the place of the stated ones: a table, used as it is given.
+"""Interpolate the measured forces of a magnet.
 
 Between its points the force is the tensor product of cubic splines through them; beyond its edges it goes on
 straight, with the slope that it has there. The spline is kept as its knots and coefficients, as FITPACK makes
@@ -21,37 +21,45 @@ if TYPE_CHECKING:
 
 COLUMNS = ("coil_current", "plunger_position", "magnetic_force")
 
-MOST = 100
-"""Nodes in a direction: a finer table is brought to as many at equal distances."""
+MAX_NODES = 100
+"""Most nodes in a direction; a finer table is interpolated to as many at equal distances."""
 
-ACROSS = 33
-"""Nodes in each direction of the grid that points on no grid are brought to."""
+PLATE_NODES = 33
+"""Nodes in each direction of the grid for scattered points."""
 
-FEWEST = 6
-"""Points: a plane and its curvature."""
+MIN_POINTS = 6
+"""Fewest points: those of a plane with curvature."""
 
 NEIGHBOURS = 64
-"""Points next to a node that determine its force where there are very many more."""
+"""Number of points that determine the force of a node, where there are more than 20 times as many."""
 
 DEGREE_I, DEGREE_X, KNOTS_I, KNOTS_X = 0, 1, 2, 3
-FIRST_I = 4
-FIRST_X = FIRST_I + MOST + 4
-FIRST = FIRST_X + MOST + 4
-LENGTH = FIRST + MOST * MOST
-"""Places in the array: degrees, numbers of knots (0: no table), knots, and the coefficients, row by row."""
+FIRST_KNOT_I = 4
+FIRST_KNOT_X = FIRST_KNOT_I + MAX_NODES + 4
+FIRST_COEFFICIENT = FIRST_KNOT_X + MAX_NODES + 4
+LENGTH = FIRST_COEFFICIENT + MAX_NODES * MAX_NODES
+"""Indices in the array: degrees, numbers of knots (0: no table), knots, and coefficients, row by row."""
 
 
 def no_table() -> FloatArray:
-    """The array of a magnet that has no table, (LENGTH,)."""
+    """Return the array of a magnet without a table, (LENGTH,)."""
     return np.zeros(LENGTH)
 
 
 def force_map_of(path: Path) -> FloatArray:
-    """The spline, (LENGTH,), through a CSV file's forces.
+    """Fit a spline to the forces in a CSV file.
 
-    Its columns are coil_current (A), plunger_position (m) and magnetic_force (N). Points on no grid are
-    brought to one by a thin plate; a table that begins above 0 A gets the force without current, which is
-    none. UsageError when the file cannot be read, or does not span an area.
+    Scattered points are interpolated to a grid by a thin plate spline; a table that starts above 0 A gets the
+    force 0 without current.
+
+    Args:
+        path: The file, with columns coil_current (A), plunger_position (m) and magnetic_force (N).
+
+    Returns:
+        The spline, (LENGTH,).
+
+    Raises:
+        UsageError: The file cannot be read, or its points do not span an area.
     """
     try:
         header = [name.strip() for name in path.read_text(encoding="utf-8-sig").split("\n", 1)[0].split(",")]
@@ -60,78 +68,82 @@ def force_map_of(path: Path) -> FloatArray:
     except (OSError, ValueError) as error:
         expected = ", ".join(COLUMNS)
         raise UsageError(f"{path}: expected a CSV file with the columns {expected}: {error}") from error
-    sensible = len(force) >= FEWEST and bool(np.all(np.isfinite([i, x, force])))
-    if not sensible or len(np.unique(i)) < 2 or len(np.unique(x)) < 2:
+    is_valid = len(force) >= MIN_POINTS and bool(np.all(np.isfinite([i, x, force])))
+    if not is_valid or len(np.unique(i)) < 2 or len(np.unique(x)) < 2:
         raise UsageError(
-            f"{path}: expected finite forces at {FEWEST} points at least, of two currents and two positions "
-            f"or more; found {len(force)} rows that are not"
+            f"{path}: expected finite forces at {MIN_POINTS} points at least, of two currents and two "
+            f"positions or more; found {len(force)} rows that are not"
         )
     if i.min() > 0.0:
         edge = np.unique(x)
         i, x, force = (np.r_[a, b] for a, b in ((i, 0.0 * edge), (x, edge), (force, 0.0 * edge)))
-    nodes = _on_a_grid(i, x, force)
+    nodes = _to_grid(i, x, force)
     try:
-        current, position, table = nodes if nodes is not None else _plate(i, x, force)
+        current, position, table = nodes if nodes is not None else _interpolate_plate(i, x, force)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise UsageError(f"{path}: expected points at least that span an area: {error}") from error
     return _pack(current, position, table)
 
 
-def _on_a_grid(
+def _to_grid(
     i: FloatArray, x: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Nodes (n,) and (m,) with the mean force at each (n, m); None where one of them has no point."""
+    """Return nodes (n,) and (m,) with the mean force (n, m); None where a node has no point."""
     current, position = np.unique(i), np.unique(x)
-    place = np.searchsorted(current, i) * len(position) + np.searchsorted(position, x)
-    count = np.bincount(place, minlength=len(current) * len(position))
+    index = np.searchsorted(current, i) * len(position) + np.searchsorted(position, x)
+    count = np.bincount(index, minlength=len(current) * len(position))
     if np.any(count == 0):
         return None
-    total = np.bincount(place, force, minlength=len(count))
+    total = np.bincount(index, force, minlength=len(count))
     return current, position, (total / count).reshape(len(current), len(position))
 
 
-def _plate(i: FloatArray, x: FloatArray, force: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A thin plate through scattered points, at the nodes of a grid."""
+def _interpolate_plate(
+    i: FloatArray, x: FloatArray, force: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Interpolate scattered points by a thin plate spline at the nodes of a grid."""
     from scipy.interpolate import RBFInterpolator
 
     size = np.array([np.ptp(i), np.ptp(x)])
     points, same = np.unique(np.column_stack([i, x]), axis=0, return_inverse=True)
     values = np.bincount(same.ravel(), force) / np.bincount(same.ravel())
-    current, position = np.linspace(i.min(), i.max(), ACROSS), np.linspace(x.min(), x.max(), ACROSS)
-    nodes = np.array([(one, other) for one in current for other in position])
-    many = NEIGHBOURS if len(values) > 20 * NEIGHBOURS else None
-    plate = RBFInterpolator(points / size, values, neighbors=many)
-    return current, position, plate(nodes / size).reshape(ACROSS, ACROSS)
+    current, position = np.linspace(i.min(), i.max(), PLATE_NODES), np.linspace(x.min(), x.max(), PLATE_NODES)
+    nodes = np.array(
+        [(current_node, position_node) for current_node in current for position_node in position]
+    )
+    neighbours = NEIGHBOURS if len(values) > 20 * NEIGHBOURS else None
+    plate = RBFInterpolator(points / size, values, neighbors=neighbours)
+    return current, position, plate(nodes / size).reshape(PLATE_NODES, PLATE_NODES)
 
 
 def _pack(current: FloatArray, position: FloatArray, table: FloatArray) -> FloatArray:
-    if max(table.shape) > MOST:
+    if max(table.shape) > MAX_NODES:
         spline = _spline(current, position, table)
-        current, position = (np.linspace(a[0], a[-1], min(len(a), MOST)) for a in (current, position))
+        current, position = (np.linspace(a[0], a[-1], min(len(a), MAX_NODES)) for a in (current, position))
         table = spline(current, position)
     spline = _spline(current, position, table)
     knots_i, knots_x, coefficients = spline.tck
     packed = no_table()
-    packed[:FIRST_I] = *spline.degrees, len(knots_i), len(knots_x)
-    packed[FIRST_I : FIRST_I + len(knots_i)] = knots_i
-    packed[FIRST_X : FIRST_X + len(knots_x)] = knots_x
-    packed[FIRST : FIRST + len(coefficients)] = coefficients
+    packed[:FIRST_KNOT_I] = *spline.degrees, len(knots_i), len(knots_x)
+    packed[FIRST_KNOT_I : FIRST_KNOT_I + len(knots_i)] = knots_i
+    packed[FIRST_KNOT_X : FIRST_KNOT_X + len(knots_x)] = knots_x
+    packed[FIRST_COEFFICIENT : FIRST_COEFFICIENT + len(coefficients)] = coefficients
     return packed
 
 
 def _spline(current: FloatArray, position: FloatArray, table: FloatArray) -> RectBivariateSpline:
     from scipy.interpolate import RectBivariateSpline
 
-    along, across = (min(3, n - 1) for n in table.shape)
-    return RectBivariateSpline(current, position, table, kx=along, ky=across, s=0)
+    degree_i, degree_x = (min(3, n - 1) for n in table.shape)
+    return RectBivariateSpline(current, position, table, kx=degree_i, ky=degree_x, s=0)
 
 
 Four = tuple[float, float, float, float]
 
 
 @compiled
-def _span(value: float, first: int, knots: int, degree: int, s: FloatArray) -> int:
-    """The interval that holds a value within the knots: the number of its left one."""
+def _find_interval(value: float, first: int, knots: int, degree: int, s: FloatArray) -> int:
+    """Return the index of the knot on the left of a value."""
     low, high = degree, knots - degree - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -144,7 +156,7 @@ def _span(value: float, first: int, knots: int, degree: int, s: FloatArray) -> i
 
 @compiled
 def _basis(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
-    """The splines of a degree that are not zero in the interval, in their order (de Boor's recursion)."""
+    """Evaluate the B-splines of a degree that are not zero in the interval (de Boor's recursion)."""
     a, b, c, d = 1.0, 0.0, 0.0, 0.0
     for k in range(1, degree + 1):
         new = (0.0, 0.0, 0.0, 0.0)
@@ -152,47 +164,47 @@ def _basis(value: float, first: int, interval: int, degree: int, s: FloatArray) 
         w, x, y, z = new
         for r in range(k):
             low, high = s[first + interval + 1 + r - k], s[first + interval + 1 + r]
-            part = old[r] / (high - low) if high > low else 0.0
-            falls, climbs = part * (high - value), part * (value - low)
+            quotient = old[r] / (high - low) if high > low else 0.0
+            falling, rising = quotient * (high - value), quotient * (value - low)
             if r == 0:
-                w, x = w + falls, x + climbs
+                w, x = w + falling, x + rising
             elif r == 1:
-                x, y = x + falls, y + climbs
+                x, y = x + falling, y + rising
             else:
-                y, z = y + falls, z + climbs
+                y, z = y + falling, z + rising
         a, b, c, d = w, x, y, z
     return a, b, c, d
 
 
 @compiled
-def _rises(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
-    """Their slopes."""
+def _basis_slopes(value: float, first: int, interval: int, degree: int, s: FloatArray) -> Four:
+    """Evaluate the slopes of these B-splines."""
     p, q, r, _ = _basis(value, first, interval, degree - 1, s)
     lower = (p, q, r)
     a, b, c, d = 0.0, 0.0, 0.0, 0.0
     for k in range(degree):
-        wide = s[first + interval + 1 + k] - s[first + interval + 1 + k - degree]
-        part = degree * lower[k] / wide if wide > 0.0 else 0.0
+        width = s[first + interval + 1 + k] - s[first + interval + 1 + k - degree]
+        quotient = degree * lower[k] / width if width > 0.0 else 0.0
         if k == 0:
-            a, b = a - part, b + part
+            a, b = a - quotient, b + quotient
         elif k == 1:
-            b, c = b - part, c + part
+            b, c = b - quotient, c + quotient
         else:
-            c, d = c - part, d + part
+            c, d = c - quotient, d + quotient
     return a, b, c, d
 
 
 @compiled
-def _sum(
-    by_i: Four, by_x: Four, left_i: int, left_x: int,
+def _evaluate(
+    by_i: Four, by_x: Four, interval_i: int, interval_x: int,
     s: FloatArray,
 ) -> float:  # fmt: skip
-    along, across = int(s[DEGREE_I]), int(s[DEGREE_X])
-    wide, total = int(s[KNOTS_X]) - across - 1, 0.0
-    for m in range(along + 1):
-        row = FIRST + (left_i - along + m) * wide + left_x - across
+    degree_i, degree_x = int(s[DEGREE_I]), int(s[DEGREE_X])
+    width, total = int(s[KNOTS_X]) - degree_x - 1, 0.0
+    for m in range(degree_i + 1):
+        row = FIRST_COEFFICIENT + (interval_i - degree_i + m) * width + interval_x - degree_x
         inner = 0.0
-        for n in range(across + 1):
+        for n in range(degree_x + 1):
             inner += by_x[n] * s[row + n]
         total += by_i[m] * inner
     return total
@@ -200,16 +212,23 @@ def _sum(
 
 @compiled
 def mapped_force(i: float, x: float, s: FloatArray) -> tuple[float, float]:
-    """Force (N) and its slope by the current (N/A), at a field current (A) and a position (m)."""
-    along, across = int(s[DEGREE_I]), int(s[DEGREE_X])
-    low_i, high_i = s[FIRST_I + along], s[FIRST_I + int(s[KNOTS_I]) - along - 1]
-    low_x, high_x = s[FIRST_X + across], s[FIRST_X + int(s[KNOTS_X]) - across - 1]
-    near_i, near_x = min(max(i, low_i), high_i), min(max(x, low_x), high_x)
-    left_i = _span(near_i, FIRST_I, int(s[KNOTS_I]), along, s)
-    left_x = _span(near_x, FIRST_X, int(s[KNOTS_X]), across, s)
-    by_i, by_x = _basis(near_i, FIRST_I, left_i, along, s), _basis(near_x, FIRST_X, left_x, across, s)
-    per_current = _sum(_rises(near_i, FIRST_I, left_i, along, s), by_x, left_i, left_x, s)
-    force = _sum(by_i, by_x, left_i, left_x, s) + (i - near_i) * per_current
-    if x != near_x:
-        force += (x - near_x) * _sum(by_i, _rises(near_x, FIRST_X, left_x, across, s), left_i, left_x, s)
+    """Return force (N) and ∂F/∂i (N/A) at a field current (A) and a position (m)."""
+    degree_i, degree_x = int(s[DEGREE_I]), int(s[DEGREE_X])
+    low_i, high_i = s[FIRST_KNOT_I + degree_i], s[FIRST_KNOT_I + int(s[KNOTS_I]) - degree_i - 1]
+    low_x, high_x = s[FIRST_KNOT_X + degree_x], s[FIRST_KNOT_X + int(s[KNOTS_X]) - degree_x - 1]
+    clipped_i, clipped_x = min(max(i, low_i), high_i), min(max(x, low_x), high_x)
+    interval_i = _find_interval(clipped_i, FIRST_KNOT_I, int(s[KNOTS_I]), degree_i, s)
+    interval_x = _find_interval(clipped_x, FIRST_KNOT_X, int(s[KNOTS_X]), degree_x, s)
+    by_i, by_x = (
+        _basis(clipped_i, FIRST_KNOT_I, interval_i, degree_i, s),
+        _basis(clipped_x, FIRST_KNOT_X, interval_x, degree_x, s),
+    )
+    per_current = _evaluate(
+        _basis_slopes(clipped_i, FIRST_KNOT_I, interval_i, degree_i, s), by_x, interval_i, interval_x, s
+    )
+    force = _evaluate(by_i, by_x, interval_i, interval_x, s) + (i - clipped_i) * per_current
+    if x != clipped_x:
+        force += (x - clipped_x) * _evaluate(
+            by_i, _basis_slopes(clipped_x, FIRST_KNOT_X, interval_x, degree_x, s), interval_i, interval_x, s
+        )
     return force, per_current

@@ -1,4 +1,4 @@
-"""Friction of one simulated part: an event-based law, and what carries dry friction in presliding.
+"""Friction of one simulated part: an event-based law, or presliding by bristles or elements.
 
 The event-based law has two modes. A part that moves towards ``side`` (±1) feels the dry level for
 that side; a part at rest (side 0) feels whatever keeps it there, up to the hold. Bristles (LuGre), or the
@@ -14,11 +14,11 @@ from typing import NamedTuple
 from labhil.compiled import compiled
 
 STATIC_VELOCITY = 1e-3
-"""Speed (m/s) over which bristles and elements lose the extra hold at rest."""
-LEAST_LEVEL = 1e-9
-"""Dry level (N) under which bristles carry nothing."""
+"""Speed (m/s) over which bristles and elements lose the extra static friction."""
+MIN_LEVEL = 1e-9
+"""Dry level (N) below which bristles have no force."""
 ELEMENTS = 4
-"""How many elements of a generalised Maxwell-slip model share the dry level."""
+"""Number of elements of the generalised Maxwell-slip model."""
 
 
 class Friction(NamedTuple):
@@ -46,7 +46,7 @@ class Friction(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Friction:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         attraction = values.get("maxwell_slip_friction.attraction", 0.0)
         carrier = "maxwell_slip_friction" if attraction else "presliding_friction"
         stiffness = values.get(f"{carrier}.stiffness", 0.0)
@@ -79,21 +79,21 @@ def side_of(v: float) -> float:
 
 
 @compiled
-def dry_level(x: float, speed: float, side: float, f: Friction, more: float = 0.0) -> float:
+def dry_level(x: float, speed: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the dry friction (N) of a part at x (m) that moves towards ``side``; never negative.
 
-    ``more`` (N) is a rig's own: what grows with a load, or sticks at a place.
+    ``extra_level`` (N) is friction of the rig: by a load, or of a sticky patch.
     """
-    level = f.coulomb + side * f.asymmetric_level + f.slope * x + more
+    level = f.coulomb + side * f.asymmetric_level + f.slope * x + extra_level
     if f.stribeck != 0.0:
         level += f.stribeck * math.exp(-speed / f.stribeck_velocity)
     return max(level, 0.0)
 
 
 @compiled
-def hold_level(x: float, side: float, f: Friction, more: float = 0.0) -> float:
-    """Return the force (N) towards ``side`` that a part at rest at x (m) just withstands."""
-    return dry_level(x, 0.0, side, f, more) + max(f.static, 0.0)
+def hold_level(x: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
+    """Return the static friction (N) against a force towards ``side`` of a part at rest at x (m)."""
+    return dry_level(x, 0.0, side, f, extra_level) + max(f.static, 0.0)
 
 
 @compiled
@@ -104,34 +104,34 @@ def viscous_force(v: float, f: Friction) -> float:
 
 
 @compiled
-def resistance(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+def resistance(x: float, v: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the whole friction (N) of a part that moves towards ``side``."""
-    return side * dry_level(x, abs(v), side, f, more) + viscous_force(v, f)
+    return side * dry_level(x, abs(v), side, f, extra_level) + viscous_force(v, f)
 
 
 @compiled
 def on_bristles(f: Friction) -> bool:
-    """Whether bristles carry the dry friction: nothing about it is abrupt."""
+    """Whether bristles replace the event-based law, so that friction has no events."""
     return f.stiffness > 0.0 and f.attraction == 0.0
 
 
 @compiled
-def bristle_level(x: float, v: float, side: float, f: Friction, more: float = 0.0) -> float:
+def bristle_level(x: float, v: float, side: float, f: Friction, extra_level: float = 0.0) -> float:
     """Return the dry friction (N) that bristles or elements bend up to at velocity v (m/s)."""
     speed = abs(v)
-    return dry_level(x, speed, side, f, more) + f.static * math.exp(-speed / STATIC_VELOCITY)
+    return dry_level(x, speed, side, f, extra_level) + f.static * math.exp(-speed / STATIC_VELOCITY)
 
 
 @compiled
 def bristle_rate(z: float, v: float, level: float, f: Friction) -> float:
     """Return how fast bristles bend (m/s), ż = v − (σ₀|v|/g)·z, where they bend up to ``level`` (N)."""
-    return v - f.stiffness * abs(v) / level * z if level > LEAST_LEVEL else 0.0
+    return v - f.stiffness * abs(v) / level * z if level > MIN_LEVEL else 0.0
 
 
 @compiled
 def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> float:
     """Return the bristles' deflection (m) after h (s) at constant v and level, solved exactly."""
-    if level < LEAST_LEVEL:
+    if level < MIN_LEVEL:
         return 0.0
     rate = f.stiffness * abs(v) / level
     if rate * h < 1e-12:
@@ -143,4 +143,4 @@ def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> f
 @compiled
 def bristle_force(z: float, v: float, level: float, f: Friction) -> float:
     """Return the dry friction (N) of bristles bent by z (m): σ₀·z + σ₁·ż."""
-    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > LEAST_LEVEL else 0.0
+    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > MIN_LEVEL else 0.0

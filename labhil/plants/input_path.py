@@ -1,7 +1,7 @@
-"""What happens to the servo angle on its way to the linkage, one moment after the other.
+"""Input path of the ball and beam, from the servo angle to the linkage, substep by substep.
 
-Order: time delay, backlash, dead zone, saturation, rate limit, lag. Between two moments every
-signal is a straight line.
+Order: time delay, backlash, dead zone, saturation, rate limit, lag. Within a substep
+every signal is linear.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from labhil.compiled import compiled
 from labhil.signals import FloatArray
 
 HISTORY = 512
-"""How many past samples of the angle are remembered for the delay."""
-PLAY, TURNED, UNLAGGED, LAGGED = range(4)
+"""Number of past samples in the buffer of the delay."""
+PLAY, LIMITED, UNLAGGED, LAGGED = range(4)
 PATH_SIZE = 4
 
 
 class InputPath(NamedTuple):
-    """Strengths of all effects on the way in (SI); neutral where an effect is absent."""
+    """Parameters of all effects of the input path, SI; neutral where an effect is absent."""
 
     delay: float
     gap: float
@@ -34,7 +34,7 @@ class InputPath(NamedTuple):
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> InputPath:
-        """Pick them out of a plant's parameters."""
+        """Take them from the parameters of a plant."""
         return cls(
             delay=values.get("time_delay.delay", 0.0),
             gap=values.get("backlash.gap", 0.0),
@@ -50,10 +50,10 @@ NEUTRAL = InputPath.of({})
 
 
 @compiled
-def read_delayed(history: FloatArray, newest: int, behind: float) -> float:
-    """Return the angle ``behind`` samples before the one with number ``newest``."""
-    samples = math.floor(behind)
-    part = behind - samples
+def read_delayed(history: FloatArray, newest: int, samples_back: float) -> float:
+    """Return the angle ``samples_back`` samples before the one with number ``newest``."""
+    samples = math.floor(samples_back)
+    part = samples_back - samples
     after = float(history[(newest - samples) % HISTORY])
     if part == 0.0:
         return after
@@ -61,8 +61,8 @@ def read_delayed(history: FloatArray, newest: int, behind: float) -> float:
 
 
 @compiled
-def without_dead_zone(angle: float, left: float, right: float) -> float:
-    """Return what is left of an angle (rad) outside −left … right (eq. 4.18 of the reference text)."""
+def apply_dead_zone(angle: float, left: float, right: float) -> float:
+    """Apply a dead zone −left … right to an angle (rad; eq. 4.18 of the reference text)."""
     if angle >= right:
         return angle - right
     if angle <= -left:
@@ -71,29 +71,29 @@ def without_dead_zone(angle: float, left: float, right: float) -> float:
 
 
 @compiled
-def first_order(y: float, before: float, now: float, h: float, time_constant: float) -> float:
-    """Return the lagged signal after h (s) in which its input went straight from ``before`` to ``now``."""
+def apply_lag(y: float, before: float, now: float, h: float, time_constant: float) -> float:
+    """Return the lagged signal after h (s) in which its input went linearly from ``before`` to ``now``."""
     if time_constant <= 0.0:
         return now
-    trail = (now - before) / h * time_constant
-    return now - trail + (y - before + trail) * math.exp(-h / time_constant)
+    lag_error = (now - before) / h * time_constant
+    return now - lag_error + (y - before + lag_error) * math.exp(-h / time_constant)
 
 
 @compiled
-def follow(path: FloatArray, angle: float, h: float, p: InputPath) -> float:
-    """Go one moment of h (s) on to ``angle`` (rad, already delayed); return the angle at the linkage."""
+def pass_through(path: FloatArray, angle: float, h: float, p: InputPath) -> float:
+    """Advance by a substep of h (s) to the delayed ``angle`` (rad); return the angle at the linkage."""
     path[PLAY] = min(max(path[PLAY], angle - 0.5 * p.gap), angle + 0.5 * p.gap)
-    wanted = without_dead_zone(path[PLAY], p.left, p.right)
-    wanted = min(max(wanted, -p.limit), p.limit)
-    path[TURNED] = min(max(wanted, path[TURNED] - p.rate * h), path[TURNED] + p.rate * h)
-    path[LAGGED] = first_order(path[LAGGED], path[UNLAGGED], path[TURNED], h, p.lag)
-    path[UNLAGGED] = path[TURNED]
+    target = apply_dead_zone(path[PLAY], p.left, p.right)
+    target = min(max(target, -p.limit), p.limit)
+    path[LIMITED] = min(max(target, path[LIMITED] - p.rate * h), path[LIMITED] + p.rate * h)
+    path[LAGGED] = apply_lag(path[LAGGED], path[UNLAGGED], path[LIMITED], h, p.lag)
+    path[UNLAGGED] = path[LIMITED]
     return float(path[LAGGED])
 
 
-def settle(angle: float, p: InputPath) -> FloatArray:
-    """Return the path's memory after a long time at ``angle`` (rad), in the middle of the play."""
-    wanted = min(max(without_dead_zone(angle, p.left, p.right), -p.limit), p.limit)
-    path = np.full(PATH_SIZE, wanted)
+def settled_path(angle: float, p: InputPath) -> FloatArray:
+    """Return the steady state of the path at ``angle`` (rad), in the middle of the backlash."""
+    target = min(max(apply_dead_zone(angle, p.left, p.right), -p.limit), p.limit)
+    path = np.full(PATH_SIZE, target)
     path[PLAY] = angle
     return path

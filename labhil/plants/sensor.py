@@ -1,4 +1,4 @@
-"""From the ball's true position to the converter's count."""
+"""The sensor of the ball: from its true position to the count of the converter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labhil.signals import FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """Potentiometer and converter; lag (s) is walked by the plant, all else acts sample by sample."""
+    """Potentiometer and converter; the plant simulates the lag (s), the rest acts on single samples."""
 
     lag: float
     cubic: float
@@ -24,7 +24,7 @@ class Sensor:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Sensor:
-        """Pick it out of a plant's parameters."""
+        """Take it from the parameters of a plant."""
         return cls(
             lag=values.get("sensor_lag.time_constant", 0.0),
             cubic=values.get("sensor_nonlinearity.cubic", 0.0),
@@ -52,5 +52,5 @@ class Sensor:
         return np.asarray(np.clip(counts, 0, (1 << self.bits) - 1), dtype=np.int64)
 
     def position(self, counts: IntArray) -> FloatArray:
-        """Return the positions (m) that counts stand for."""
+        """Return the positions (m) of counts."""
         return np.asarray((counts - self.zero) * self.scale, dtype=np.float64)

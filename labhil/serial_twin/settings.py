@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 
 from labhil.driver import TwinOptions
 from labhil.errors import UnknownNameError, UsageError
-from labhil.plants.world import World
+from labhil.plants.definition import PlantDefinition
 from labhil.signals import FloatArray
 
 WIRES = ("pty", "tcp")
@@ -64,7 +64,7 @@ UNEVEN = ("stamp_jitter", "stamp_error")
 
 
 def settable_world(
-    world: World,
+    world: PlantDefinition,
     default_terms: tuple[str, ...],
     device: Mapping[str, float],
     check: Callable[[Mapping[str, float]], None],

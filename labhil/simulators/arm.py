@@ -1,4 +1,7 @@
-"""An arm of a user's MuJoCo file as a rig: measured motion in, measured torques or currents out."""
+"""An arm of a user's MuJoCo file as a rig: measured motion in, measured torques or currents out.
+
+:mod:`labhil.simulators.arm_file` reads the file, ``arm_patches`` writes estimated values into it.
+"""
 
 from __future__ import annotations
 
@@ -25,23 +28,26 @@ from labhil.simulators.mjcf_file import load_model, names_of
 from labhil.simulators.names import identifier
 
 CURRENT, TORQUE = KINDS = ("current", "torque")
-"""What may be measured of a joint's drive."""
+"""Quantities that may be measured of a joint's drive."""
 
 UNITS = {CURRENT: "A", TORQUE: "N·m"}
-HELD = ("viscous_friction", "coulomb_friction", "added_inertia")
-"""What every MuJoCo file can hold of a joint: damping, frictionloss, armature."""
+FILE_TERMS = ("viscous_friction", "coulomb_friction", "added_inertia")
+"""Terms for which MuJoCo files have an attribute of the joint: damping, frictionloss, armature."""
 
-OFFSET = "sensor_offset"
-GEARED = ("load_dependent_friction", "cubic_viscous_friction")
-"""What is usual in geared joints beside that; linear, so that a fit of all takes seconds."""
-
-WRONG_WAY = -10.0
-"""Standard errors from 0 at which a joint's torque is taken to have the other sign."""
+OFFSET_TERM = "sensor_offset"
+GEAR_TERMS = ("load_dependent_friction", "cubic_viscous_friction")
+"""Further terms that are usual in geared joints; linear, so that a fit of all takes seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArmSimulator:
-    """A MuJoCo file with several joints as a rig; wherever a rig may be named, it may.
+    """A MuJoCo file with several joints; it can be given wherever a rig can.
+
+    Attributes:
+        arm: The file.
+        name: Name of the rig kind.
+        output: Name of the measured signal.
+        measures: Its quantity, ``"current"`` or ``"torque"``.
 
     Example:
         >>> import labhil as lh
@@ -62,12 +68,12 @@ class ArmSimulator:
 
     @property
     def unit(self) -> str:
-        """Unit of what is measured of the drives."""
+        """Unit of the measured signal."""
         return UNITS[self.measures]
 
     @property
     def kind(self) -> RigKind:
-        """The rig kind that it is: its signals, and what ``[known]`` may say."""
+        """The rig kind: signals, and the keys that ``[known]`` may have."""
         n = len(self.joints)
         names = ", ".join(self.joints)
         known = {"gear_ratio": Known("1", width=n)}
@@ -95,17 +101,17 @@ class ArmSimulator:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file that says nothing but that the rig is this simulator."""
+        """A rig file with the kind alone."""
         return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"{self.name}.toml"))
 
     @property
-    def begins(self) -> tuple[str, ...]:
-        """Terms that a diagnosis begins with: what such a file can hold of every joint, and an offset.
+    def initial_terms(self) -> tuple[str, ...]:
+        """Terms that a diagnosis starts with: those that MuJoCo has for every joint, and an offset.
 
-        A file that leaves damping, frictionloss and armature out says that they are 0, which data contradict.
+        A file without damping, frictionloss and armature sets them to 0, which recordings contradict.
         """
         in_file = {name.partition(".")[0] for name, value in self.arm.nominal.items() if value}
-        return tuple(dict.fromkeys((*HELD, OFFSET, *sorted(in_file))))
+        return tuple(dict.fromkeys((*FILE_TERMS, OFFSET_TERM, *sorted(in_file))))
 
 
 def arm_simulator(
@@ -114,32 +120,35 @@ def arm_simulator(
     outputs: Mapping[str, str] | None = None,
     name: str = "",
 ) -> ArmSimulator:
-    """Take a MuJoCo file with several hinges for a rig; see ``labhil.mujoco_simulator``."""
+    """Read a MuJoCo file with several hinges as a rig; arguments as for ``labhil.mujoco_simulator``."""
     model = load_model(path)
-    has = names_of(model)
+    names = names_of(model)
     if inputs:
         raise UsageError(
             f"{path}: inputs: of a file with several joints the measured motion is the input, actual_q and "
-            f"actual_qd with {len(has.joints)} columns each ({', '.join(has.joints)}), found "
+            f"actual_qd with {len(names.joints)} columns each ({', '.join(names.joints)}), found "
             f"{', '.join(inputs)}; say under [channels] which columns these are"
         )
     output, measures = _measured(path, outputs)
-    arm = read_arm(path, model, has)
-    named = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
-    called = identifier(name or (path.stem if named in ("", "MuJoCo Model") else named))
-    made = ArmSimulator(arm, called, identifier(output), measures)
-    declare_kind(made.kind)
+    arm = read_arm(path, model, names)
+    model_name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
+    rig_name = identifier(name or (path.stem if model_name in ("", "MuJoCo Model") else model_name))
+    simulator = ArmSimulator(arm, rig_name, identifier(output), measures)
+    declare_kind(simulator.kind)
 
-    def of_rig(rig: RigFile, record: Record | None) -> ArmFileModel:
-        return ArmFileModel(made, rig, record)
+    def make_model(rig: RigFile, record: Record | None) -> ArmFileModel:
+        return ArmFileModel(simulator, rig, record)
 
-    begins = made.begins
-    declare_model(made.name, RigModel(of_rig, begins, tuple(dict.fromkeys((*begins, *GEARED)))))
-    return made
+    initial_terms = simulator.initial_terms
+    declare_model(
+        simulator.name,
+        RigModel(make_model, initial_terms, tuple(dict.fromkeys((*initial_terms, *GEAR_TERMS)))),
+    )
+    return simulator
 
 
 def _measured(path: Path, outputs: Mapping[str, str] | None) -> tuple[str, str]:
-    """Name of the recorded output, and what it is."""
+    """Return the name of the recorded output, and its quantity."""
     if not outputs:
         return "actual_current", CURRENT
     if len(outputs) != 1 or next(iter(outputs.values())) not in KINDS:
@@ -154,8 +163,8 @@ def _measured(path: Path, outputs: Mapping[str, str] | None) -> tuple[str, str]:
 class ArmFileModel(ArmModel):
     """Inverse dynamics of a user's MuJoCo file.
 
-    The inertial parameters that a recording can distinguish from the file's are estimated, the others stay,
-    as do those that act just as an armature.
+    Inertial parameters are estimated as far as the recording determines them. The others keep the values of
+    the file, as do those that act in the same way as an armature.
     """
 
     first_laws = (*LAWS, "added_inertia.inertia")
@@ -171,7 +180,7 @@ class ArmFileModel(ArmModel):
         return self.simulator.arm.tree
 
     def _reference(self) -> Chain:
-        """Without torque constants the file's masses are what torques are measured by."""
+        """Without torque constants, the masses of the file determine the scale of the torques."""
         tree = self.simulator.arm.tree
         return replace(tree, inertial=tree.begin)
 
@@ -192,19 +201,19 @@ class ArmFileModel(ArmModel):
         return rig.known_numbers("gear_ratio") or (None,) * self.joints
 
     def _inertia_of_file(self) -> dict[str, float]:
-        """Grouped parameters as the file has them, by key."""
+        """Return the grouped parameters of the file by key."""
         if self.first is None:
             return {}
         names = (keyed(name, link) for name, _, link in self.first.grouped.names())
         return dict(zip(names, self.first.prior_values.tolist(), strict=True))
 
     def constants_at(self, theta: FloatArray) -> list[float]:
-        """Torque constants (n,), N·m/A, without their estimated errors."""
+        """Return the torque constants (n,), N·m/A, without their estimated errors."""
         constants = self._constant if self.fixed else self._of_joints(theta, "torque_constant")
         return [float(constant) for constant in constants]
 
     def inertial_at(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the links act like, (10 n,), and what of that is a payload on the last, (10,)."""
+        """Return the inertial parameters of the links without payload (10 n,), and of the payload (10,)."""
         payload = self._payload(theta)
         return self._inertial(theta) - payload, payload[-PER_LINK:]
 
@@ -212,21 +221,21 @@ class ArmFileModel(ArmModel):
         if record is None:
             return ()
         notes = [] if self.first is not None else [
-            "torque_constant is not known: it is estimated by the masses of the file, which stay as they "
+            "torque_constant is not known: it is estimated from the masses of the file, which stay as they "
             "are. State it under [known] to have the masses estimated."
         ]  # fmt: skip
         for recording in record.recordings():
             for joint in self._reversed_joints(self.prepare(recording)):
                 name = self.simulator.joints[joint]
                 notes.append(
-                    f"{name} (joint {joint}): what is measured falls where the torque of the file grows. The "
-                    "joint turns the other way in the file, its column is another joint's, or its sign is "
-                    "the other one; see [channels] (scale = -1)."
+                    f"{name} (joint {joint}): the measured signal falls where the torque of the file grows. "
+                    "The joint turns the other way in the file, its column belongs to another joint, or its "
+                    "sign is reversed; see [channels] (scale = -1)."
                 )
         return tuple(dict.fromkeys(notes))
 
-    def _reversed_joints(self, record: PreparedRecord) -> list[int]:
-        """Joints whose output has the other sign than the file's rigid body."""
+    def _reversed_joints(self, record: PreparedRecord, *, min_errors: float = 10.0) -> list[int]:
+        """Find joints whose output falls with the torque of the rigid body, by ``min_errors`` sigma."""
         torque = self._view(record).rigid(gravity_in_base(), 0.0) @ self.links.begin
         reversed_joints = []
         for joint in range(self.joints):
@@ -239,6 +248,6 @@ class ArmFileModel(ArmModel):
             shares, *_ = np.linalg.lstsq(columns, record.outputs[:, joint], rcond=None)
             residuals = record.outputs[:, joint] - columns @ shares
             error = np.sqrt(residuals.var() * np.linalg.pinv(columns.T @ columns)[0, 0])
-            if shares[0] < WRONG_WAY * error:
+            if shares[0] < -min_errors * error:
                 reversed_joints.append(joint)
         return reversed_joints

@@ -1,7 +1,7 @@
-"""What an arm's file cannot hold, as a Python file with its laws: friction of its joints, and their drives.
+"""Write effects for which an arm's file has no attribute as a Python file: joint friction and drives.
 
-The file stands beside the repaired one and needs nothing of labhil. ``Friction`` gives torques against the
-motion beside the file's own, ``current`` what is measured of the drives.
+The Python file accompanies the repaired one and does not import labhil. ``Friction`` returns torques against
+the motion in addition to those of the file, ``measured`` the readings of the drives.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from textwrap import wrap
 from typing import NamedTuple
 
 from labhil.physics.terms import keyed
-from labhil.simulators.companion import FIRM, WIDTH
+from labhil.simulators.companion import FIRM_FRICTION_NOTE, WIDTH
 
-OUTPUT = ("sensor_offset.offset", "torque_constant.gain")
+OUTPUT_PARAMETERS = ("sensor_offset.offset", "torque_constant.gain")
 SHAPES = ("stribeck_friction.velocity", "torque_ripple.order")
 
 
 class Law(NamedTuple):
-    """An effect: its equation for people, its parameters, and a line of Python."""
+    """An effect: its equation in text, its parameters, and a Python expression."""
 
     equation: str
     parameters: tuple[str, ...]
@@ -52,21 +52,21 @@ LAWS: Mapping[str, Law] = {
         "{sine} * math.sin({order} * q[{j}]) + {cosine} * math.cos({order} * q[{j}])",
     ),
 }
-BRISTLES = Law(
+BRISTLE_LAW = Law(
     "ds = (dq - s |dq|) / l in the place of sgn qd (Dahl); the file's dry friction turns over at once, this "
     "adds the difference",
     ("length",),
     "",
 )
 
-HELD = frozenset(
+SUPPORTED = frozenset(
     {
-        *OUTPUT,
+        *OUTPUT_PARAMETERS,
         "presliding_friction.length",
         *(f"{t}.{part}" for t, law in LAWS.items() for part in law.parameters),
     }
 )
-"""What a companion holds; a repaired file is run without anything else that it has no place for."""
+"""Parameters that a companion can contain; the repaired file is run without the others."""
 
 TEXT = '''"""What {file} cannot hold of the physics that was found; by `labhil patch`. SI units.
 
@@ -125,7 +125,7 @@ def measured(torque):
 '''
 
 
-ROTORS = """The file has no place for rotors; when it is loaded,
+ROTOR_NOTE = """The file has no place for rotors; when it is loaded,
 
     model.dof_armature[:] += ARMATURE
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -134,11 +134,16 @@ ROTORS = """The file has no place for rotors; when it is loaded,
 
 
 @dataclass(frozen=True, slots=True)
-class CompanionValues:
-    """Values by key that stand beside a file, constants (n,) in N·m/A or None for torques, joints by name.
+class ArmCompanion:
+    """The companion of an arm's file.
 
-    ``dry`` (n,) is the file's own dry friction, N·m; where it has to be ``firm`` and the format cannot say
-    so, whoever loads the file has to set it. ``armature`` (n,) are rotors for which it has no place.
+    Attributes:
+        values: Values of effects by key.
+        constants: Torque constants (n,), N·m/A; None where torques are measured.
+        joints: Names of the joints.
+        dry: Dry friction in the file, (n,), N·m.
+        firm: Whether the user has to make that firm after loading, since the format has no attribute for it.
+        armature: Rotor inertias (n,) for which the format has no attribute, kg·m².
     """
 
     values: Mapping[str, float]
@@ -149,21 +154,21 @@ class CompanionValues:
     armature: tuple[float, ...] = ()
 
     @property
-    def unheld(self) -> tuple[str, ...]:
-        """Keys of values that nothing holds."""
-        return tuple(key for key in self.values if key.partition("[")[0] not in HELD)
+    def unsupported(self) -> tuple[str, ...]:
+        """Keys of values that the companion cannot contain either."""
+        return tuple(key for key in self.values if key.partition("[")[0] not in SUPPORTED)
 
     def text(self, file: str) -> str:
-        """The Python file that stands beside ``file``."""
+        """Return the text of the Python file that accompanies ``file``."""
         n = len(self.joints)
         gain = [1.0 + self._of("torque_constant.gain", j) for j in range(n)]
         constants = [1.0] * n if self.constants is None else list(self.constants)
         per_torque = [g / k for g, k in zip(gain, constants, strict=True)]
         return TEXT.format(
             file=file,
-            rotors=ROTORS if any(self.armature) else "",
+            rotors=ROTOR_NOTE if any(self.armature) else "",
             armature=_row(self.armature or [0.0] * n),
-            firm=f"{FIRM.strip()}\n\n" if self.firm else "",
+            firm=f"{FIRM_FRICTION_NOTE.strip()}\n\n" if self.firm else "",
             joints=", ".join(f"{j} {name}" for j, name in enumerate(self.joints)),
             bristles=_row([self._of("presliding_friction.length", j) for j in range(n)]),
             dry=_row(self.dry),
@@ -181,7 +186,7 @@ class CompanionValues:
         lines = []
         for j, name in enumerate(self.joints):
             if self._of("presliding_friction.length", j):
-                lines += [f"# {t}" for t in wrap(f"bristles of {name}: {BRISTLES.equation}", WIDTH - 10)]
+                lines += [f"# {t}" for t in wrap(f"bristles of {name}: {BRISTLE_LAW.equation}", WIDTH - 10)]
                 lines.append(f"tau[{j}] += DRY[{j}] * (side[{j}] - math.tanh(qd[{j}] / AT_REST))")
             for term, law in LAWS.items():
                 values = {part: self._of(f"{term}.{part}", j) for part in law.parameters}

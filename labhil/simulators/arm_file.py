@@ -1,4 +1,4 @@
-"""The arm of a MuJoCo file: its links and joints as inverse dynamics takes them, checked against MuJoCo."""
+"""Read the links and joints of an arm from a MuJoCo file, and check its inverse dynamics against MuJoCo's."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from labhil.physics.arm.rigid_body import GRAVITY, PER_LINK, gravity_in_base
 from labhil.physics.arm.tree import Tree
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
-from labhil.simulators.mechanism import PURPOSE, RUBS, Field, read_value
+from labhil.simulators.mechanism import FRICTION_FIELDS, PURPOSE, Field, read_value
 from labhil.simulators.mjcf_file import Names
-
-APART = 1e-6
-"""Share of the largest torque by which MuJoCo's inverse dynamics may differ from the links'."""
-
-TRIED = 6
-GRAVITY_APART = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmFile:
-    """A file as it was read: MuJoCo's model, the links, bodies and joints by name, its frictions.
+    """An arm's file, as it was read.
 
-    ``groups`` are the bodies that are fixed to each other behind each joint, the one with the joint first.
-    ``nominal`` are friction and armature by key.
+    Attributes:
+        path: The file.
+        model: The ``mujoco.MjModel``.
+        tree: Links and joints.
+        joints: Names of the joints.
+        bodies: Names of the bodies with a joint.
+        groups: Bodies that are fixed to each other behind each joint, the one with the joint first.
+        nominal: Friction and armature by key.
     """
 
     path: Path
@@ -42,10 +42,10 @@ class ArmFile:
     groups: tuple[tuple[int, ...], ...]
     nominal: dict[str, float]
 
-    def quiet(self) -> Any:
-        """A copy of the model that only the links' inertia and gravity act on."""
+    def rigid_body_model(self) -> Any:
+        """Copy the model with inertia and gravity alone."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model = without_touching(self.model)
+        model = without_contacts(self.model)
         for array in ("dof_damping", "dof_dampingpoly", "dof_frictionloss", "dof_armature"):
             if hasattr(model, array):
                 getattr(model, array)[:] = 0.0
@@ -53,8 +53,8 @@ class ArmFile:
         return model
 
 
-def without_touching(model: Any) -> Any:
-    """A copy of a model without contacts and ends of the way: a recorded arm has met neither."""
+def without_contacts(model: Any) -> Any:
+    """Copy a model without contacts and joint limits: a recorded arm has reached neither."""
     from copy import deepcopy
 
     bits = load_optional("mujoco", PURPOSE).mjtDisableBit
@@ -63,43 +63,44 @@ def without_touching(model: Any) -> Any:
     return contactless
 
 
-def read_arm(file: Path, model: Any, has: Names) -> ArmFile:
-    """Take the arm out of a loaded file.
+def read_arm(file: Path, model: Any, names: Names) -> ArmFile:
+    """Read the arm of a loaded file.
 
     Args:
-        file: Where it stands, for messages.
+        file: The file, for messages.
         model: MuJoCo's model.
-        has: What it has by name.
+        names: Its names.
 
     Returns:
         The arm.
 
     Raises:
-        UsageError: What was expected of its joints and forces, and what was found.
+        UsageError: A joint or a force is not as expected; the message states what was found.
     """
     mujoco = load_optional("mujoco", PURPOSE)
     hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    not_hinges = [name for name, kind in zip(has.joints, model.jnt_type, strict=True) if int(kind) != hinge]
+    not_hinges = [name for name, kind in zip(names.joints, model.jnt_type, strict=True) if int(kind) != hinge]
     if not_hinges:
         raise UsageError(
-            f"{file}: expected one hinge or slide joint, or several hinges, found {len(has.joints)} joints "
-            f"of which {', '.join(not_hinges[:6])} are no hinges ({has.listing()}); weld what is not measured"
+            f"{file}: expected one hinge or slide joint, or several hinges, found {len(names.joints)} joints "
+            f"of which {', '.join(not_hinges[:6])} are no hinges ({names.listing()}); weld what is not "
+            "measured"
         )
-    carriers = [int(body) for body in model.jnt_bodyid]
-    if len(set(carriers)) < len(carriers):
+    joint_bodies = [int(body) for body in model.jnt_bodyid]
+    if len(set(joint_bodies)) < len(joint_bodies):
         raise UsageError(f"{file}: expected one joint for each body, found bodies with several")
-    groups = tuple(tuple(_fixed_to(model, body)) for body in carriers)
-    level = _level(model, file)
+    groups = tuple(tuple(_fixed_to(model, body)) for body in joint_bodies)
+    level = _level_rotation(model, file)
     arm = ArmFile(
         file,
         model,
-        _tree(model, carriers, groups, level),
-        has.joints,
-        tuple(_name(model, body) for body in carriers),
+        _tree(model, joint_bodies, groups, level),
+        names.joints,
+        tuple(_body_name(model, body) for body in joint_bodies),
         groups,
         dict(_nominal(model)),
     )
-    _check(arm)
+    _check_dynamics(arm)
     return arm
 
 
@@ -111,39 +112,46 @@ def _fixed_to(model: Any, body: int) -> Iterator[int]:
 
 
 def _nominal(model: Any) -> Iterator[tuple[str, float]]:
-    """Friction and armature of each joint, by key, 0 included: what a user's simulation has."""
+    """Yield friction and armature of each joint by key, 0 included."""
     for joint in range(model.njnt):
         dof = int(model.jnt_dofadr[joint])
-        for field, name in (*RUBS.items(), (Field.ARMATURE, "added_inertia.inertia")):
+        for field, name in (*FRICTION_FIELDS.items(), (Field.ARMATURE, "added_inertia.inertia")):
             yield keyed(name, joint), read_value(model, field, dof)
 
 
-def _level(model: Any, file: Path) -> FloatArray:
-    """Rotation (3, 3) from the world to a frame in which gravity points along −z."""
-    pull = np.array(model.opt.gravity, dtype=np.float64)
-    size = float(np.linalg.norm(pull))
-    if abs(size / GRAVITY - 1.0) > GRAVITY_APART:
-        raise UsageError(f"{file}: expected gravity of {GRAVITY:g} m/s², found {size:g}: correct <option>")
+def _level_rotation(model: Any, file: Path, *, tolerance: float = 0.01) -> FloatArray:
+    """Return the rotation (3, 3) from the world to a frame in which gravity points along −z.
+
+    ``tolerance`` is the relative deviation of its magnitude from 9.81 m/s².
+    """
+    gravity = np.array(model.opt.gravity, dtype=np.float64)
+    magnitude = float(np.linalg.norm(gravity))
+    if abs(magnitude / GRAVITY - 1.0) > tolerance:
+        raise UsageError(
+            f"{file}: expected gravity of {GRAVITY:g} m/s², found {magnitude:g}: correct <option>"
+        )
     if np.any(model.body_gravcomp):
         raise UsageError(f"{file}: expected no gravcomp, found bodies with: the real arm's drives lift them")
-    up = -pull / size
-    aside = np.eye(3)[int(np.argmin(np.abs(up)))]
+    up = -gravity / magnitude
+    helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     if up[2] > 1.0 - 1e-12:
         return np.eye(3)
-    x = np.cross(aside, up)
+    x = np.cross(helper, up)
     x /= np.linalg.norm(x)
     return np.array([x, np.cross(up, x), up])
 
 
-def _tree(model: Any, carriers: list[int], groups: tuple[tuple[int, ...], ...], level: FloatArray) -> Tree:
-    n = len(carriers)
+def _tree(
+    model: Any, joint_bodies: list[int], groups: tuple[tuple[int, ...], ...], level: FloatArray
+) -> Tree:
+    n = len(joint_bodies)
     carrier, turn, offset = np.full(n, -1, dtype=np.int64), np.empty((n, 3, 3)), np.empty((n, 3))
     anchors, axes = np.array(model.jnt_pos), np.array(model.jnt_axis)
-    for j, body in enumerate(carriers):
-        above, rotation, place = _placed(model, body, carriers)
-        if above >= 0:
-            carrier[j] = above
-            place = place - anchors[above]
+    for j, body in enumerate(joint_bodies):
+        parent, rotation, place = _pose(model, body, joint_bodies)
+        if parent >= 0:
+            carrier[j] = parent
+            place = place - anchors[parent]
         else:
             rotation, place = level @ rotation, level @ place
         offset[j] = place + rotation @ anchors[j]
@@ -152,34 +160,34 @@ def _tree(model: Any, carriers: list[int], groups: tuple[tuple[int, ...], ...], 
     begin = np.concatenate(
         [
             sum((_inertial(model, k, body, anchors[j]) for k in groups[j]), np.zeros(PER_LINK))
-            for j, body in enumerate(carriers)
+            for j, body in enumerate(joint_bodies)
         ]
     )
     return Tree(carrier, turn, offset, axes, begin)
 
 
-def _placed(model: Any, body: int, carriers: list[int]) -> tuple[int, FloatArray, FloatArray]:
-    """Which joint carries a body (−1: none), and the body in the frame of that one's body, at rest."""
+def _pose(model: Any, body: int, joint_bodies: list[int]) -> tuple[int, FloatArray, FloatArray]:
+    """Return the joint that carries a body (−1: none), and the pose in the frame of that joint's body."""
     rotation, place = np.eye(3), np.zeros(3)
     while True:
-        own = matrix_of(model.body_quat[body])
-        place = np.array(model.body_pos[body]) + own @ place
-        rotation = own @ rotation
+        turn_of_body = matrix_of(model.body_quat[body])
+        place = np.array(model.body_pos[body]) + turn_of_body @ place
+        rotation = turn_of_body @ rotation
         body = int(model.body_parentid[body])
         if body == 0:
             return -1, rotation, place
-        if body in carriers:
-            return carriers.index(body), rotation, place
+        if body in joint_bodies:
+            return joint_bodies.index(body), rotation, place
 
 
 def _inertial(model: Any, body: int, carrier: int, anchor: FloatArray) -> FloatArray:
-    """Ten inertial parameters of a body in the frame of the joint that carries it."""
+    """Return the ten inertial parameters of a body in the frame of the joint that carries it."""
     rotation, place = np.eye(3), np.zeros(3)
     k = body
     while k != carrier:
-        own = matrix_of(model.body_quat[k])
-        place = np.array(model.body_pos[k]) + own @ place
-        rotation = own @ rotation
+        turn_of_body = matrix_of(model.body_quat[k])
+        place = np.array(model.body_pos[k]) + turn_of_body @ place
+        rotation = turn_of_body @ rotation
         k = int(model.body_parentid[k])
     centre = rotation @ np.array(model.body_ipos[body]) + place - anchor
     axes = rotation @ matrix_of(model.body_iquat[body])
@@ -189,7 +197,7 @@ def _inertial(model: Any, body: int, carrier: int, anchor: FloatArray) -> FloatA
 
 
 def matrix_of(quaternion: FloatArray) -> FloatArray:
-    """Rotation (3, 3) of a quaternion (w, x, y, z)."""
+    """Return the rotation (3, 3) of a quaternion (w, x, y, z)."""
     w, x, y, z = np.asarray(quaternion, dtype=np.float64) / np.linalg.norm(quaternion)
     return np.array(
         [
@@ -201,41 +209,44 @@ def matrix_of(quaternion: FloatArray) -> FloatArray:
 
 
 def rotation_about(axis: FloatArray, angle: float) -> FloatArray:
-    """Rotation (3, 3) by an angle, rad, about a unit vector."""
+    """Return the rotation (3, 3) by an angle (rad) about a unit vector."""
     half = 0.5 * angle
     return matrix_of(np.array([np.cos(half), *(np.sin(half) * np.asarray(axis))]))
 
 
-def _check(arm: ArmFile) -> None:
-    """UsageError where MuJoCo's own inverse dynamics has forces that the links do not explain."""
+def _check_dynamics(arm: ArmFile, *, samples: int = 6, tolerance: float = 1e-6) -> None:
+    """Raise UsageError where MuJoCo's inverse dynamics has forces that the links do not explain.
+
+    The largest deviation at random ``samples`` is compared with ``tolerance`` times the largest torque.
+    """
     mujoco = load_optional("mujoco", PURPOSE)
-    model = arm.quiet()
+    model = arm.rigid_body_model()
     model.opt.gravity *= GRAVITY / float(np.linalg.norm(model.opt.gravity))
     random = np.random.default_rng(0)
-    turned, turning, faster = random.uniform(-1.0, 1.0, (3, TRIED, arm.tree.joints))
-    by_links = arm.tree.regressor(turned, turning, faster, gravity_in_base()) @ arm.tree.begin
+    angles, velocities, accelerations = random.uniform(-1.0, 1.0, (3, samples, arm.tree.joints))
+    by_links = arm.tree.regressor(angles, velocities, accelerations, gravity_in_base()) @ arm.tree.begin
     data, by_mujoco = mujoco.MjData(model), np.empty_like(by_links)
-    for row, (q, qd, qdd) in enumerate(zip(turned, turning, faster, strict=True)):
+    for row, (q, qd, qdd) in enumerate(zip(angles, velocities, accelerations, strict=True)):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, qd, qdd
         mujoco.mj_inverse(model, data)
         by_mujoco[row] = data.qfrc_inverse
-    apart = np.max(np.abs(by_links - by_mujoco), axis=0) / max(float(np.max(np.abs(by_mujoco))), 1e-12)
-    wrong = [name for name, share in zip(arm.joints, apart, strict=True) if share > APART]
+    deviation = np.max(np.abs(by_links - by_mujoco), axis=0) / max(float(np.max(np.abs(by_mujoco))), 1e-12)
+    wrong = [name for name, share in zip(arm.joints, deviation, strict=True) if share > tolerance]
     if wrong:
         raise UsageError(
             f"{arm.path}: expected joints on which only their links, friction and armature act, found other "
             f"forces on {', '.join(wrong)}: springs, tendons, equality constraints or fluid. Take them out, "
             "or give the joint a file of its own"
         )
-    lightest = [name for name, link in zip(arm.bodies, _masses(arm), strict=True) if not link > 0.0]
-    if len(lightest) == len(arm.bodies):
+    massless = [name for name, link in zip(arm.bodies, _link_masses(arm), strict=True) if not link > 0.0]
+    if len(massless) == len(arm.bodies):
         raise UsageError(f"{arm.path}: expected links with masses, found none with any")
 
 
-def _masses(arm: ArmFile) -> FloatArray:
+def _link_masses(arm: ArmFile) -> FloatArray:
     return arm.tree.begin[::PER_LINK]
 
 
-def _name(model: Any, body: int) -> str:
+def _body_name(model: Any, body: int) -> str:
     mujoco = load_optional("mujoco", PURPOSE)
     return mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or f"body_{body}"

@@ -1,4 +1,7 @@
-"""Which effects the ports of a simulator take, with scales of the size that a recording shows."""
+"""The terms of a simulator with one coordinate, with scales measured in a recording.
+
+The same laws as for the built-in rigs (:mod:`labhil.physics.friction_terms`, ``path_terms``).
+"""
 
 from __future__ import annotations
 
@@ -12,37 +15,63 @@ from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
 from labhil.signals import FloatArray
 
-PERIODS = 1.0
-"""Of the measured motion, in a scored horizon: what swings through its upper rest soon forgets its past."""
-
-TYPICAL = 2.0
-"""A horizon where there is no recording, s."""
-
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """What a recording says of the motion: typical force, speed, span of the position, inertia, horizon."""
+    """Typical sizes of the motion in a recording, SI.
+
+    Attributes:
+        force: Generalised force.
+        speed: Velocity, RMS.
+        span: Range of the position; of the velocity where no position is measured.
+        inertia: Inertia of the simulator.
+        horizon: Length of a scored window, s.
+    """
 
     force: float = 1.0
     speed: float = 1.0
     span: float = 1.0
     inertia: float = 1.0
-    horizon: float = TYPICAL
+    horizon: float = 2.0
 
     @classmethod
-    def of(cls, record: Record, velocity_column: int | None, inertia: float, gain: float) -> Sizes:
-        """Sizes in SI units; ``gain`` is what a unit of the input accelerates."""
-        place = velocity_column != 0
-        speeds = np.concatenate([rates(each, velocity_column) for each in record.recordings()])
+    def of(
+        cls,
+        record: Record,
+        velocity_column: int | None,
+        inertia: float,
+        gain: float,
+        *,
+        periods: float = 1.0,
+        min_samples: float = 40.0,
+    ) -> Sizes:
+        """Measure the scales in a recording.
+
+        Args:
+            record: The recording.
+            velocity_column: Column of the measured velocity; None where the position alone is measured.
+            inertia: Inertia of the simulator.
+            gain: Acceleration per unit of the input.
+            periods: Length of the horizon in periods of the measured motion. One: a pendulum that passes its
+                upper rest soon forgets its past.
+            min_samples: Shortest horizon in sampling periods.
+
+        Returns:
+            The scales.
+        """
+        has_position = velocity_column != 0
+        speeds = np.concatenate([velocities_of(part, velocity_column) for part in record.recordings()])
         speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        drive = abs(gain) * float(np.sqrt(np.mean(record.inputs[:, 0] ** 2)))
-        bend = float(np.std(np.diff(speeds))) / (_stride(record) * record.period)
-        acceleration = drive or bend or 1.0
-        span = float(np.ptp(record.outputs[:, 0])) if place else speed
-        motion = (
-            2.0 * np.pi * (float(np.std(record.outputs[:, 0])) / speed if place else speed / acceleration)
+        by_input = abs(gain) * float(np.sqrt(np.mean(record.inputs[:, 0] ** 2)))
+        measured = float(np.std(np.diff(speeds))) / (_stride(record) * record.period)
+        acceleration = by_input or measured or 1.0
+        span = float(np.ptp(record.outputs[:, 0])) if has_position else speed
+        period = (
+            2.0
+            * np.pi
+            * (float(np.std(record.outputs[:, 0])) / speed if has_position else speed / acceleration)
         )
-        horizon = min(max(PERIODS * motion, 40.0 * record.period), record.max_horizon)
+        horizon = min(max(periods * period, min_samples * record.period), record.max_horizon)
         return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon)
 
 
@@ -50,8 +79,8 @@ def _stride(record: Record) -> int:
     return max(1, int(0.02 / record.period))
 
 
-def rates(record: Record, velocity_column: int | None) -> FloatArray:
-    """Velocities (m,) of a recording: measured ones, or of the position over stretches."""
+def velocities_of(record: Record, velocity_column: int | None) -> FloatArray:
+    """Take the velocities (m,) of a recording: measured, or as slopes of the position over 20 ms."""
     stride = _stride(record)
     if velocity_column is not None:
         return record.outputs[::stride, velocity_column]
@@ -59,21 +88,31 @@ def rates(record: Record, velocity_column: int | None) -> FloatArray:
 
 
 def catalogue(
-    s: Sizes, force: str, length: str, place: str, drive: str, channel: str, unit: str
+    sizes: Sizes, force: str, length: str, position: str, drive: str, channel: str, unit: str
 ) -> dict[str, Term]:
-    """All terms: ``force`` and ``length`` are the units of the coordinate ``place``, ``drive`` of the input.
+    """Build all terms that a simulator with one coordinate can have.
 
-    ``channel`` is the first output, in ``unit``.
+    Args:
+        scales: Typical sizes, from which starts and scales of the parameters follow.
+        force: Unit of the generalised force.
+        length: Unit of the coordinate.
+        position: Name of the coordinate.
+        drive: Unit of the input.
+        channel: Name of the first output.
+        unit: Unit of the first output.
+
+    Returns:
+        The terms by key.
     """
-    level = 0.1 * s.force
-    terms = friction_terms(force, length, level, s.speed) + force_terms(s, force, length, place)
+    level = 0.1 * sizes.force
+    terms = friction_terms(force, length, level, sizes.speed) + force_terms(sizes, force, length, position)
     terms += (load_dependent_friction("the drive's force"), *input_terms(drive))
-    terms += (*output_terms(channel, unit, s.span), offset_term(channel, unit, 0.1 * s.span))
+    terms += (*output_terms(channel, unit, sizes.span), offset_term(channel, unit, 0.1 * sizes.span))
     return {term.key: term for term in terms}
 
 
-def force_terms(s: Sizes, force: str, length: str, place: str) -> tuple[Term, ...]:
-    """Forces at a coordinate beside friction, and more inertia."""
+def force_terms(s: Sizes, force: str, length: str, position: str) -> tuple[Term, ...]:
+    """Build the terms that are forces at a coordinate, but friction; names as in `catalogue`."""
     level = 0.1 * s.force
     return (
         Term(
@@ -98,7 +137,7 @@ def force_terms(s: Sizes, force: str, length: str, place: str) -> tuple[Term, ..
                 Parameter("cogging_torque.cosine", force, level, starts=(0.3 * level,)),
                 Parameter(
                     "cogging_torque.order", f"rad/{length}", 20.0 / s.span, TWO_WAVES / s.span, 2e3 / s.span,
-                    starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True, waves_over=place,
+                    starts=(20.0 / s.span, 60.0 / s.span, 200.0 / s.span), shape=True, waves_over=position,
                 ),
             ),
         ),

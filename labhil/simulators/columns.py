@@ -1,10 +1,8 @@
-"""Outputs of a simulation that nobody can call: a column beside what was measured.
+"""Compare a recorded output with a column of simulated values, for simulators that cannot be called.
 
-Neither the simulator's inputs nor its states are known, so what is compared is the output alone. Between the
-simulated column x and the measured y stand the effects of a way out (delay, lag, play, limits, gain, offset,
-a bent characteristic); what is left is located over the simulated value, its rate and the columns that were
-recorded beside it, and a curve over one of these is its first-order account. Which force of which law made
-it, the column alone cannot say.
+Inputs and states of the simulator are not known. The effects between the simulated column x and the measured
+y are those of an output (delay, lag, backlash, limits, gain, offset, nonlinearity). The residuals are located
+over the simulated value, its rate and further recorded columns; the column does not determine forces.
 """
 
 from __future__ import annotations
@@ -32,22 +30,28 @@ from labhil.signals import Direction, FloatArray, Hold, Signal
 from labhil.simulators.names import NO_PORT
 from labhil.toml_text import to_toml
 
-HORIZON = 1.0
-"""Length of the windows that are scored where the rig file states none, s: there is no state to forget."""
+DEFAULT_HORIZON = 1.0
+"""Length of the scored windows without one in the rig file, s."""
 
-SHIFTS = (-1.0, 1.0)
-"""Of the two clocks, s."""
+CLOCK_RANGE = (-1.0, 1.0)
+"""Bounds of the offset between the two clocks, s."""
 
-WITH_ANOTHER = {
+EQUIVALENT_TERMS = {
     "time_delay": "it is the same as clock_offset, which may be negative as well",
     "actuator_lag": "it is the same as sensor_lag",
 }
-"""Ways in that a way out already says."""
+"""Input effects that are equivalent to output effects, with the reason."""
 
 
 @dataclass(frozen=True)
 class SimulatedOutput:
-    """A column of simulated output as its user describes it; made by :func:`simulated_output`.
+    """A column of simulated outputs; :func:`simulated_output` makes it.
+
+    Attributes:
+        output: Name of the measured signal.
+        unit: Unit of both.
+        beside: Units of further recorded signals by name.
+        horizon: Length of the scored windows, s.
 
     Example:
         >>> import labhil as lh
@@ -68,7 +72,7 @@ class SimulatedOutput:
 
     @property
     def kind(self) -> RigKind:
-        """The rig kind that it is: the simulated column drives, the measured one is compared with it."""
+        """The rig kind: the simulated column is the input, the measured one the output."""
         simulated = Signal(
             self.column, self.unit, Direction.INPUT, hold=Hold.LINEAR, description="of your simulation"
         )
@@ -81,7 +85,7 @@ class SimulatedOutput:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file that says this; a recording carries it, for nothing has to be loaded for it."""
+        """A rig file with this description; recordings contain it."""
         sections: dict[str, Any] = {"model": {"simulated": {self.output: self.unit}}}
         if self.beside:
             sections["model"]["beside"] = dict(self.beside)
@@ -93,23 +97,23 @@ class SimulatedOutput:
 def simulated_output(
     output: str, unit: str, *, beside: Mapping[str, str] | None = None, horizon: float | None = None
 ) -> SimulatedOutput:
-    """Describe a column of simulated output that stands beside a measured one.
+    """Describe a column of simulated outputs that is compared with a measured one.
 
-    For a simulation that cannot be called from here: its results are exported, with the same times as what
-    was measured. ``fit`` and ``diagnose`` then say by how much the two are shifted in time, scaled, bent or
-    lagging, and over which recorded quantity the rest of the difference is.
+    For a simulation that cannot be called: its results are exported at the times of the measurement. ``fit``
+    and ``diagnose`` then estimate delay, gain, nonlinearity and lag between the two, and locate the residuals
+    over a recorded quantity.
 
     Args:
         output: Name of the measured signal; the simulated one is ``simulated_`` and this name.
         unit: The unit of both.
-        beside: Units of other recorded signals, by name, over which a difference may be located.
-        horizon: Length of the windows by which it is scored, s; 1 when absent.
+        beside: Units of further recorded signals, by name, over which residuals may be located.
+        horizon: Length of the scored windows, s; 1 when absent.
 
     Returns:
-        The rig that it is: :func:`labhil.recording`, :func:`labhil.fit` and :func:`labhil.diagnose` take it.
+        The rig, to be given to :func:`labhil.recording`, :func:`labhil.fit` and :func:`labhil.diagnose`.
 
     Raises:
-        UsageError: A name that is none, or that is given twice.
+        UsageError: A name is not an identifier, or occurs twice.
 
     Example:
         >>> import labhil as lh, numpy as np
@@ -122,20 +126,22 @@ def simulated_output(
         >>> round(fit.parameters["clock_offset.offset"].value, 3)
         0.03
     """
-    made = SimulatedOutput(output, unit, dict(beside or {}), horizon)
-    names = [output, made.column, *made.beside]
-    wrong = [name for name in names if not name.isidentifier()]
-    if wrong or len(set(names)) < len(names):
+    simulated = SimulatedOutput(output, unit, dict(beside or {}), horizon)
+    names = [output, simulated.column, *simulated.beside]
+    invalid = [name for name in names if not name.isidentifier()]
+    if invalid or len(set(names)) < len(names):
         raise UsageError(
             f"simulated output: expected names of letters, digits and _, each once, found {', '.join(names)}"
         )
-    declare_kind(made.kind)
-    declare_model(made.column, RigModel(lambda rig, record: SimulatedOutputModel(made, rig, record), (), ()))
-    return made
+    declare_kind(simulated.kind)
+    declare_model(
+        simulated.column, RigModel(lambda rig, record: SimulatedOutputModel(simulated, rig, record), (), ())
+    )
+    return simulated
 
 
 class SimulatedOutputModel:
-    """The way from a simulated column to the measured one (satisfies ``physics.model.Model``)."""
+    """The output effects between a simulated column and the measured one (a ``physics.model.Model``)."""
 
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = True
@@ -149,12 +155,12 @@ class SimulatedOutputModel:
         self.force_unit = simulated.unit
         friction = [term.name for term in friction_terms("N", "m", 1.0, 1.0)]
         forces = dict.fromkeys((*friction, "constant_force", "spring_force"), NO_PORT)
-        self.unobservable_terms: Mapping[str, str] = {**WITH_ANOTHER, **forces}
+        self.unobservable_terms: Mapping[str, str] = {**EQUIVALENT_TERMS, **forces}
         self.rate = f"{simulated.column}_rate"
         x = np.array([1.0, -1.0]) if record is None else record.inputs[:, 0]
         self.terms: Mapping[str, Term] = _catalogue(simulated, float(np.ptp(x)) or 1.0)
         self.parameters = tuple(p for term in self.terms.values() for p in term.parameters)
-        self.horizon = rig.metric.horizon or HORIZON
+        self.horizon = rig.metric.horizon or DEFAULT_HORIZON
         if record is not None:
             self.horizon = min(self.horizon, record.max_horizon)
         self.coordinate_units: Mapping[str, str] = {
@@ -166,52 +172,52 @@ class SimulatedOutputModel:
         self._values, self._path = Values(self.fixed, self.parameters), InputPath()
 
     def with_force(self, force: ExtraForce) -> SimulatedOutputModel:
-        """The same with one more difference, a curve or a course, in the unit of the output."""
-        other = copy.copy(self)
-        other._extra = force
-        return other
+        """Return this model with an additional difference of the output, a curve or a course in time."""
+        forced = copy.copy(self)
+        forced._extra = force
+        return forced
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon, s."""
+        """Return the scored horizon, s."""
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
+        """Return the record as it is."""
         return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """There are none: (w, 0)."""
+        """Return no states, (w, 0)."""
         return np.empty((len(windows), 0))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """The output as it would be measured, (N, 1)."""
-        x = self._on_the_way(theta, record, windows)
+        """Return the outputs with all effects, (N, 1)."""
+        x = self._after_input_path(theta, record, windows)
         y = self._values.apply_sensor(theta, record, windows, x)
         return (y + self._difference(record)[windows.rows])[:, None]
 
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """The simulated value, its rate, and what was recorded beside it."""
-        along = {
+        """Return the simulated value, its rate and the further recorded signals, (N,) each."""
+        coordinates = {
             self.simulated.column: record.inputs[windows.rows, 0],
-            self.rate: _rate(record)[windows.rows],
+            self.rate: _rate_of_change(record)[windows.rows],
             **{
                 name: record.auxiliary[name][windows.rows]
                 for name in self.simulated.beside
                 if name in record.auxiliary
             },
         }
-        return {**along, **self.drive_coordinates(theta, record, windows, along)}
+        return {**coordinates, **self.drive_coordinates(theta, record, windows, coordinates)}
 
     def drive_coordinates(
-        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+        self, theta: FloatArray, record: Record, windows: Windows, coordinates: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """The simulated value behind what delays and limits it."""
-        return {"passed_on": self._on_the_way(theta, record, windows)}
+        """Return the simulated value after delay, backlash and limits, (N,)."""
+        return {"passed_on": self._after_input_path(theta, record, windows)}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """The output at these coordinates, a lag to first order, (N,)."""
+        """Return the output at these coordinates, with the lag to first order, (N,)."""
         x = coordinates["passed_on"]
         cubic, gain = (self._values.of(theta, n) for n in ("sensor_nonlinearity.cubic", "sensor_gain.gain"))
         lag = self._values.of(theta, "sensor_lag.time_constant") * coordinates[self.rate]
@@ -219,8 +225,8 @@ class SimulatedOutputModel:
         return np.asarray((1.0 + gain) * (x + cubic * x**3) + offset - lag)
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of, from this recording."""
-        x, rate = record.inputs[:, 0], _rate(record)
+        """Return the sizes of which starts are fractions, from this recording."""
+        x, rate = record.inputs[:, 0], _rate_of_change(record)
         return {
             CharacteristicScale.UNIT: 1.0,
             CharacteristicScale.INPUT: float(np.abs(x).max()) or 1.0,
@@ -229,44 +235,47 @@ class SimulatedOutputModel:
             CharacteristicScale.SPEED: float(np.sqrt(np.mean(rate**2))) or 1.0,
         }
 
-    def _on_the_way(self, theta: FloatArray, record: Record, windows: Windows) -> FloatArray:
-        """The simulated value at the samples of windows behind play, limits and the other clock, (N,)."""
+    def _after_input_path(self, theta: FloatArray, record: Record, windows: Windows) -> FloatArray:
+        """Return the simulated value after backlash.
+
+        Limits and clock offset at the samples of windows, (N,).
+        """
         nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         shift = self._values.of(theta, "clock_offset.offset")
         return np.interp(record.t[windows.rows] - shift, nodes, values)
 
     def _difference(self, record: Record) -> FloatArray:
-        """What one more force is as a difference of the output, (n,)."""
+        """Return the additional difference of the output, (n,)."""
         force = self._extra
         if force is None:
             return np.zeros(len(record))
         if force.course is not None:
             return force.course
-        x, rate = record.inputs[:, 0], _rate(record)
-        over_rate = force.acts in (CurveArgument.VELOCITY, CurveArgument.SPEED_AGAINST)
-        places = rate if over_rate else x
-        places = np.abs(places) if force.acts is CurveArgument.SPEED_AGAINST else places
-        curve = np.interp(places, force.grid, force.values)
+        x, rate = record.inputs[:, 0], _rate_of_change(record)
+        is_of_rate = force.acts in (CurveArgument.VELOCITY, CurveArgument.SPEED_AGAINST)
+        argument = rate if is_of_rate else x
+        argument = np.abs(argument) if force.acts is CurveArgument.SPEED_AGAINST else argument
+        curve = np.interp(argument, force.grid, force.values)
         return along_positive(force.acts, curve, rate, np.sign(rate))
 
 
-def _rate(record: Record) -> FloatArray:
-    """How fast the simulated value changes, (n,)."""
+def _rate_of_change(record: Record) -> FloatArray:
+    """Rate of change of the simulated value, (n,)."""
     return np.concatenate([np.gradient(part.inputs[:, 0], part.t) for part in record.recordings()])
 
 
 def _catalogue(simulated: SimulatedOutput, span: float) -> dict[str, Term]:
-    """All terms, their scales of the size that the simulation spans."""
+    """Build all terms, with scales from the range of the simulated values."""
     unit, channel = simulated.unit, simulated.output
-    clocks = Term(
+    clock_offset = Term(
         "clock_offset",
         Enters.DIFFERENCE,
         f"that {channel} is measured later than it is simulated (earlier, where negative)",
         "y(t) = x(t − T_d)",
         "two clocks, or a delay that the simulation lacks",
         "fast motion and reversals",
-        (Parameter("clock_offset.offset", "s", 0.05, *SHIFTS, starts=(0.02, -0.02), step=0.04),),
+        (Parameter("clock_offset.offset", "s", 0.05, *CLOCK_RANGE, starts=(0.02, -0.02), step=0.04),),
     )
-    terms = [term for term in input_terms(unit) if term.name not in WITH_ANOTHER]
-    terms += [clocks, *output_terms(channel, unit, span), offset_term(channel, unit, 0.1 * span)]
+    terms = [term for term in input_terms(unit) if term.name not in EQUIVALENT_TERMS]
+    terms += [clock_offset, *output_terms(channel, unit, span), offset_term(channel, unit, 0.1 * span)]
     return {term.key: replace(term, enters=Enters.DIFFERENCE) for term in terms}

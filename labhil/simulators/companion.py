@@ -1,8 +1,8 @@
-"""Effects that a simulator's file format cannot hold, as a Python file with three functions and their laws.
+"""Write effects for which a simulator's file has no attribute as a Python file.
 
-The file stands beside the repaired one: ``force`` is added at the joint in each step, ``Command`` turns the
-recorded input into what acts, ``Sensor`` the simulated output into what is measured. It needs nothing of
-labhil.
+The Python file accompanies the repaired one and does not import labhil: ``force`` is added at the joint in
+each step, ``Command`` turns the recorded input into the acting one, ``Sensor`` the simulated output into the
+measured one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ WIDTH = 100
 
 
 class Law(NamedTuple):
-    """How an effect is written: its equation for people, and lines of Python."""
+    """An effect: its equation in text, and lines of Python."""
 
     equation: str
     lines: tuple[str, ...]
@@ -84,7 +84,7 @@ SENSORS: Mapping[str, Law] = {
 }
 
 
-FIRM = """
+FIRM_FRICTION_NOTE = """
 The file's dry friction has to hold firmly, which its format cannot say; when it is loaded,
 
     model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0
@@ -93,7 +93,10 @@ The file's dry friction has to hold firmly, which its format cannot say; when it
 
 
 class SortedEffects(NamedTuple):
-    """Effects that are written into a companion, by where they act, each with its numbers."""
+    """Effects of a companion by the place where they act, each with its parameters.
+
+    ``unknown`` ones have no law.
+    """
 
     forces: Mapping[str, Mapping[str, float]]
     inputs: Mapping[str, Mapping[str, float]]
@@ -102,7 +105,7 @@ class SortedEffects(NamedTuple):
 
 
 def sort_effects(values: Mapping[str, float]) -> SortedEffects:
-    """Sort values of effects by where they act, each kind in the order in which it is passed."""
+    """Sort values of effects by where they act, in the order of the signal path."""
     terms: dict[str, dict[str, float]] = {}
     for name, value in values.items():
         term, _, part = name.partition(".")
@@ -115,51 +118,53 @@ def sort_effects(values: Mapping[str, float]) -> SortedEffects:
     )
 
 
-def companion(effects: SortedEffects, file: str, signal: str, at_rest: float, *, firm: bool = False) -> str:
-    """Write the Python file.
+def companion_text(
+    effects: SortedEffects, file: str, signal: str, at_rest: float, *, firm: bool = False
+) -> str:
+    """Return the text of the Python file.
 
     Args:
-        effects: What it has to hold.
-        file: The repaired file that it belongs to.
-        signal: What its input is called.
-        at_rest: Velocity below which dry friction counts as holding, SI.
-        firm: Whether dry friction of the file has to hold firmly, which its format cannot say.
+        effects: The effects.
+        file: Name of the repaired file.
+        signal: Name of its input.
+        at_rest: Velocity below which dry friction is viscous, SI.
+        firm: Whether the user has to make the dry friction of the file firm after loading.
 
     Returns:
         The text.
     """
-    uses = [
+    usage = [
         "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if effects.forces else "",
         f"data.ctrl[...] = command({signal}, dt), with command = Command()" if effects.inputs else "",
         "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if effects.sensors else "",
     ]
     blocks = [
-        _force(effects.forces, at_rest) if effects.forces else [],
-        _stage("Command", f"The input {signal} as it acts.", "u", effects.inputs, INPUTS)
+        _force_function(effects.forces, at_rest) if effects.forces else [],
+        _stage_class("Command", f"The input {signal} as it acts.", "u", effects.inputs, INPUTS)
         if effects.inputs
         else [],
-        _stage("Sensor", "The output as it is measured.", "y", effects.sensors, SENSORS)
+        _stage_class("Sensor", "The output as it is measured.", "y", effects.sensors, SENSORS)
         if effects.sensors
         else [],
     ]
-    parts = [
+    lines = [
         f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
         "",
         "In each step of the simulation:",
         "",
-        *(f"    {use}" for use in uses if use),
-        *(FIRM.splitlines() if firm else []),
+        *(f"    {use}" for use in usage if use),
+        *(FIRM_FRICTION_NOTE.splitlines() if firm else []),
         '"""',
         "",
         "import math",
         *(["from collections import deque"] if effects.inputs or effects.sensors else []),
     ]
     for block in blocks:
-        parts += ["", "", *block] if block else []
-    return "\n".join(parts) + "\n"
+        lines += ["", "", *block] if block else []
+    return "\n".join(lines) + "\n"
 
 
-def _force(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:
+def _force_function(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:
     lines = [
         f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
         "",
@@ -171,21 +176,21 @@ def _force(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[st
     return [*lines, *_law_lines(forces, FORCES, "    "), "    return F"]
 
 
-def _stage(
-    name: str, doc: str, of: str, effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law]
+def _stage_class(
+    name: str, doc: str, variable: str, effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, Law]
 ) -> list[str]:
     return [
         f"class {name}:",
         f'    """{doc}"""',
         "",
-        f"    def __init__(self, {of}=0.0):",
-        f"        self.play = self.last = self.lagged = {of}",
+        f"    def __init__(self, {variable}=0.0):",
+        f"        self.play = self.last = self.lagged = {variable}",
         "        self.past = deque()",
         "",
-        f"    def __call__(self, {of}, dt):",
+        f"    def __call__(self, {variable}, dt):",
         '        """The next value, dt s after the one before."""',
         *_law_lines(effects, laws, "        "),
-        f"        return {of}",
+        f"        return {variable}",
     ]
 
 
@@ -194,12 +199,12 @@ def _law_lines(effects: Mapping[str, Mapping[str, float]], laws: Mapping[str, La
     for term, numbers in effects.items():
         parts = {part: f"{value:.6g}" if value >= 0 else f"({value:.6g})" for part, value in numbers.items()}
         law = laws[term]
-        names = [name for line in law.lines for name in _names(line)]
+        names = [name for line in law.lines for name in _placeholders(line)]
         filled = {name: parts.get(name, "0.0") for name in names}
         lines += [f"{indent}# {text}" for text in wrap(f"{term}: {law.equation}", WIDTH)]
         lines += [indent + line.format(**filled) for line in law.lines]
     return lines
 
 
-def _names(line: str) -> list[str]:
+def _placeholders(line: str) -> list[str]:
     return [name for _, name, _, _ in Formatter().parse(line) if name]

@@ -1,37 +1,39 @@
-"""An FMU (FMI 2 or 3) with one coordinate as a simulator."""
+"""Read an FMU (FMI 2 or 3) with one coordinate as a simulator.
+
+The calls are in :mod:`labhil.simulators.fmu_file`, the acceleration in ``fmu_mechanism``.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from labhil.errors import UsageError, suggestion
 from labhil.physics.quantity import Quantity
-from labhil.simulators.fmu_file import EXCHANGE, REAL, Exchanged, FmuFile, Stepping, answers
-from labhil.simulators.fmu_mechanism import ExchangedMechanism, SteppingMechanism
+from labhil.simulators.fmu_file import (
+    MODEL_EXCHANGE,
+    REAL_TYPES,
+    CoSimulationFmu,
+    FmuFile,
+    ModelExchangeFmu,
+    convert_fmi_errors,
+)
+from labhil.simulators.fmu_mechanism import CoSimulationMechanism, ModelExchangeMechanism
 from labhil.simulators.names import identifier
-from labhil.simulators.probing import ROUNDED, SAME_OF_SOLVERS, SAME_OF_STEPS, SOLVED, is_damped, probe
-from labhil.simulators.simulator import UNDAMPED, Coordinate, Simulator, declare
+from labhil.simulators.probing import FROM_SOLVER, FROM_STEPS, is_damped, probe
+from labhil.simulators.simulator import UNDAMPED, Coordinate, RightHandSide, Simulator, declare
 
-STEPS = (1e-3, 1e-2, 1e-4)
-"""Lengths of a step (s) that an FMU for co-simulation is tried with, beside those that it states."""
+PROBED_STATES = ((0.1, 0.3), (-0.2, 0.7))
+"""States at which the order of position and velocity is determined."""
 
-PROBES = ((0.1, 0.3), (-0.2, 0.7))
-"""States at which it is seen which of two is the rate of the other."""
-
-DRIVE = 0.25
-ALIKE = 0.05
-"""Share of the velocity by which a short step may miss it."""
-
-MOVED = 1.25
-"""By what a parameter is multiplied to see what changes with it."""
+PROBED_INPUT = 0.25
 
 _EXPONENT = re.compile(r"(?<=[^\W\d_])-?\d+|(?<=\))-?\d+")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
-Mechanism = ExchangedMechanism | SteppingMechanism
+Mechanism = ModelExchangeMechanism | CoSimulationMechanism
 
 
 class Pair(NamedTuple):
@@ -44,8 +46,10 @@ class Pair(NamedTuple):
 class FmuAccess(NamedTuple):
     """The coordinate of an FMU, and how it is called.
 
-    ``read`` gives the values of variables in a state (position, velocity), ``make`` its mechanism with the
-    parameters of these value references.
+    Attributes:
+        pair: Position and velocity.
+        read: State (position, velocity) and value references to the values of those variables.
+        make: Value references of parameters to the mechanism.
     """
 
     pair: Pair
@@ -60,26 +64,26 @@ def fmu_simulator(
     outputs: Mapping[str, str] | None = None,
     name: str = "",
 ) -> Simulator:
-    """Take an FMU for a simulator; the whole catalogue of effects is then there for it.
+    """Read an FMU as a simulator, so that all effects of the catalogue can be fitted to it.
 
     The FMU (FMI 2 or 3) has one coordinate: two continuous states, of which one is the rate of the other, and
-    one input. For model exchange its derivatives are asked for; for co-simulation it is started anew at many
-    states and makes two short steps from each. Forces act like the input. Its parameters that are not 0 are
-    estimated from where they start.
+    one input. Of model exchange the derivatives are used; a co-simulation is restarted at many states and
+    makes two short steps from each. Forces act like the input. Parameters that are not 0 are estimated from
+    their starts.
 
     Args:
-        path: The file. Its binary is code of its author, and is run.
+        path: The file. Its binary is run: it is code of the author of the file.
         inputs: Variable of the FMU by the name of the recorded signal; the only input by its own name when
             absent.
         outputs: Variable of the FMU by the name of the recorded signal; those of its outputs that are
             position or velocity when absent.
-        name: What the rig is called; the FMU's model name when absent.
+        name: Name of the rig; the FMU's model name when absent.
 
     Returns:
-        The simulator: :func:`labhil.fit`, :func:`labhil.diagnose` and others take it for a rig.
+        The simulator, to be given as a rig to :func:`labhil.fit`, :func:`labhil.diagnose` and others.
 
     Raises:
-        UsageError: What was expected of the FMU or of the names, and what it has.
+        UsageError: The FMU or a name is not as expected; the message states what the FMU has.
         MissingExtraError: The package ``fmpy`` is not installed.
 
     Example:
@@ -95,16 +99,12 @@ def fmu_simulator(
     starts = {v: _start(v) for v in file.variables("parameter")}
     access = _access(file, drive, {v.valueReference: x for v, x in starts.items() if x is not None})
     position, velocity, measured = _outputs(file, access, outputs)
-    used = _without_starts([v for v, x in starts.items() if x], starts, access.make)
-    mechanism = access.make([v.valueReference for v in used])
-    quantities = {identifier(v.name): _quantity(v, float(starts[v] or 0.0)) for v in used}
-
-    def rates(t: float, x: Any, u: Any, p: Any) -> list[float]:
-        return mechanism.rates(list(p)[: len(used)], t, list(x), float(u[0]))
-
+    estimated = _without_starts([v for v, x in starts.items() if x], starts, access.make)
+    mechanism = access.make([v.valueReference for v in estimated])
+    quantities = {identifier(v.name): _quantity(v, float(starts[v] or 0.0)) for v in estimated}
     states = {position: _unit(access.pair.position), velocity: _unit(access.pair.velocity)}
-    made = Simulator(
-        rates,
+    rig = Simulator(
+        _rates_of(mechanism, len(estimated)),
         identifier(name or str(file.description.modelName)),
         states,
         {signal: _unit(drive)},
@@ -116,14 +116,23 @@ def fmu_simulator(
         mechanism,
         {n: quantity.start for n, quantity in quantities.items()},
     )
-    exact = isinstance(mechanism, ExchangedMechanism)
-    probe(made, SAME_OF_STEPS if exact else SAME_OF_SOLVERS)
-    declare(made, () if is_damped(made, ROUNDED if exact else SOLVED) else UNDAMPED)
-    return made
+    tolerances = FROM_STEPS if isinstance(mechanism, ModelExchangeMechanism) else FROM_SOLVER
+    probe(rig, tolerances)
+    declare(rig, () if is_damped(rig, tolerances) else UNDAMPED)
+    return rig
+
+
+def _rates_of(mechanism: Mechanism, count: int) -> RightHandSide:
+    """Make the right-hand side of a mechanism with ``count`` parameters."""
+
+    def rates(t: float, x: Any, u: Any, p: Any) -> list[float]:
+        return mechanism.rates(list(p)[:count], t, list(x), float(u[0]))
+
+    return rates
 
 
 def _input(file: FmuFile, stated: Mapping[str, str] | None) -> tuple[str, Any]:
-    """Name of the recorded input, and the variable."""
+    """Return the name of the recorded input, and the variable."""
     variables = {v.name: v for v in file.variables("input")}
     which = 'say which: inputs = { force = "NAME" }; ' if variables else ""
     listed = f"inputs of the FMU: {', '.join(variables) or 'none'}"
@@ -142,7 +151,7 @@ def _input(file: FmuFile, stated: Mapping[str, str] | None) -> tuple[str, Any]:
 
 
 def _access(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> FmuAccess:
-    """Find which state is the position and which its velocity."""
+    """Determine which state is the position and which its velocity."""
     states = _state_variables(file)
     if len(states) != 2:
         raise file.refusal(
@@ -150,21 +159,23 @@ def _access(file: FmuFile, drive: Any, starts: Mapping[int, float]) -> FmuAccess
             f"{len(states)}: {', '.join(v.name for v in states) or 'none'}; what else has a state (filters, "
             "motors) is left to the effects that are offered (`labhil terms`)",
         )
-    with answers(file, f"an FMU whose states and input {drive.name} can be set"):
-        return (_access_exchange if file.kind == EXCHANGE else _access_stepping)(file, drive, starts, states)
+    with convert_fmi_errors(file, f"an FMU whose states and input {drive.name} can be set"):
+        return (_access_exchange if file.kind == MODEL_EXCHANGE else _access_stepping)(
+            file, drive, starts, states
+        )
 
 
 def _state_variables(file: FmuFile) -> list[Any]:
-    """The states that an FMU declares; of one for co-simulation that declares none, what can be set."""
+    """Return the declared states; for a co-simulation without any, the variables that can be set."""
     derivatives = [unknown.variable for unknown in file.description.derivatives]
     declared = [v.derivative for v in derivatives if v is not None and v.derivative is not None]
-    if declared or file.kind == EXCHANGE:
+    if declared or file.kind == MODEL_EXCHANGE:
         return declared
     return [
         v
         for v in file.description.modelVariables
         if v.causality in ("output", "local")
-        and v.type in REAL
+        and v.type in REAL_TYPES
         and v.initial == "exact"
         and v.variability in (None, "continuous")
         and v.start is not None
@@ -173,22 +184,22 @@ def _state_variables(file: FmuFile) -> list[Any]:
 
 def _access_exchange(file: FmuFile, drive: Any, starts: Mapping[int, float], states: list[Any]) -> FmuAccess:
     events = int(file.description.numberOfEventIndicators or 0) > 0 or drive.variability == "discrete"
-    fmu = Exchanged(file, drive.valueReference, with_events=events)
-    fmu.begin(starts)
-    rates = [fmu.rates(0.0, state, DRIVE) for state in PROBES]
-    for turned in (False, True):
-        place = int(turned)
-        if all(r[place] == s[1 - place] for r, s in zip(rates, PROBES, strict=True)):
-            turn = -1 if turned else 1
+    fmu = ModelExchangeFmu(file, drive.valueReference, with_events=events)
+    fmu.initialise(starts)
+    rates = [fmu.rates(0.0, state, PROBED_INPUT) for state in PROBED_STATES]
+    for velocity_first in (False, True):
+        index = int(velocity_first)
+        if all(r[index] == s[1 - index] for r, s in zip(rates, PROBED_STATES, strict=True)):
+            order = -1 if velocity_first else 1
 
-            def read(state: tuple[float, float], references: list[int], turn: int = turn) -> list[float]:
-                fmu.go_to(0.0, state[::turn], DRIVE)
-                return fmu.get(references)
+            def read(state: tuple[float, float], references: list[int], order: int = order) -> list[float]:
+                fmu.set_state(0.0, state[::order], PROBED_INPUT)
+                return fmu.read_values(references)
 
-            def make(used: list[int], turned: bool = turned) -> Mechanism:
-                return ExchangedMechanism(fmu, file, used, turned=turned)
+            def make(used: list[int], velocity_first: bool = velocity_first) -> Mechanism:
+                return ModelExchangeMechanism(fmu, file, used, velocity_first=velocity_first)
 
-            return FmuAccess(Pair(*states[::turn]), read, make)
+            return FmuAccess(Pair(*states[::order]), read, make)
     raise _no_velocity(file, states)
 
 
@@ -201,42 +212,46 @@ def _access_stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], sta
                 f"{v.name}, which cannot",
             )
     for pair in (Pair(*states), Pair(*states[::-1])):
-        fmu = Stepping(file, drive.valueReference, [v.valueReference for v in pair])
-        step = next((step for step in _steps(file) if _moves_by(fmu, starts, step)), None)
+        fmu = CoSimulationFmu(file, drive.valueReference, [v.valueReference for v in pair])
+        step = next((step for step in _steps(file) if _is_rate(fmu, starts, step)), None)
         if step is None:
             continue
 
-        def read(state: tuple[float, float], references: list[int], fmu: Stepping = fmu) -> list[float]:
-            fmu.start(starts, state, DRIVE)
-            return fmu.get(references)
+        def read(
+            state: tuple[float, float], references: list[int], fmu: CoSimulationFmu = fmu
+        ) -> list[float]:
+            fmu.start(starts, state, PROBED_INPUT)
+            return fmu.read_values(references)
 
-        def make(used: list[int], fmu: Stepping = fmu, step: float = step) -> Mechanism:
-            return SteppingMechanism(fmu, file, used, step)
+        def make(used: list[int], fmu: CoSimulationFmu = fmu, step: float = step) -> Mechanism:
+            return CoSimulationMechanism(fmu, file, used, step)
 
         return FmuAccess(pair, read, make)
     raise _no_velocity(file, states)
 
 
-def _steps(file: FmuFile) -> list[float]:
-    """Lengths to try, s: the FMU's own step first."""
+def _steps(file: FmuFile, *, usual: Sequence[float] = (1e-3, 1e-2, 1e-4)) -> list[float]:
+    """Return the lengths of a step to try, s: the FMU's own first, then ``usual`` ones."""
     fixed = file.description.coSimulation.fixedInternalStepSize
     default = file.description.defaultExperiment
-    usual = None if default is None else default.stepSize
-    return [float(x) for x in (fixed, *STEPS, usual) if x]
+    stated = None if default is None else default.stepSize
+    return [float(x) for x in (fixed, *usual, stated) if x]
 
 
-def _moves_by(fmu: Stepping, starts: Mapping[int, float], step: float) -> bool:
-    """Whether within a step the position moves by the velocity, from either state."""
-    for position, velocity in PROBES:
-        fmu.start(starts, (position, velocity), DRIVE)
+def _is_rate(
+    fmu: CoSimulationFmu, starts: Mapping[int, float], step: float, *, tolerance: float = 0.05
+) -> bool:
+    """Whether the position moves with the velocity within a step, up to a share of the velocity."""
+    for position, velocity in PROBED_STATES:
+        fmu.start(starts, (position, velocity), PROBED_INPUT)
         try:
-            after = fmu.step(DRIVE, step)[0]
+            after = fmu.step(PROBED_INPUT, step)[0]
         except Exception as error:
             if type(error).__name__ != "FMICallException":
                 raise
-            return False  # it makes no such step
+            return False  # the FMU cannot make this step
         mean = 0.5 * (velocity + fmu.states()[1])
-        if abs(after - position - step * mean) > ALIKE * step * abs(velocity):
+        if abs(after - position - step * mean) > tolerance * step * abs(velocity):
             return False
     return True
 
@@ -251,20 +266,19 @@ def _no_velocity(file: FmuFile, states: list[Any]) -> UsageError:
 def _outputs(
     file: FmuFile, access: FmuAccess, stated: Mapping[str, str] | None
 ) -> tuple[str, str, tuple[str, ...]]:
-    """Names of position and velocity, and which of the two are measured."""
+    """Return the names of position and velocity, and which of the two are measured."""
     pair, names = access.pair, _names(file, access)
-    given = stated
-    if given is None:
-        given = {v.name: v.name for v in file.variables("output") if v.name in names}
-        given = given or {pair.position.name: pair.position.name}
+    if stated is None:
+        stated = {v.name: v.name for v in file.variables("output") if v.name in names}
+        stated = stated or {pair.position.name: pair.position.name}
     signals: dict[int, str] = {}
-    for signal, of in given.items():
-        if of not in names:
+    for signal, variable in stated.items():
+        if variable not in names:
             raise UsageError(
                 f"{file.path}: outputs: {signal}: expected the position or the velocity, found "
-                f"{of!r}{suggestion(of, names)}; these are {', '.join(names)}"
+                f"{variable!r}{suggestion(variable, names)}; these are {', '.join(names)}"
             )
-        signals.setdefault(names[of], identifier(signal))
+        signals.setdefault(names[variable], identifier(signal))
     if not signals:
         raise file.refusal("one output at least", f"none; position and velocity are {', '.join(names)}")
     position = signals.get(0, identifier(pair.position.name))
@@ -273,35 +287,50 @@ def _outputs(
 
 
 def _names(file: FmuFile, access: FmuAccess) -> dict[str, int]:
-    """Names of all variables that are the position (0) or the velocity (1)."""
+    """Return the names of all variables that are the position (0) or the velocity (1)."""
     candidates = [*access.pair, *file.variables("output")]
-    with answers(file, "an FMU whose outputs can be read"):
-        read = [access.read(state, [v.valueReference for v in candidates]) for state in PROBES]
+    with convert_fmi_errors(file, "an FMU whose outputs can be read"):
+        readings = [access.read(state, [v.valueReference for v in candidates]) for state in PROBED_STATES]
     return {
-        v.name: place
-        for place in (0, 1)
+        v.name: index
+        for index in (0, 1)
         for k, v in enumerate(candidates)
-        if all(values[k] == state[place] for values, state in zip(read, PROBES, strict=True))
+        if all(values[k] == state[index] for values, state in zip(readings, PROBED_STATES, strict=True))
     }
 
 
 def _without_starts(
-    used: list[Any], starts: Mapping[Any, float | None], make: Callable[[list[int]], Mechanism]
+    parameters: list[Any],
+    starts: Mapping[Any, float | None],
+    make: Callable[[list[int]], Mechanism],
+    *,
+    factor: float = 1.25,
 ) -> list[Any]:
-    """The parameters without those that only set the FMU's start: a window starts where it was recorded."""
-    mechanism = make([v.valueReference for v in used])
-    if not isinstance(mechanism, ExchangedMechanism):
-        return used
-    values = [float(starts[v] or 0.0) for v in used]
-    begun, kept = mechanism.start_states(values), []
-    for k, v in enumerate(used):
-        moved = [x * (MOVED if k == i else 1.0) for i, x in enumerate(values)]
-        same = all(
-            mechanism.rates(values, 0.0, s, DRIVE) == mechanism.rates(moved, 0.0, s, DRIVE) for s in PROBES
+    """Drop the parameters that only set the first state: a window starts in the recorded one.
+
+    Args:
+        parameters: Variables that may be estimated.
+        starts: Their start values.
+        make: Value references to the mechanism.
+        factor: Factor by which a parameter is multiplied to observe what changes with it.
+
+    Returns:
+        The other parameters.
+    """
+    mechanism = make([v.valueReference for v in parameters])
+    if not isinstance(mechanism, ModelExchangeMechanism):
+        return parameters
+    values = [float(starts[v] or 0.0) for v in parameters]
+    initial_states, remaining = mechanism.start_states(values), []
+    for k, v in enumerate(parameters):
+        moved = [x * (factor if k == i else 1.0) for i, x in enumerate(values)]
+        has_same_rates = all(
+            mechanism.rates(values, 0.0, s, PROBED_INPUT) == mechanism.rates(moved, 0.0, s, PROBED_INPUT)
+            for s in PROBED_STATES
         )
-        if not (same and mechanism.start_states(moved) != begun):
-            kept.append(v)
-    return kept
+        if not (has_same_rates and mechanism.start_states(moved) != initial_states):
+            remaining.append(v)
+    return remaining
 
 
 def _start(variable: Any) -> float | None:
@@ -309,14 +338,14 @@ def _start(variable: Any) -> float | None:
 
 
 def _quantity(variable: Any, start: float) -> Quantity:
-    """A parameter with bounds of the FMU where it has narrower ones."""
+    """Make a parameter, with the bounds of the FMU where they are narrower."""
     low, high = Quantity(start).bounds
-    least = low if variable.min is None else max(low, float(variable.min))
-    most = high if variable.max is None else min(high, float(variable.max))
-    return Quantity(start, _unit(variable), min(least, start), max(most, start))
+    lower = low if variable.min is None else max(low, float(variable.min))
+    upper = high if variable.max is None else min(high, float(variable.max))
+    return Quantity(start, _unit(variable), min(lower, start), max(upper, start))
 
 
 def _unit(variable: Any) -> str:
-    """Unit of a variable, of its type where it has none of its own."""
+    """Return the unit of a variable, or that of its type, with raised exponents."""
     unit = variable.unit or getattr(variable.declaredType, "unit", None) or "1"
     return _EXPONENT.sub(lambda power: power[0].translate(_RAISED), str(unit).replace(".", "·"))

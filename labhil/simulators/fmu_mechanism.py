@@ -1,4 +1,4 @@
-"""An FMU of one coordinate that answers when it is called (satisfies ``simulators.stepped.Stepped``)."""
+"""An FMU with one coordinate, called point by point (a ``simulators.stepped.SteppedSimulator``)."""
 
 from __future__ import annotations
 
@@ -11,69 +11,75 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.fmu_file import Exchanged, FmuFile, Stepping, answers
+from labhil.simulators.fmu_file import CoSimulationFmu, FmuFile, ModelExchangeFmu, convert_fmi_errors
 from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_windows
-from labhil.simulators.stepped import Held, Nodes
-from labhil.simulators.tables import Ask
+from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.tables import Acceleration
 
-STEP = 2e-3
-"""Longest step (s) by which derivatives of an FMU for model exchange are integrated here."""
+MAX_STEP = 2e-3
+"""Longest step of the integration of an FMU for model exchange, s."""
 
-ROUGH = 1e-5
-"""Share of an acceleration below which that of a co-simulation's own solver is not to be believed."""
+SOLVER_ROUNDING = 1e-5
+"""Share of an acceleration below which that of a co-simulation's own solver is not accurate."""
 
 
-class ExchangedMechanism:
-    """An FMU for model exchange: its derivatives are the acceleration, in the order of its states.
+class ModelExchangeMechanism:
+    """An FMU for model exchange, whose derivatives give the acceleration.
 
-    ``turned`` says that its first state is the velocity. One instance answers one question at a time.
+    Args:
+        fmu: The instance; one thread uses it at a time.
+        file: The file, for messages.
+        parameters: Value references of the parameters.
+        velocity_first: Whether the first state is the velocity.
     """
 
-    held = Held()
+    non_smooth = NonSmooth()
 
-    def __init__(self, fmu: Exchanged, file: FmuFile, parameters: Sequence[int], *, turned: bool) -> None:
+    def __init__(
+        self, fmu: ModelExchangeFmu, file: FmuFile, parameters: Sequence[int], *, velocity_first: bool
+    ) -> None:
         self._fmu, self._file, self._parameters = fmu, file, tuple(parameters)
-        self._turn = -1 if turned else 1
-        self._begun: tuple[float, ...] | None = None
+        self._order = -1 if velocity_first else 1
+        self._current_values: tuple[float, ...] | None = None
         self._lock = Lock()
 
     def rates(self, numbers: Sequence[float], t: float, state: Sequence[float], drive: float) -> list[float]:
-        """Rates of position and velocity at these values of its parameters."""
+        """Return the rates of position and velocity."""
         with self._lock:
-            self._at(numbers)
+            self._set_parameters(numbers)
             return self._rates(t, state, drive)
 
     def start_states(self, numbers: Sequence[float]) -> tuple[float, ...]:
-        """The states at which it starts by itself."""
+        """Return the states after initialisation, in the order of the FMU."""
         with self._lock:
-            self._begun = None
-            self._at(numbers)
+            self._current_values = None
+            self._set_parameters(numbers)
             return self._fmu.states()
 
-    def ask(self, numbers: Sequence[float]) -> Ask:
-        """Its acceleration."""
+    def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
+        """Return the acceleration."""
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
             with self._lock:
-                self._at(numbers)
+                self._set_parameters(numbers)
                 return accelerations_at(partial(self._rates, 0.0), x, v, u)
 
         return accelerations
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """Only its input is known to push."""
+        """Return None: forces act like the input."""
         return None
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity (N, 2) by steps of Runge and Kutta under the mean of the input."""
+        """Integrate all windows by Runge-Kutta steps under the mean of the input, (N, 2)."""
         with self._lock:
-            self._at(numbers)
-            return step_windows(record, nodes, windows, states, self._go)
+            self._set_parameters(numbers)
+            return step_windows(record, nodes, windows, states, self._advance)
 
-    def _go(self, state: FloatArray, drive: float, length: float) -> FloatArray:
-        parts = max(1, ceil(length / STEP))
+    def _advance(self, state: FloatArray, drive: float, length: float) -> FloatArray:
+        parts = max(1, ceil(length / MAX_STEP))
         h = length / parts
         for _ in range(parts):
             a = np.array(self._rates(0.0, state, drive))
@@ -84,36 +90,43 @@ class ExchangedMechanism:
         return state
 
     def _rates(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> list[float]:
-        ordered = [float(x) for x in state][:: self._turn]
-        with answers(self._file, f"derivatives at states {ordered}, input {drive:g}"):
-            return list(self._fmu.rates(t, ordered, drive))[:: self._turn]
+        ordered = [float(x) for x in state][:: self._order]
+        with convert_fmi_errors(self._file, f"derivatives at states {ordered}, input {drive:g}"):
+            return list(self._fmu.rates(t, ordered, drive))[:: self._order]
 
-    def _at(self, numbers: Sequence[float]) -> None:
-        """Initialise it anew where its parameters have changed."""
-        wanted = tuple(float(x) for x in numbers)[: len(self._parameters)]
-        if wanted != self._begun:
-            self._begun = None
-            self._fmu.begin(dict(zip(self._parameters, wanted, strict=True)))
-            self._begun = wanted
+    def _set_parameters(self, numbers: Sequence[float]) -> None:
+        """Initialise the FMU again where its parameters have changed."""
+        values = tuple(float(x) for x in numbers)[: len(self._parameters)]
+        if values != self._current_values:
+            self._current_values = None
+            self._fmu.initialise(dict(zip(self._parameters, values, strict=True)))
+            self._current_values = values
 
 
-class SteppingMechanism:
-    """An FMU for co-simulation: its acceleration is taken from two short steps behind each start."""
+class CoSimulationMechanism:
+    """An FMU for co-simulation, whose acceleration is taken from two short steps from each state.
 
-    held = Held(rough=ROUGH)
+    Args:
+        fmu: The instance; one thread uses it at a time.
+        file: The file, for messages.
+        parameters: Value references of the parameters.
+        step: Length of the short steps, s.
+    """
 
-    def __init__(self, fmu: Stepping, file: FmuFile, parameters: Sequence[int], step: float) -> None:
+    non_smooth = NonSmooth(rounding=SOLVER_ROUNDING)
+
+    def __init__(self, fmu: CoSimulationFmu, file: FmuFile, parameters: Sequence[int], step: float) -> None:
         self._fmu, self._file, self._parameters, self._step = fmu, file, tuple(parameters), step
         self._lock = Lock()
 
     def rates(self, numbers: Sequence[float], t: float, state: Sequence[float], drive: float) -> list[float]:
-        """Rates of position and velocity at these values of its parameters; it begins at time 0 always."""
+        """Return the rates of position and velocity; the time is always 0."""
         with self._lock:
-            return self._rates(self._starts(numbers), state, drive)
+            return self._rates(self._start_values(numbers), state, drive)
 
-    def ask(self, numbers: Sequence[float]) -> Ask:
-        """Its acceleration."""
-        starts = self._starts(numbers)
+    def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
+        """Return the acceleration."""
+        starts = self._start_values(numbers)
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
             with self._lock:
@@ -122,33 +135,35 @@ class SteppingMechanism:
         return accelerations
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """Only its input is known to push."""
+        """Return None: forces act like the input."""
         return None
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity (N, 2), stepped from sample to sample under the mean of the input."""
-        starts = self._starts(numbers)
+        """Step all windows from sample to sample under the mean of the input, (N, 2)."""
+        starts = self._start_values(numbers)
 
-        def begin(state: FloatArray, drive: float) -> None:
-            with answers(self._file, "a start from any state"):
+        def start(state: FloatArray, drive: float) -> None:
+            with convert_fmi_errors(self._file, "a start from any state"):
                 self._fmu.start(starts, state.tolist(), drive)
 
-        def go(_: FloatArray, drive: float, length: float) -> FloatArray:
-            with answers(self._file, f"steps of {length:g} s"):
+        def advance(_: FloatArray, drive: float, length: float) -> FloatArray:
+            with convert_fmi_errors(self._file, f"steps of {length:g} s"):
                 return np.array(self._fmu.step(drive, length))
 
         with self._lock:
-            return step_windows(record, nodes, windows, states, go, begin)
+            return step_windows(record, nodes, windows, states, advance, start)
 
     def _rates(self, starts: Mapping[int, float], state: Sequence[float], drive: float) -> list[float]:
         h = self._step
-        with answers(self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"):
+        with convert_fmi_errors(
+            self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"
+        ):
             self._fmu.start(starts, state, drive)
-            begin = np.asarray(state, dtype=np.float64)
+            first = np.asarray(state, dtype=np.float64)
             once, twice = (np.array(self._fmu.step(drive, h)) for _ in range(2))
-        return [float(x) for x in extrapolate_rates(begin, once, twice, h)]
+        return [float(x) for x in extrapolate_rates(first, once, twice, h)]
 
-    def _starts(self, numbers: Sequence[float]) -> dict[int, float]:
+    def _start_values(self, numbers: Sequence[float]) -> dict[int, float]:
         return {k: float(x) for k, x in zip(self._parameters, numbers, strict=False)}

@@ -1,8 +1,8 @@
-"""Inertial parameters that bodies could have, near given ones, and that load the joints as estimated ones.
+"""Find physically consistent inertial parameters that load the joints like estimated ones.
 
-Only combinations of a link's ten parameters can be estimated; what a file holds are all of them, and MuJoCo
-takes those only that a body could have. A body's are those whose pseudo-inertia J = [[Σ, h], [hᵀ, m]] is
-positive, where h is mass times centre and Σ = ½ tr(I)·1 − I (Wensing, Kim and Slotine 2018).
+Only combinations of a link's ten parameters can be estimated; a file needs all of them, and MuJoCo accepts
+only consistent ones: those with a positive definite pseudo-inertia J = [[Σ, h], [hᵀ, m]], where h is mass
+times centre and Σ = ½ tr(I)·1 − I (Wensing, Kim and Slotine 2018).
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from labhil.physics.arm.grouped import group_parameters
 from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.signals import FloatArray
 
-REACH = 0.1
-"""m; changes of first and second moments are weighed as those of the mass at this distance."""
+RADIUS = 0.1
+"""m; changes of first and second moments have the weight of the same mass at this distance."""
 
-LIGHTEST = 0.05
-"""kg; a link that has less is weighed as if it had that."""
+MIN_MASS = 0.05
+"""kg; lighter links have the weights of this mass."""
 
-EXACT = 1e-4
-"""Share of the typical torque by which the joints' loads may be missed where bodies need it."""
+LOAD_TOLERANCE = 1e-4
+"""Weight of an error of the joints' loads, as a share of the typical torque."""
 
-ALIKE = 1e-6
-"""Share of a rotor's torque that links must not miss to act just as it."""
+ROTOR_TOLERANCE = 1e-6
+"""Largest error of links that act like a rotor, as a share of the rotor's torque."""
 
-THIN = 0.1
-"""mm² of a body's second moment over its mass at least: rounding must not take it away."""
+MIN_MOMENT = 0.1
+"""mm²; least second moment over mass, so that rounding keeps it positive."""
 
-MOTIONS = 100
+N_MOTIONS = 100
 
 
 def pseudo_inertia(pi: FloatArray) -> FloatArray:
-    """The matrix (4, 4) of ten inertial parameters."""
+    """Return the pseudo-inertia (4, 4) of ten inertial parameters."""
     m, hx, hy, hz, xx, yy, zz, xy, xz, yz = pi
     i = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     out = np.empty((4, 4))
@@ -52,100 +52,102 @@ def _in_millimetres(j: FloatArray) -> FloatArray:
 
 
 def parameters_of(j: FloatArray) -> FloatArray:
-    """Ten inertial parameters of a pseudo-inertia (4, 4)."""
+    """Return the ten inertial parameters of a pseudo-inertia (4, 4)."""
     sigma = j[:3, :3]
     i = np.trace(sigma) * np.eye(3) - sigma
     return np.array([j[3, 3], *j[:3, 3], i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])
 
 
 def is_body(pi: FloatArray) -> bool:
-    """Whether a body may have these inertial parameters."""
+    """Whether inertial parameters (10,) are physically consistent."""
     values = np.linalg.eigvalsh(_in_millimetres(pseudo_inertia(pi)))
-    return bool(pi[0] > 0.0 and values[0] > THIN * pi[0])
+    return bool(pi[0] > 0.0 and values[0] > MIN_MOMENT * pi[0])
 
 
 @dataclass(frozen=True, slots=True)
-class Realised:
-    """Inertial parameters (10 n,) of bodies, and armature (n,) kg·m² that goes with them."""
+class Bodies:
+    """Inertial parameters (10 n,) of bodies, and the armature (n,) of their joints, kg·m²."""
 
     inertial: FloatArray
     armature: FloatArray
 
 
-def realise(
-    chain: Chain, begin: FloatArray, wanted: FloatArray, rest: FloatArray, armature: FloatArray
-) -> Realised:
-    """Bodies and rotors that load the joints as wanted ones do.
+def nearest_bodies(
+    chain: Chain, initial: FloatArray, target: FloatArray, fixed: FloatArray, armature: FloatArray
+) -> Bodies:
+    """Find the bodies and rotors nearest to the initial ones that load the joints like the target.
 
-    Some inertia acts just as a rotor's (of a joint that the base carries, about its axis). Their shares
-    cannot be identified, so that either may take from the other what brings the bodies near ``begin``.
+    Some inertia acts in the same way as a rotor's (of a joint on the base, about its axis). Their shares
+    cannot be identified; they are chosen so that the bodies stay near the initial ones.
 
     Args:
         chain: The arm.
-        begin: What its bodies have, (10 n,).
-        wanted: What they are to act like, with ``rest``, (10 n,).
-        rest: What else moves with each link and stays as it is, (10 n,).
-        armature: That of the joints beside what is wanted, kg·m², (n,).
+        initial: Inertial parameters of its bodies, (10 n,).
+        target: Inertial parameters that bodies and ``fixed`` are to act like together, (10 n,).
+        fixed: Other inertia that moves with each link and does not change, (10 n,).
+        armature: Armature of the joints in addition to the target, kg·m², (n,).
 
     Returns:
-        The nearest bodies to ``begin``; those of a link that need no change are unchanged.
+        The nearest bodies; a body that needs no change is unchanged.
     """
-    groups, like_rotor = group_parameters(chain), _like_rotors(chain)
-    size, load = _sizes(begin), groups.shares @ (wanted - rest - begin)
-    if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(groups.shares) @ size, 1e-12)):
-        return Realised(begin, armature)
-    free = np.maximum(np.abs(armature), REACH**2)
-    weighed = np.column_stack([groups.shares * size, like_rotor * free])
-    solution = np.linalg.lstsq(weighed, load, rcond=1e-10)[0]
+    groups, rotor_equivalents = group_parameters(chain), _rotor_equivalents(chain)
+    scale, load = _scales(initial), groups.shares @ (target - fixed - initial)
+    if np.all(np.abs(load) <= 1e-12 * np.maximum(np.abs(groups.shares) @ scale, 1e-12)):
+        return Bodies(initial, armature)
+    rotor_scale = np.maximum(np.abs(armature), RADIUS**2)
+    weighted = np.column_stack([groups.shares * scale, rotor_equivalents * rotor_scale])
+    solution = np.linalg.lstsq(weighted, load, rcond=1e-10)[0]
     solution[np.abs(solution) < 1e-9] = 0.0
-    change, rotor = size * solution[: len(size)], armature + free * solution[len(size) :]
-    before, after = begin.reshape(-1, PER_LINK), (begin + change).reshape(-1, PER_LINK)
+    change, rotor = scale * solution[: len(scale)], armature + rotor_scale * solution[len(scale) :]
+    before, after = initial.reshape(-1, PER_LINK), (initial + change).reshape(-1, PER_LINK)
     bodies = all(np.array_equal(old, new) or is_body(new) for old, new in zip(before, after, strict=True))
     if bodies and np.all((rotor >= 0.0) | (rotor == armature)):
-        return Realised(begin + change, rotor)
-    return _nearest_bodies(chain, begin, armature, groups.shares, like_rotor, load)
+        return Bodies(initial + change, rotor)
+    return _fit_bodies(chain, initial, armature, groups.shares, rotor_equivalents, load)
 
 
-def _sizes(begin: FloatArray) -> FloatArray:
-    """What a usual change of each parameter is, (10 n,)."""
-    mass = np.maximum(begin[::PER_LINK], LIGHTEST)
-    per_mass = np.array([1.0, *[REACH] * 3, *[REACH**2] * 6])
+def _scales(initial: FloatArray) -> FloatArray:
+    """Scale of the change of each parameter, (10 n,)."""
+    mass = np.maximum(initial[::PER_LINK], MIN_MASS)
+    per_mass = np.array([1.0, *[RADIUS] * 3, *[RADIUS**2] * 6])
     return np.asarray((mass[:, None] * per_mass).ravel())
 
 
 def _motion(chain: Chain) -> tuple[FloatArray, FloatArray]:
-    """Columns (N, 10 n) of a random motion, and those (N, n) of rotors."""
+    """Regressor (N, 10 n) of the links along a random motion, and that of the rotors (N, n)."""
     random, n = np.random.default_rng(0), chain.joints
-    q = random.uniform(-np.pi, np.pi, (MOTIONS, n))
-    qd, qdd = random.normal(size=(2, MOTIONS, n))
+    q = random.uniform(-np.pi, np.pi, (N_MOTIONS, n))
+    qd, qdd = random.normal(size=(2, N_MOTIONS, n))
     columns = chain.regressor(q, qd, qdd, gravity_in_base()).reshape(-1, n * PER_LINK)
     return columns, (qdd[:, :, None] * np.eye(n)).reshape(-1, n)
 
 
-def _like_rotors(chain: Chain) -> FloatArray:
-    """What a rotor's inertia adds to what can be estimated, (P, n); zero where it acts like nothing else."""
+def _rotor_equivalents(chain: Chain) -> FloatArray:
+    """Estimable parameters that act like a rotor's inertia, (P, n); 0 where none does."""
     columns, rotors = _motion(chain)
-    kept = columns[:, list(group_parameters(chain).kept)]
-    alike = np.linalg.lstsq(kept, rotors, rcond=1e-10)[0]
-    missed = np.linalg.norm(rotors - kept @ alike, axis=0) / np.linalg.norm(rotors, axis=0)
-    return np.where(missed < ALIKE, alike, 0.0)
+    estimable = columns[:, list(group_parameters(chain).kept)]
+    shares_of_rotor = np.linalg.lstsq(estimable, rotors, rcond=1e-10)[0]
+    residual = np.linalg.norm(rotors - estimable @ shares_of_rotor, axis=0) / np.linalg.norm(rotors, axis=0)
+    return np.where(residual < ROTOR_TOLERANCE, shares_of_rotor, 0.0)
 
 
-def _nearest_bodies(
+def _fit_bodies(
     chain: Chain,
-    begin: FloatArray,
+    initial: FloatArray,
     armature: FloatArray,
     shares: FloatArray,
-    like_rotor: FloatArray,
+    rotor_equivalents: FloatArray,
     load: FloatArray,
-) -> Realised:
-    """By Cholesky factors of the pseudo-inertias, with which every point is a body."""
-    n, size, free = chain.joints, _sizes(begin), np.maximum(np.abs(armature), REACH**2)
+) -> Bodies:
+    """Fit Cholesky factors of the pseudo-inertias, so that every point is consistent."""
+    n, scale, rotor_scale = chain.joints, _scales(initial), np.maximum(np.abs(armature), RADIUS**2)
     columns, _ = _motion(chain)
-    torque = float(np.sqrt(np.mean((columns @ begin) ** 2)))
-    # a change of what can be estimated is weighed by the torque that it makes
-    kept = columns[:, list(group_parameters(chain).kept)] / (EXACT * torque * np.sqrt(len(columns)))
-    r = np.linalg.qr(kept, mode="r")
+    torque = float(np.sqrt(np.mean((columns @ initial) ** 2)))
+    # the weight of a change of an estimable parameter is the torque that it makes
+    estimable = columns[:, list(group_parameters(chain).kept)] / (
+        LOAD_TOLERANCE * torque * np.sqrt(len(columns))
+    )
+    r = np.linalg.qr(estimable, mode="r")
     lower = np.tril_indices(4)
 
     def bodies(z: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -153,30 +155,30 @@ def _nearest_bodies(
         for link, entries in enumerate(z[n:].reshape(n, -1)):
             factor = np.zeros((4, 4))
             factor[lower] = entries
-            thick = 2e-6 * THIN * factor[3] @ factor[3]
-            out[link] = parameters_of(factor @ factor.T + np.diag([thick, thick, thick, 0.0]))
+            min_moment = 2e-6 * MIN_MOMENT * factor[3] @ factor[3]
+            out[link] = parameters_of(factor @ factor.T + np.diag([min_moment, min_moment, min_moment, 0.0]))
         return out.ravel(), z[:n] ** 2
 
     def residuals(z: FloatArray) -> FloatArray:
         pi, rotor = bodies(z)
-        missed = shares @ (pi - begin) + like_rotor @ (rotor - armature) - load
-        return np.concatenate([r @ missed, (pi - begin) / size, (rotor - armature) / free])
+        residual = shares @ (pi - initial) + rotor_equivalents @ (rotor - armature) - load
+        return np.concatenate([r @ residual, (pi - initial) / scale, (rotor - armature) / rotor_scale])
 
-    start = [_factor(link)[lower] for link in begin.reshape(n, PER_LINK)]
+    start = [_cholesky(link)[lower] for link in initial.reshape(n, PER_LINK)]
     first = np.concatenate([np.sqrt(np.maximum(armature, 1e-6)), *start])
     pi, rotor = bodies(least_squares(residuals, first, x_scale="jac", max_nfev=100).x)
-    return Realised(pi, np.where(np.any(like_rotor, axis=0), rotor, armature))
+    return Bodies(pi, np.where(np.any(rotor_equivalents, axis=0), rotor, armature))
 
 
-def _factor(pi: FloatArray) -> FloatArray:
-    """Cholesky factor of a pseudo-inertia, of a thin body that of a slightly thicker one."""
+def _cholesky(pi: FloatArray) -> FloatArray:
+    """Cholesky factor of a pseudo-inertia; of a singular one that of a slightly thicker body."""
     values, axes = np.linalg.eigh(pseudo_inertia(pi))
-    thick = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-6))
-    return np.asarray(np.linalg.cholesky((axes * thick) @ axes.T))
+    moments = np.maximum(values, 1e-6 * max(float(values[-1]), 1e-6))
+    return np.asarray(np.linalg.cholesky((axes * moments) @ axes.T))
 
 
-def at_centre(pi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-    """Mass (kg), centre (3,) m and inertia (3, 3) at the centre, kg·m², of ten inertial parameters."""
+def centroidal(pi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return mass (kg), centre (3,) m and inertia at the centre (3, 3) kg·m² of ten inertial parameters."""
     m, hx, hy, hz, xx, yy, zz, xy, xz, yz = pi
     centre = np.array([hx, hy, hz]) / m
     i = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -184,7 +186,7 @@ def at_centre(pi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
 
 
 def shift_origin(pi: FloatArray, by: FloatArray) -> FloatArray:
-    """The same body's parameters about an origin from which it lies ``by`` (3,) m farther."""
+    """Return the parameters of a body after a shift of the body by ``by`` (3,) m."""
     if not np.any(by):
         return pi
     m, h = pi[0], np.asarray(pi[1:4])

@@ -1,4 +1,4 @@
-"""A user's right-hand side compiled together with the catalogue's forces (see ``physics.at_port``)."""
+"""Compile a user's right-hand side together with the forces of the catalogue (see ``physics.at_port``)."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from labhil.physics.extra_force import with_extra_force
 from labhil.physics.moving_part import Motion, Stops
 from labhil.physics.stick_slip import compile_integrator
 from labhil.signals import FloatArray, IntArray
+from labhil.simulators.probing import start_numbers
 
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
@@ -23,7 +24,11 @@ if TYPE_CHECKING:
 class Kernels(NamedTuple):
     """The compiled functions of one simulator.
 
-    ``acceleration(x, v, u, p)`` gives f's own; ``run`` and ``run_pushed`` simulate (see ``stick_slip.Run``).
+    Attributes:
+        acceleration: (x, v, u, p) to the acceleration of the simulator alone.
+        pull: Positions, velocities, inputs (n,) and part to accelerations with all forces, (n,).
+        run: Simulates windows (see ``stick_slip.Run``).
+        run_pushed: The same under an additional force.
     """
 
     acceleration: Callable[[float, float, float, Any], float]
@@ -32,8 +37,18 @@ class Kernels(NamedTuple):
     run_pushed: Callable[..., None]
 
 
-def acceleration_of(simulator: Simulator) -> Callable[[float, float, float, Any], float]:
-    """Compile f; UsageError with what numba says where it cannot."""
+def compile_acceleration(simulator: Simulator) -> Callable[[float, float, float, Any], float]:
+    """Compile the acceleration of a simulator.
+
+    Args:
+        simulator: The simulator; its ``f`` gives the rates of both states.
+
+    Returns:
+        (x, v, u, p) to the acceleration.
+
+    Raises:
+        UsageError: numba cannot compile ``f``, with its message.
+    """
     njit: Any = numba.njit
     f = njit(simulator.f, error_model="numpy", nogil=True)
     states, inputs, parameters = simulator.records
@@ -42,7 +57,7 @@ def acceleration_of(simulator: Simulator) -> Callable[[float, float, float, Any]
     def acceleration(x: float, v: float, u: float, p: Any) -> float:
         return float(f(0.0, states(x, v), inputs(u), p)[1])
 
-    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
+    values = start_numbers(simulator)
     try:
         _callable_from_python(acceleration)(0.0, 0.0, 0.0, parameters(*values))
     except numba.core.errors.NumbaError as error:
@@ -55,7 +70,7 @@ def acceleration_of(simulator: Simulator) -> Callable[[float, float, float, Any]
 
 
 def _callable_from_python(function: Callable[..., float]) -> Callable[..., float]:
-    """A specialised function as Python can call it."""
+    """Wrap a specialised function so that Python can call it."""
     njit: Any = numba.njit
 
     @njit(error_model="numpy")  # type: ignore[untyped-decorator]
@@ -66,9 +81,9 @@ def _callable_from_python(function: Callable[..., float]) -> Callable[..., float
     return compiled
 
 
-def kernels_of(simulator: Simulator) -> Kernels:
-    """Compile the simulation of a simulator with all laws at its ports."""
-    acceleration = acceleration_of(simulator)
+def compile_kernels(simulator: Simulator) -> Kernels:
+    """Compile the simulation of a simulator with all forces of the catalogue at its coordinate."""
+    acceleration = compile_acceleration(simulator)
     laws = compile_laws_at_port(acceleration)
     njit: Any = numba.njit
     run, pushed, pull = (
@@ -78,25 +93,25 @@ def kernels_of(simulator: Simulator) -> Kernels:
     )
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-    def outer(
+    def simulate(
         t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
         states: FloatArray, stops: Stops, part: Any, course: Any, out: FloatArray,
     ) -> None:  # fmt: skip
         run(t, node_t, values, first, last, states, stops, part, course, out)
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-    def outer_pushed(
+    def simulate_pushed(
         t: FloatArray, node_t: FloatArray, values: FloatArray, first: IntArray, last: IntArray,
         states: FloatArray, stops: Stops, part: Any, course: Any, out: FloatArray,
     ) -> None:  # fmt: skip
         pushed(t, node_t, values, first, last, states, stops, part, course, out)
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-    def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
-        forces = np.zeros(x.size)
+    def pull_all(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
+        accelerations = np.zeros(x.size)
         for k in range(x.size):
             if v[k] != 0.0:
-                forces[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
-        return forces
+                accelerations[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
+        return accelerations
 
-    return Kernels(_callable_from_python(acceleration), pulls, outer, outer_pushed)
+    return Kernels(_callable_from_python(acceleration), pull_all, simulate, simulate_pushed)

@@ -1,4 +1,4 @@
-"""A mechanism of a MuJoCo file with one joint: its values, its acceleration, and its rollouts."""
+"""A MuJoCo model with one joint: its values, its acceleration, and its simulation by MuJoCo."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import numpy as np
 from labhil.extras import load_optional
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.rollouts import Driven, Push, roll_out
-from labhil.simulators.stepped import Held, Nodes
-from labhil.simulators.tables import Ask
+from labhil.simulators.rollouts import Actuation, JointForce, roll_out
+from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.tables import Acceleration
 
 PURPOSE = "an MJCF file"
 
 
 class Field(StrEnum):
-    """What of a MuJoCo model a value is."""
+    """Quantities of a MuJoCo model that may be estimated."""
 
     DAMPING = "damping"
     QUADRATIC_DAMPING = "quadratic_damping"
@@ -36,98 +36,120 @@ class Field(StrEnum):
     KV = "kv"
 
 
-RUBS = {
+FRICTION_FIELDS = {
     Field.DAMPING: "viscous_friction.coefficient",
     Field.FRICTIONLOSS: "coulomb_friction.level",
     Field.QUADRATIC_DAMPING: "quadratic_viscous_friction.coefficient",
     Field.CUBIC_DAMPING: "cubic_viscous_friction.coefficient",
 }
-"""Values that are friction: each is an effect of the catalogue, of the very same law."""
+"""Quantities that are friction, and the parameter of the catalogue with the same law."""
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value of a file: what it is, of which joint, body or actuator (its number), its name and unit."""
+    """A value of a file.
+
+    Attributes:
+        name: Name of the parameter.
+        field: Which quantity it is.
+        index: Number of its joint, body or actuator.
+        unit: SI unit.
+        start: Value in the file.
+    """
 
     name: str
     field: Field
-    of: int
+    index: int
     unit: str
     start: float
 
 
-class Place(NamedTuple):
-    """Where a MuJoCo model has a value: an array, the column of it (None: it has none), and a sign."""
+class ArrayElement(NamedTuple):
+    """Where a MuJoCo model keeps a quantity: array, column (None for a vector), and sign."""
 
     array: str
     column: int | None = None
     sign: float = 1.0
 
 
-PLACES = {
-    Field.DAMPING: Place("dof_damping"),
-    Field.QUADRATIC_DAMPING: Place("dof_dampingpoly", 0),
-    Field.CUBIC_DAMPING: Place("dof_dampingpoly", 1),
-    Field.FRICTIONLOSS: Place("dof_frictionloss"),
-    Field.STIFFNESS: Place("jnt_stiffness"),
-    Field.SPRINGREF: Place("qpos_spring"),
-    Field.ARMATURE: Place("dof_armature"),
-    Field.MASS: Place("body_mass"),
-    Field.GEAR: Place("actuator_gear", 0),
-    Field.KP: Place("actuator_gainprm", 0),
-    Field.KV: Place("actuator_biasprm", 2, -1.0),
+ARRAY_ELEMENTS = {
+    Field.DAMPING: ArrayElement("dof_damping"),
+    Field.QUADRATIC_DAMPING: ArrayElement("dof_dampingpoly", 0),
+    Field.CUBIC_DAMPING: ArrayElement("dof_dampingpoly", 1),
+    Field.FRICTIONLOSS: ArrayElement("dof_frictionloss"),
+    Field.STIFFNESS: ArrayElement("jnt_stiffness"),
+    Field.SPRINGREF: ArrayElement("qpos_spring"),
+    Field.ARMATURE: ArrayElement("dof_armature"),
+    Field.MASS: ArrayElement("body_mass"),
+    Field.GEAR: ArrayElement("actuator_gear", 0),
+    Field.KP: ArrayElement("actuator_gainprm", 0),
+    Field.KV: ArrayElement("actuator_biasprm", 2, -1.0),
 }
 
 
-def read_value(model: Any, field: Field, of: int) -> float:
-    """What a model has for a value; 0 where this MuJoCo has no such thing."""
-    place = PLACES[field]
-    values = getattr(model, place.array, None)
+def read_value(model: Any, field: Field, index: int) -> float:
+    """Read a quantity of a model; 0 where this version of MuJoCo does not have it."""
+    element = ARRAY_ELEMENTS[field]
+    values = getattr(model, element.array, None)
     if values is None:
         return 0.0
-    return place.sign * float(values[of] if place.column is None else values[of][place.column])
+    return element.sign * float(values[index] if element.column is None else values[index][element.column])
 
 
-def write_value(model: Any, field: Field, of: int, value: float) -> None:
-    """Set a value of a model; with the mass of a body goes its inertia, for its shape stays the same."""
-    place = PLACES[field]
-    if value == 0.0 and not hasattr(model, place.array):
+def write_value(model: Any, field: Field, index: int, value: float) -> None:
+    """Set a quantity of a model; the inertia of a body changes in proportion to its mass."""
+    element = ARRAY_ELEMENTS[field]
+    if value == 0.0 and not hasattr(model, element.array):
         return
     if field is Field.MASS:
-        model.body_inertia[of] *= value / model.body_mass[of]
+        model.body_inertia[index] *= value / model.body_mass[index]
     if field is Field.KP:
-        model.actuator_biasprm[of][1] = -value
-    if field is Field.KV and model.actuator_biasprm[of][1] == 0.0:  # a servo of velocity
-        model.actuator_gainprm[of][0] = value
-    if place.column is None:
-        getattr(model, place.array)[of] = place.sign * value
+        model.actuator_biasprm[index][1] = -value
+    if field is Field.KV and model.actuator_biasprm[index][1] == 0.0:  # a velocity servo
+        model.actuator_gainprm[index][0] = value
+    if element.column is None:
+        getattr(model, element.array)[index] = element.sign * value
     else:
-        getattr(model, place.array)[of][place.column] = place.sign * value
+        getattr(model, element.array)[index][element.column] = element.sign * value
 
 
 class Mechanism:
-    """A MuJoCo model with one joint (satisfies ``simulators.stepped.Stepped``)."""
+    """A MuJoCo model with one joint (a ``simulators.stepped.SteppedSimulator``).
+
+    ``joint_force`` is an additional force in :meth:`roll_out`.
+    """
 
     def __init__(
-        self, model: Any, driven: Driven, values: Sequence[Value], held: Held, late: float = 0.0
+        self,
+        model: Any,
+        actuation: Actuation,
+        values: Sequence[Value],
+        non_smooth: NonSmooth,
+        sensor_delay: float = 0.0,
     ) -> None:
-        self._model, self._driven, self.values, self._held, self._late = model, driven, values, held, late
-        self._smooth = _smooth(model, driven)
-        self.push: Push | None = None
+        self._model, self._actuation, self.values, self._non_smooth, self._sensor_delay = (
+            model,
+            actuation,
+            values,
+            non_smooth,
+            sensor_delay,
+        )
+        self._smooth = _smooth_model(model, actuation)
+        self.joint_force: JointForce | None = None
         self._data = load_optional("mujoco", PURPOSE).MjData(self._smooth)
 
     @property
-    def held(self) -> Held:
-        """Ends of the way, limits and delay of the file.
+    def non_smooth(self) -> NonSmooth:
+        """Stops, limits and delay of the file.
 
-        What all sensors are late by, the input may be as well: the recorded state is then the delayed one.
+        The delay of the sensors is added to that of the input: the recorded state is the delayed one.
         """
-        return replace(self._held, delay=self._held.delay + self._late)
+        return replace(self._non_smooth, delay=self._non_smooth.delay + self._sensor_delay)
 
     @property
     def input_delay(self) -> float:
-        """How late the file's actuator alone is, s."""
-        return self._held.delay
+        """Delay of the file's actuator alone, s."""
+        return self._non_smooth.delay
 
     @property
     def timestep(self) -> float:
@@ -135,21 +157,25 @@ class Mechanism:
         return float(self._model.opt.timestep)
 
     def with_values(self, numbers: Sequence[float]) -> Any:
-        """The whole model at these values."""
-        return self._at(self._model, numbers, smooth=False)
+        """Return a copy of the model, friction and limits included, with these values."""
+        return self._set_values(self._model, numbers, smooth=False)
 
-    def ask(self, numbers: Sequence[float]) -> Ask:
-        """Accelerations without friction at the joint, contacts and limits."""
+    def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
+        """Return the acceleration without friction at the joint, contacts and limits."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model, data, driven = self._at(self._smooth, numbers, smooth=True), self._data, self._driven
+        model, data, actuation = (
+            self._set_values(self._smooth, numbers, smooth=True),
+            self._data,
+            self._actuation,
+        )
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
             out = np.empty(len(x))
-            place = data.ctrl if driven.actuator >= 0 else data.qfrc_applied
-            column = driven.control if driven.actuator >= 0 else 0
+            target = data.ctrl if actuation.actuator >= 0 else data.qfrc_applied
+            control = actuation.control if actuation.actuator >= 0 else 0
             points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
             for k, (position, velocity, drive) in enumerate(points):
-                data.qpos[0], data.qvel[0], place[column] = position, velocity, drive
+                data.qpos[0], data.qvel[0], target[control] = position, velocity, drive
                 mujoco.mj_forward(model, data)
                 out[k] = data.qacc[0]
             return out
@@ -157,9 +183,9 @@ class Mechanism:
         return accelerations
 
     def inertia(self, numbers: Sequence[float]) -> float:
-        """What a force at the joint is divided by, kg·m² or kg."""
+        """Return the inertia at the joint, kg·m² or kg."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model, data, accelerations = self._at(self._smooth, numbers, smooth=True), self._data, []
+        model, data, accelerations = self._set_values(self._smooth, numbers, smooth=True), self._data, []
         data.qpos[0], data.qvel[0] = 0.0, 0.0
         for force in (0.0, 1.0):
             data.qfrc_applied[0] = force
@@ -171,33 +197,35 @@ class Mechanism:
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity (N, 2) of all windows, stepped by MuJoCo with all that the file has."""
+        """Let MuJoCo step all windows with everything that the file contains, (N, 2)."""
         model, (t, u) = self.with_values(numbers), nodes
-        nodes = (t + self._late, u)
-        return roll_out(model, self._driven, record, nodes, windows, states, self.push)
+        nodes = (t + self._sensor_delay, u)
+        return roll_out(model, self._actuation, record, nodes, windows, states, self.joint_force)
 
-    def _at(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:
+    def _set_values(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:
         mujoco = load_optional("mujoco", PURPOSE)
-        changed = model if smooth else deepcopy(model)
+        target_model = model if smooth else deepcopy(model)
         for value, number in zip(self.values, numbers, strict=False):
-            write_value(changed, value.field, value.of, number)
-        mujoco.mj_setConst(changed, self._data if smooth else mujoco.MjData(changed))
-        return changed
+            write_value(target_model, value.field, value.index, number)
+        mujoco.mj_setConst(target_model, self._data if smooth else mujoco.MjData(target_model))
+        return target_model
 
 
-def _smooth(model: Any, driven: Driven) -> Any:
-    """The model without what makes its acceleration jump or bend, all of which is solved apart."""
+def _smooth_model(model: Any, actuation: Actuation) -> Any:
+    """Copy a model without contacts, limits, friction and delay, which the kernels simulate."""
     mujoco = load_optional("mujoco", PURPOSE)
-    smooth = deepcopy(model)
-    off = mujoco.mjtDisableBit
-    smooth.opt.disableflags |= int(off.mjDSBL_CONTACT) | int(off.mjDSBL_LIMIT) | int(off.mjDSBL_FRICTIONLOSS)
-    for field in RUBS:
-        write_value(smooth, field, 0, 0.0)
-    if driven.actuator >= 0:
-        smooth.actuator_ctrllimited[:] = 0
-        smooth.actuator_forcelimited[:] = 0
-        if hasattr(smooth, "actuator_delay"):
-            smooth.actuator_delay[:] = 0.0
-    if hasattr(smooth, "jnt_actfrclimited"):
-        smooth.jnt_actfrclimited[:] = 0
-    return smooth
+    copy = deepcopy(model)
+    disable_bit = mujoco.mjtDisableBit
+    copy.opt.disableflags |= (
+        int(disable_bit.mjDSBL_CONTACT) | int(disable_bit.mjDSBL_LIMIT) | int(disable_bit.mjDSBL_FRICTIONLOSS)
+    )
+    for field in FRICTION_FIELDS:
+        write_value(copy, field, 0, 0.0)
+    if actuation.actuator >= 0:
+        copy.actuator_ctrllimited[:] = 0
+        copy.actuator_forcelimited[:] = 0
+        if hasattr(copy, "actuator_delay"):
+            copy.actuator_delay[:] = 0.0
+    if hasattr(copy, "jnt_actfrclimited"):
+        copy.jnt_actfrclimited[:] = 0
+    return copy

@@ -1,4 +1,4 @@
-"""A MuJoCo file as it was read: what it has by name, and what is needed to change it."""
+"""A loaded MuJoCo file: the names of its elements, and what is needed to change it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.simulators.mechanism import PURPOSE, Mechanism
 from labhil.simulators.simulator import Simulator
-from labhil.simulators.trial_load import load_apart
+from labhil.simulators.trial_load import load_in_subprocess
 from labhil.simulators.xml_text import XmlText
 
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """What a file has, by name: joints with their kinds, actuators, sensors of joints."""
+    """Names of the joints, actuators and joint sensors of a file; "" for other sensors."""
 
     joints: tuple[str, ...]
     actuators: tuple[str, ...]
     sensors: tuple[str, ...]
 
     def listing(self) -> str:
-        """For messages."""
+        """Format all names for a message."""
         return "; ".join(
             f"{what}: {', '.join(names) or 'none'}"
             for what, names in (
@@ -38,14 +38,22 @@ class Names:
 
 
 @dataclass(frozen=True)
-class Described:
-    """A file with one joint: the model, the simulator that was made of it, and its mechanism."""
+class MechanismFile:
+    """A file with one joint, as it was read.
+
+    Attributes:
+        path: The file.
+        model: The ``mujoco.MjModel``.
+        simulator: The rig that was made of it.
+        mechanism: Its acceleration and simulation.
+        actuator: Number of the driven actuator; −1 where the input is a force at the joint.
+    """
 
     path: Path
     model: Any
     simulator: Simulator
     mechanism: Mechanism
-    driven: int
+    actuator: int
 
     @property
     def joint_name(self) -> str | None:
@@ -55,7 +63,7 @@ class Described:
     @property
     def actuator_name(self) -> str | None:
         """Name of the actuator; None where it has none."""
-        return self._name("mjOBJ_ACTUATOR", self.driven)
+        return self._name("mjOBJ_ACTUATOR", self.actuator)
 
     def body_name(self, body: int) -> str | None:
         """Name of a body; None where it has none."""
@@ -63,17 +71,17 @@ class Described:
 
     @property
     def gear(self) -> list[float]:
-        """All numbers of the actuator's gear."""
-        return [float(x) for x in self.model.actuator_gear[self.driven]]
+        """The six numbers of the actuator's gear."""
+        return [float(x) for x in self.model.actuator_gear[self.actuator]]
 
     @property
     def has_polynomials(self) -> bool:
-        """Whether this MuJoCo's damping may have a square and a cube."""
+        """Whether this version of MuJoCo has quadratic and cubic damping."""
         return hasattr(self.model, "dof_dampingpoly")
 
     @property
     def has_delays(self) -> bool:
-        """Whether this MuJoCo's actuators may be late."""
+        """Whether this version of MuJoCo has delays of actuators."""
         return hasattr(self.model, "actuator_delay")
 
     def in_degrees(self, text: XmlText) -> bool:
@@ -85,7 +93,7 @@ class Described:
         return int(self.model.jnt_type[0]) == hinge and (stated[-1] if stated else "degree") == "degree"
 
     def geom_masses(self, body: int) -> list[tuple[float | None, float]]:
-        """Mass, where one is stated, and density of each geom of a body, in the order of the file."""
+        """Return mass (None where the file has none) and density of each geom of a body in file order."""
         geoms = self._spec.bodies[body].geoms
         return [(None if isnan(float(g.mass)) else float(g.mass), float(g.density)) for g in geoms]
 
@@ -93,20 +101,20 @@ class Described:
     def _spec(self) -> Any:
         return load_optional("mujoco", PURPOSE).MjSpec.from_file(str(self.path))
 
-    def _name(self, kind: str, number: int) -> str | None:
+    def _name(self, kind: str, index: int) -> str | None:
         mujoco = load_optional("mujoco", PURPOSE)
-        return mujoco.mj_id2name(self.model, getattr(mujoco.mjtObj, kind), number) or None
+        return mujoco.mj_id2name(self.model, getattr(mujoco.mjtObj, kind), index) or None
 
 
 def load_model(file: Path) -> Any:
-    """Load a file with MuJoCo; UsageError with what MuJoCo says of it."""
+    """Load a file with MuJoCo; UsageError with MuJoCo's message where that fails."""
     if not file.is_file():
         raise UsageError(f"expected the MuJoCo file {file}, found none")
-    return load_apart(file, PURPOSE)
+    return load_in_subprocess(file, PURPOSE)
 
 
 def names_of(model: Any) -> Names:
-    """What a model has, by name; what has none is called by its number."""
+    """Return the names in a model; an element without one is named by its number."""
     mujoco = load_optional("mujoco", PURPOSE)
     kinds, sensors = mujoco.mjtObj, mujoco.mjtSensor
     wanted = (int(sensors.mjSENS_JOINTPOS), int(sensors.mjSENS_JOINTVEL))

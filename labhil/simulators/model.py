@@ -1,17 +1,20 @@
-"""What an analysis works on where the rig is a user's own simulator (satisfies ``physics.model.Model``)."""
+"""The model of a user's own simulator with all effects of the catalogue (a ``physics.model.Model``).
+
+``right_hand_side`` evaluates the simulator, ``confounded`` compares sensitivities.
+"""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labhil.errors import RecordingError
-from labhil.physics import sliding, tabulated
+from labhil.physics import sliding
 from labhil.physics.at_port import Course, Pushes
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
@@ -22,65 +25,58 @@ from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-from labhil.simulators.catalogue import Sizes, catalogue, rates
+from labhil.simulators.catalogue import Sizes, catalogue, velocities_of
 from labhil.simulators.confounded import find_confounded, find_dependent
-from labhil.simulators.laws import Kernels, kernels_of
-from labhil.simulators.probing import dead_parameters
-from labhil.simulators.stepped import Held, Stepped
-from labhil.simulators.tables import Reach, Shape, table_of
+from labhil.simulators.laws import Kernels
+from labhil.simulators.probing import find_dead_parameters
+from labhil.simulators.right_hand_side import LocalDynamics, RightHandSide, kernels_of
+from labhil.simulators.stepped import SteppedSimulator
+from labhil.simulators.tables import OperatingRange
 
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
 
-STATE_SPAN = 0.05
-"""Seconds over which the first position and velocity of a window are guessed."""
 
-PLACES = 12
-"""Places along a recording at which the stiffness of the right-hand side is evaluated."""
+@dataclass(frozen=True, slots=True)
+class SimulatorOptions:
+    """How a simulator is examined along a recording.
 
-FEWEST_ROWS = 40
-"""Samples that a scored horizon has at least."""
+    Attributes:
+        initial_time: Length of the straight line that gives the first state of a window, s.
+        n_operating_points: Samples of the recording at which the right-hand side is linearised.
+        min_horizon_samples: Shortest scored horizon in samples.
+        max_deviation: Deviation of a simulator's own steps from the fitted simulation above which a note
+            states it, relative to the motion.
+    """
 
-STRAYS = 0.1
-"""Share of the motion by which a simulator's own steps may differ from what is fitted without a note."""
-
-NUDGE = 1e-4
-REMEMBERED = 32
-_KERNELS: dict[int, tuple[Simulator, Kernels]] = {}
-
-
-def compiled_of(simulator: Simulator) -> Kernels:
-    """The kernels of a simulator, compiled once in a process; of stepped ones, once for all."""
-    if simulator.stepped is not None:
-        return Kernels(tabulated.look_up, tabulated.pulls, tabulated.run, tabulated.run_pushed)
-    entry = _KERNELS.get(id(simulator.f))
-    if entry is None or entry[0].f is not simulator.f or entry[0].states != simulator.states:
-        entry = _KERNELS[id(simulator.f)] = (simulator, kernels_of(simulator))
-    return entry[1]
+    initial_time: float = 0.05
+    n_operating_points: int = 12
+    min_horizon_samples: int = 40
+    max_deviation: float = 0.1
 
 
-class LocalDynamics(NamedTuple):
-    """The right-hand side at some values of its parameters: gain, inertia, and largest slopes."""
-
-    values: Any
-    gain: float
-    inertia: float
-    stiff: float
-    quick: float
+OPTIONS = SimulatorOptions()
 
 
 class SimulatorModel:
-    """The model of a user's simulator with the catalogue at its ports.
+    """A user's simulator with the effects of the catalogue at its coordinate, input and output.
 
-    Simulates the measured ones of position and velocity; the input is the simulator's own.
+    The outputs are the measured ones of position and velocity.
     """
 
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = False
     _extra: ExtraForce | None = None
 
-    def __init__(self, simulator: Simulator, rig: RigFile, record: Record | None = None) -> None:
-        self.simulator, self.nominal = simulator, simulator.nominal
+    def __init__(
+        self,
+        simulator: Simulator,
+        rig: RigFile,
+        record: Record | None = None,
+        *,
+        options: SimulatorOptions = OPTIONS,
+    ) -> None:
+        self.simulator, self.nominal, self._options = simulator, simulator.nominal, options
         self.kind = simulator.name
         self.position, self.velocity = simulator.states
         self.state_names = (self.position, _velocity_name(self.position, self.velocity))
@@ -94,60 +90,59 @@ class SimulatorModel:
         self.columns = [list(simulator.states).index(name) for name in simulator.outputs]
         self._velocity_column = self.columns.index(1) if 1 in self.columns else None
         self._path = InputPath()
-        self._remembered: dict[tuple[float, ...], LocalDynamics] = {}
-        self._places = np.array([[0.0, 0.0, 0.0], [0.3, 0.1, 0.1]])
-        self._held = Held() if simulator.stepped is None else simulator.stepped.held
-        self._reach = Reach()
-        self._shape: Shape | None = None
+        self._right_hand_side = RightHandSide(simulator)
+        self._non_smooth = self._right_hand_side.non_smooth
         parameters = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
-        self._set(parameters, {}, Sizes())
-        self._measure(parameters, record)
+        self._set_terms(parameters, {}, Sizes())
+        self._scale_to(parameters, record)
         self.horizon = rig.metric.horizon or simulator.horizon or self.sizes.horizon
         self.unobservable_terms: Mapping[str, str] = {}
         self.notes: list[str] = []
         if record is not None:
-            self._try_out(parameters, record)
+            self._examine(parameters, record)
 
-    def _set(self, parameters: tuple[Parameter, ...], terms: Mapping[str, Term], sizes: Sizes) -> None:
+    def _set_terms(self, parameters: tuple[Parameter, ...], terms: Mapping[str, Term], sizes: Sizes) -> None:
         self.sizes, self.terms = sizes, terms
         self.parameters = parameters + tuple(p for term in terms.values() for p in term.parameters)
         self._values = Values(self.fixed, self.parameters)
         self.state_scale = np.array([0.02 * sizes.span, 0.1 * sizes.speed])
 
-    def _measure(self, parameters: tuple[Parameter, ...], record: Record | None) -> None:
-        """Take scales and terms from a recording."""
+    def _scale_to(self, parameters: tuple[Parameter, ...], record: Record | None) -> None:
+        """Choose scales and terms by a recording."""
         sizes = Sizes()
         if record is not None:
-            self._look_along(record)
-            at = self._dynamics(start_values(parameters))
-            sizes = Sizes.of(record, self._velocity_column, at.inertia, at.gain)
-            rows = np.linspace(0, len(record) - 2, PLACES).astype(int)
-            begun = self.initial_states(record, Windows.of([(r, min(r + 8, len(record))) for r in rows]))
-            self._places = np.column_stack([begun, record.inputs[rows, 0]])
-            self._remembered.clear()
-            swing = 2.0 * np.pi / float(np.sqrt(max(self._dynamics(start_values(parameters)).stiff, 1e-12)))
-            shortest = FEWEST_ROWS * record.period
-            # one swing: what goes over its upper rest forgets within a few where it came from
-            sizes = replace(sizes, horizon=max(min(sizes.horizon, swing), shortest))
+            self._set_range(record)
+            dynamics = self._dynamics(start_values(parameters))
+            sizes = Sizes.of(record, self._velocity_column, dynamics.inertia, dynamics.gain)
+            rows = np.linspace(0, len(record) - 2, self._options.n_operating_points).astype(int)
+            initial = self.initial_states(record, Windows.of([(r, min(r + 8, len(record))) for r in rows]))
+            self._right_hand_side.set_operating_points(np.column_stack([initial, record.inputs[rows, 0]]))
+            period = (
+                2.0 * np.pi / float(np.sqrt(max(self._dynamics(start_values(parameters)).stiffness, 1e-12)))
+            )
+            min_horizon = self._options.min_horizon_samples * record.period
+            # one period: a pendulum that passes its upper rest forgets its past within a few
+            sizes = replace(sizes, horizon=max(min(sizes.horizon, period), min_horizon))
         length = self.simulator.states[self.position]
         channel, unit = next(iter(self.simulator.outputs.items()))
         drive = next(iter(self.simulator.inputs.values()))
-        self._set(
+        self._set_terms(
             parameters, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes
         )
 
-    def _look_along(self, record: Record) -> None:
-        """Take the range in which the simulator will be evaluated from a recording."""
-        place = record.outputs[:, 0] if self.columns[0] == 0 else None
+    def _set_range(self, record: Record) -> None:
+        """Choose the range in which the simulator is evaluated by a recording."""
+        positions = record.outputs[:, 0] if self.columns[0] == 0 else None
         speeds = np.concatenate(
-            [rates(recording, self._velocity_column) for recording in record.recordings()]
+            [velocities_of(recording, self._velocity_column) for recording in record.recordings()]
         )
-        self._reach = Reach.along(place, speeds, record.inputs[:, 0], record.max_horizon, self._held.clip)
-        self._shape = None
-        self._remembered.clear()
+        inputs, clip = record.inputs[:, 0], self._non_smooth.clip
+        self._right_hand_side.set_range(
+            OperatingRange.along(positions, speeds, inputs, record.max_horizon, clip)
+        )
 
-    def _try_out(self, parameters: tuple[Parameter, ...], record: Record) -> None:
-        """Find parameters that never reach the outputs, and effects that look like others."""
+    def _examine(self, parameters: tuple[Parameter, ...], record: Record) -> None:
+        """Fix parameters that have no effect of their own, and exclude effects that cannot be observed."""
         windows = _short_windows(record, self.horizon)
         states, theta = self.initial_states(record, windows), start_values(self.parameters)
 
@@ -159,63 +154,71 @@ class SimulatorModel:
                 f"simulator {self.kind!r}: expected finite outputs along the recording at the starts of its "
                 "parameters, found some that are none; give starts that are nearer, or bounds"
             )
-        dead = dead_parameters(simulate, theta, [p.name for p in parameters])
+        dead = find_dead_parameters(simulate, theta, [p.name for p in parameters])
         self.notes = [*self.simulator.notes]
         self.notes += [_dead_note(name, self.simulator, self.kind) for name in dead]
-        alive = self._without(parameters, dead)
+        estimated = self._fix(parameters, dead)
         if self.simulator.stepped is not None:
-            self.notes += self._compare_with_own_steps(self.simulator.stepped, record, windows, states)
-            same = find_dependent(self, alive, record, windows, states)
-            self.notes += [_same_note(name, self.simulator) for name in same]
-            alive = self._without(alive, same)
-        self.unobservable_terms = find_confounded(self, alive, record, windows, states)
+            self.notes += self._compare_with_steps(self.simulator.stepped, record, windows, states)
+            dependent = find_dependent(self, estimated, record, windows, states)
+            self.notes += [_dependent_note(name, self.simulator) for name in dependent]
+            estimated = self._fix(estimated, dependent)
+        self.unobservable_terms = find_confounded(self, estimated, record, windows, states)
         observable = {key: term for key, term in self.terms.items() if key not in self.unobservable_terms}
-        self._set(alive, observable, self.sizes)
+        self._set_terms(estimated, observable, self.sizes)
 
-    def _compare_with_own_steps(
-        self, stepped: Stepped, record: Record, windows: Windows, states: FloatArray
+    def _compare_with_steps(
+        self, stepped: SteppedSimulator, record: Record, windows: Windows, states: FloatArray
     ) -> list[str]:
-        """A note where the simulator's own steps differ from the fitted simulation."""
+        """Return a note where the simulator's own steps differ from the fitted simulation."""
         theta, index = start_values(self.parameters), index_of(self.parameters)
         for name, value in self.nominal.items():
             if name in index:
                 theta[index[name]] = value
-        numbers = [self._values.of(theta, name) for name in self.simulator.parameters]
+        own_values = [self._values.of(theta, name) for name in self.simulator.parameters]
         nodes = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
-        itself = stepped.roll_out(numbers, record, nodes, windows, states)[:, self.columns[0]]
-        if not np.isfinite(itself).all():
+        stepped_outputs = stepped.roll_out(own_values, record, nodes, windows, states)[:, self.columns[0]]
+        if not np.isfinite(stepped_outputs).all():
             raise RecordingError(
                 f"simulator {self.kind!r}: expected finite outputs where it steps along the recording by "
                 "itself, found some that are none; give starts that are nearer, or a shorter time step"
             )
         fitted = self._trajectory(theta, record, windows, states)[:, self.columns[0]]
-        share = float(np.sqrt(np.mean((itself - fitted) ** 2))) / (float(np.std(fitted)) or 1.0)
-        return [_strays_note(self.kind, share)] if share > STRAYS else []
+        share = float(np.sqrt(np.mean((stepped_outputs - fitted) ** 2))) / (float(np.std(fitted)) or 1.0)
+        return [_deviation_note(self.kind, share)] if share > self._options.max_deviation else []
 
-    def _without(self, parameters: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
-        """The parameters without these, which stay at their starts."""
+    def _fix(self, parameters: tuple[Parameter, ...], names: Collection[str]) -> tuple[Parameter, ...]:
+        """Fix these parameters at their starts; return the others."""
         self.fixed |= {p.name: p.starts[0] for p in parameters if p.name in names}
-        kept = tuple(p for p in parameters if p.name not in names)
-        self._set(kept, self.terms, self.sizes)
-        return kept
+        remaining = tuple(p for p in parameters if p.name not in names)
+        self._set_terms(remaining, self.terms, self.sizes)
+        return remaining
 
     def with_force(self, force: ExtraForce) -> SimulatorModel:
-        """The same simulator under one more force."""
+        """Return this model with one additional force."""
         forced = copy.copy(self)
         forced._extra = force
         return forced
 
     def horizon_at(self, theta: FloatArray) -> float:
-        """Scored horizon, s: as stated, or a swing, at most a period of the measured motion."""
+        """Return the scored horizon, s: as stated, or one period of the motion."""
         return self.horizon
 
     def prepare(self, record: Record) -> Record:
-        """The record itself."""
+        """Return the record as it is."""
         return record
 
     def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Straight lines through the first samples of each window, (w, 2); 0 for a place nobody measures."""
-        count = max(4, int(STATE_SPAN / record.period))
+        """Fit straight lines to the first samples of each window; 0 for a position that is not measured.
+
+        Args:
+            record: The recording.
+            windows: w windows.
+
+        Returns:
+            Position and velocity at the start of each window, (w, 2).
+        """
+        count = max(4, int(self._options.initial_time / record.period))
         states = np.zeros((len(windows), 2))
         for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
             stop = min(first + count, last)
@@ -229,7 +232,7 @@ class SimulatorModel:
         return states
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
-        """Measured states, (N, channels)."""
+        """Simulate the measured outputs of all windows, (N, channels), from position and velocity (w, 2)."""
         outputs = self._trajectory(theta, record, windows, states)[:, self.columns]
         outputs[:, 0] = self._values.apply_sensor(theta, record, windows, outputs[:, 0])
         return outputs
@@ -237,76 +240,48 @@ class SimulatorModel:
     def coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
-        """Position, velocity and input along the simulation."""
+        """Return position, velocity, input and acting drive along the simulation, (N,) each."""
         motion = self._trajectory(theta, record, windows, states)
-        along = {
+        motion_coordinates = {
             self.state_names[0]: motion[:, 0],
             self.state_names[1]: motion[:, 1],
             record.input_names[0]: record.inputs[windows.rows, 0],
         }
-        return {**along, **self.drive_coordinates(theta, record, windows, along)}
+        return {**motion_coordinates, **self.drive_coordinates(theta, record, windows, motion_coordinates)}
 
     def drive_coordinates(
-        self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
+        self,
+        theta: FloatArray,
+        record: Record,
+        windows: Windows,
+        motion_coordinates: Mapping[str, FloatArray],
     ) -> Mapping[str, FloatArray]:
-        """What acts of the input behind the way in."""
-        return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._on_the_way(theta, n))}
+        """Return the input behind delay, backlash, limits and lag, (N,)."""
+        return {
+            "acting_drive": self._path.at_samples(record, windows, lambda n: self._input_parameter(theta, n))
+        }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
-        """Force on the inertia at these coordinates; zero where it rests."""
+        """Return the generalised force on the inertia at these coordinates, (N,); zero where it rests."""
         x, v = (np.ascontiguousarray(coordinates[name]) for name in self.state_names)
         part, inertia = self._part(theta)
         force = self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia
         return np.asarray(force - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
-        """What starts are fractions of, from this recording."""
+        """Return the sizes of which starts are fractions, from this recording."""
         return characteristic_scales_of(record, self.sizes.force, self.sizes.speed)
 
     @cached_property
     def _kernels(self) -> Kernels:
-        return compiled_of(self.simulator)
+        return kernels_of(self.simulator)
 
     def _dynamics(self, theta: FloatArray) -> LocalDynamics:
-        """The right-hand side at these values, cached: most simulations change other parameters."""
-        names = self.simulator.parameters
-        numbers = tuple(self._values.of(theta, name) for name in names) or (0.0,)
-        dynamics = self._remembered.get(numbers)
-        if dynamics is None:
-            if len(self._remembered) >= REMEMBERED:
-                self._remembered.clear()
-            dynamics = self._remembered[numbers] = self._linearise(numbers)
-        return dynamics
-
-    def _linearise(self, numbers: tuple[float, ...]) -> LocalDynamics:
-        p, f = self._kernel_parameters(numbers), self._kernels.acceleration
-        gain = f(0.0, 0.0, 1.0, p) - f(0.0, 0.0, 0.0, p)
-        inertia = self._stated_inertia(numbers)
-        stiff = quick = 0.0
-        for x, v, u in self._places.tolist():
-            base = f(x, v, u, p)
-            stiff = max(stiff, abs(f(x + NUDGE, v, u, p) - base) / NUDGE)
-            quick = max(quick, abs(f(x, v + NUDGE, u, p) - base) / NUDGE)
-        mass = abs(inertia) if inertia is not None else 1.0 / max(abs(gain), 1e-12)
-        return LocalDynamics(p, gain, mass, stiff, quick)
-
-    def _stated_inertia(self, numbers: tuple[float, ...]) -> float | None:
-        if self.simulator.stepped is not None:
-            return self.simulator.stepped.inertia(numbers)
-        name = self.simulator.coordinate.inertia
-        return dict(zip(self.simulator.parameters, numbers, strict=False)).get(name)
-
-    def _kernel_parameters(self, numbers: tuple[float, ...]) -> Any:
-        """The simulator at these values, in the form that the kernels take."""
-        if self.simulator.stepped is None:
-            return self.simulator.records[2](*numbers)
-        ask = self.simulator.stepped.ask(numbers)
-        if self._shape is None:
-            self._shape = Shape.of(ask, self._reach, self.kind, self._held.rough)
-        return table_of(ask, self._reach, self._shape, self._held.clip)
+        numbers = tuple(self._values.of(theta, name) for name in self.simulator.parameters) or (0.0,)
+        return self._right_hand_side.at(numbers)
 
     def _part(self, theta: FloatArray) -> tuple[tuple[Any, Pushes], float]:
-        """What the kernel takes, and the inertia with what was added to it."""
+        """Return the argument of the kernels and the total inertia."""
         dynamics = self._dynamics(theta)
         inertia = dynamics.inertia + self._values.of(theta, "added_inertia.inertia")
 
@@ -321,38 +296,49 @@ class SimulatorModel:
         law = tuple(self._values.friction_law(theta, inertia).tolist())
         share = dynamics.inertia / inertia
         load = abs(dynamics.gain) * share
-        return (dynamics.values, Pushes(extra, law, share, load, dynamics.stiff, dynamics.quick)), inertia
+        return (
+            dynamics.values,
+            Pushes(extra, law, share, load, dynamics.stiffness, dynamics.damping),
+        ), inertia
 
-    def _on_the_way(self, theta: FloatArray, name: str) -> float:
-        """A value of the way in, with the delay that the simulator has of its own."""
-        delay = self._held.delay if name == "time_delay.delay" else 0.0
+    def _input_parameter(self, theta: FloatArray, name: str) -> float:
+        """Return a parameter of the input path; the simulator's own delay is part of the delay."""
+        delay = self._non_smooth.delay if name == "time_delay.delay" else 0.0
         return self._values.of(theta, name) + delay
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity of all windows, (N, 2)."""
-        nodes, values = self._path.nodes(record, 0, lambda name: self._on_the_way(theta, name))
+        """Simulate position and velocity of all windows, (N, 2)."""
+        nodes, values = self._path.nodes(record, 0, lambda name: self._input_parameter(theta, name))
         out = np.empty((len(windows.rows), 3))
-        begun = np.column_stack([states, np.zeros(len(states))])
+        initial = np.column_stack([states, np.zeros(len(states))])
         part, inertia = self._part(theta)
-        given = (record.t, nodes, values, windows.first, windows.last, begun, Stops(*self._held.stops, 0.0))
-        beside = self._values.additional_force(theta, inertia, self._extra, record)
-        if beside is None:
-            self._kernels.run(*given, part, Course(0.0), out)
+        arguments = (
+            record.t,
+            nodes,
+            values,
+            windows.first,
+            windows.last,
+            initial,
+            Stops(*self._non_smooth.stops, 0.0),
+        )
+        additional = self._values.additional_force(theta, inertia, self._extra, record)
+        if additional is None:
+            self._kernels.run(*arguments, part, Course(0.0), out)
         else:
-            beyond, along = beside
-            self._kernels.run_pushed(*given, Pushed(part, beyond), PushedCourse(Course(0.0), along), out)
+            force, course = additional
+            self._kernels.run_pushed(*arguments, Pushed(part, force), PushedCourse(Course(0.0), course), out)
         return out[:, :2]
 
 
 def _velocity_name(position: str, velocity: str) -> str:
-    """What analyses know to be zero at rest."""
+    """Return a name by which analyses recognise a velocity."""
     return velocity if velocity.endswith("_velocity") else f"{position}_velocity"
 
 
 def _short_windows(record: Record, horizon: float) -> Windows:
-    """A few windows along a record, each of a horizon at most."""
+    """Choose up to 8 windows along a record, each of a horizon at most."""
     rows = max(8, int(horizon / record.period))
     spans = [
         (first, min(first + rows, end))
@@ -365,11 +351,11 @@ def _short_windows(record: Record, horizon: float) -> Windows:
 def _dead_note(name: str, simulator: Simulator, kind: str) -> str:
     return (
         f"{name} changes nothing in the simulated {', '.join(simulator.outputs)} of {kind}: its value never "
-        f"reached the simulation. It is left at {simulator.parameters[name].start:g} and not estimated."
+        f"reached the simulation. It stays at {simulator.parameters[name].start:g} and is not estimated."
     )
 
 
-def _strays_note(kind: str, share: float) -> str:
+def _deviation_note(kind: str, share: float) -> str:
     return (
         f"{kind}, stepping by itself from the same states, differs from what is fitted by {100 * share:.2g} "
         "% of the motion: a long time step of its own, soft dry friction, contacts or stops. `labhil patch` "
@@ -377,8 +363,8 @@ def _strays_note(kind: str, share: float) -> str:
     )
 
 
-def _same_note(name: str, simulator: Simulator) -> str:
+def _dependent_note(name: str, simulator: Simulator) -> str:
     return (
-        f"{name} is left at {simulator.parameters[name].start:g} as in the file: the outputs change with it "
+        f"{name} stays at {simulator.parameters[name].start:g} as in the file: the outputs change with it "
         "just as with the other parameters. State those under [known] to have it estimated."
     )

@@ -1,4 +1,4 @@
-"""Names of a simulator's file as names in labhil."""
+"""Names of signals and parameters from the names in a simulator's file."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import re
 
 
 def identifier(text: str) -> str:
-    """A name of letters, digits and _ that is near to any text."""
+    """Turn any text into a name of letters, digits and _."""
     name = re.sub(r"\W+", "_", text).strip("_") or "mechanism"
     return name if not name[0].isdigit() else f"_{name}"
 
 
 NO_PORT = "a column of outputs has no place where a force acts; give the simulator itself"
-"""Why forces are left open where only a simulation's output is at hand."""
+"""Why forces cannot be observed in a column of simulated outputs."""

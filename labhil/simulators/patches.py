@@ -1,4 +1,7 @@
-"""Identified values and effects as changes of a MuJoCo file; what it cannot hold is left over."""
+"""Write identified values and effects into a MuJoCo file with one joint; the format has no place for some.
+
+:mod:`labhil.simulators.companion` writes those as Python functions.
+"""
 
 from __future__ import annotations
 
@@ -7,140 +10,143 @@ from dataclasses import dataclass
 from math import ceil, degrees
 
 from labhil.errors import UsageError
-from labhil.simulators.mechanism import RUBS, Field, Value, read_value
-from labhil.simulators.mjcf_file import Described
+from labhil.simulators.mechanism import FRICTION_FIELDS, Field, Value, read_value
+from labhil.simulators.mjcf_file import MechanismFile
 from labhil.simulators.xml_text import Element, XmlText
 
-LONGER = 1.0 + 1e-9
-
-
-HOLDING = ("stribeck_friction.level", "static_friction.level")
-"""What holds at rest beyond dry friction: the file's dry friction holds with all of it, and what stands
-beside the file gives it back as the joint moves (see ``simulators.companion``)."""
+HOLDING_LEVELS = ("stribeck_friction.level", "static_friction.level")
+"""Extra friction at rest: the file's dry friction includes it, and the companion subtracts it in motion."""
 
 
 @dataclass(frozen=True, slots=True)
-class Patched:
-    """A file's text with its changes, and the values of effects that no attribute stands for.
+class PatchedFile:
+    """A file's text with its changes.
 
-    Its time step is the file's, cut into ``parts``. Where dry friction has to be firm and the format cannot
-    say so, that is ``unsaid``.
+    Attributes:
+        text: The text.
+        remaining: Values of effects for which the format has no attribute.
+        substeps: Number by which the time step of the file is divided.
+        needs_firm_friction: Whether dry friction has to be firm although the format has no attribute for it.
     """
 
     text: XmlText
-    left: Mapping[str, float]
-    parts: int = 1
-    unsaid: bool = False
+    remaining: Mapping[str, float]
+    substeps: int = 1
+    needs_firm_friction: bool = False
 
 
-def number(value: float) -> str:
-    """A number as it is written into a file."""
+def format_number(value: float) -> str:
+    """Format a number with six digits."""
     return f"{value:.6g}"
 
 
-def patch_mjcf(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
-    """Put values into the text of a file.
+def patch_mjcf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) -> PatchedFile:
+    """Write values into the text of an MJCF file.
 
     Args:
-        described: The file as it was read.
+        file: The file as it was read.
         text: Its text.
         values: Values of its own parameters and of effects, by name ("coulomb_friction.level").
 
     Returns:
-        The text with its changes, and what of the values no attribute can hold.
+        The text with its changes, and the remaining values.
 
     Raises:
-        UsageError: The file does not itself have what is to be changed (it includes another file).
+        UsageError: An element is not in the file itself (it includes another file).
     """
     if text.elements[0].tag != "mujoco":
         raise UsageError(
             f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
-    in_file = {value.name: value for value in described.mechanism.values}
-    remaining = with_holding(described, values)
+    in_file = {value.name: value for value in file.mechanism.values}
+    remaining = merge_holding_friction(file, values)
     for name, value in in_file.items():
         if name in remaining:
-            _set_value_of_file(described, text, value, remaining.pop(name))
-    for name, put in EFFECTS.items():
-        if name in remaining and put(described, text, remaining[name]):
+            _set_file_value(file, text, value, remaining.pop(name))
+    for name, write in EFFECTS.items():
+        if name in remaining and write(file, text, remaining[name]):
             del remaining[name]
-    return Patched(text, without_shapes(remaining))
+    return PatchedFile(text, drop_inactive(remaining))
 
 
-def with_holding(described: Described, values: Mapping[str, float]) -> dict[str, float]:
-    """Values with dry friction that holds with all of it; what the file has beside them is taken out."""
-    rubs = {name: 0.0 for field, name in RUBS.items() if read_value(described.model, field, 0) != 0.0}
-    merged = rubs | dict(values)
-    held = sum(merged.get(name, 0.0) for name in HOLDING)
-    if held:
-        merged[RUBS[Field.FRICTIONLOSS]] = merged.get(RUBS[Field.FRICTIONLOSS], 0.0) + held
-    return merged
+def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> dict[str, float]:
+    """Add extra static friction to the dry friction; friction of the file without a value becomes 0."""
+    own_friction = {
+        name: 0.0 for field, name in FRICTION_FIELDS.items() if read_value(file.model, field, 0) != 0.0
+    }
+    with_holding = own_friction | dict(values)
+    holding = sum(with_holding.get(name, 0.0) for name in HOLDING_LEVELS)
+    if holding:
+        with_holding[FRICTION_FIELDS[Field.FRICTIONLOSS]] = (
+            with_holding.get(FRICTION_FIELDS[Field.FRICTIONLOSS], 0.0) + holding
+        )
+    return with_holding
 
 
-def without_shapes(values: Mapping[str, float]) -> dict[str, float]:
-    """Values that do something."""
-    return {name: value for name, value in values.items() if value and _acts(name, values)}
+def drop_inactive(values: Mapping[str, float]) -> dict[str, float]:
+    """Drop values of effects whose strength is 0."""
+    return {name: value for name, value in values.items() if value and _has_effect(name, values)}
 
 
-def _acts(name: str, values: Mapping[str, float]) -> bool:
-    """Whether a value is one of an effect that does something, and not the shape of one that does not."""
+def _has_effect(name: str, values: Mapping[str, float]) -> bool:
+    """Whether the effect of a value has a strength that is not 0."""
     term = name.partition(".")[0]
-    shapes = {
+    strengths = {
         "stribeck_friction": ("stribeck_friction.level",),
         "cogging_torque": ("cogging_torque.sine", "cogging_torque.cosine"),
     }
-    return any(values.get(level) for level in shapes.get(term, (name,)))
+    return any(values.get(level) for level in strengths.get(term, (name,)))
 
 
-def stiffen_friction(described: Described, text: XmlText, parts: int = 1) -> None:
-    """Let MuJoCo's dry friction hold as firmly as its time step, cut into parts, allows."""
-    stiffen_element(text, _joint(described, text), described.mechanism.timestep / parts)
+def stiffen_friction(file: MechanismFile, text: XmlText, substeps: int = 1) -> None:
+    """Make MuJoCo's dry friction as firm as its time step, divided by ``substeps``, allows."""
+    stiffen_element(text, _joint_element(file, text), file.mechanism.timestep / substeps)
 
 
 def stiffen_element(text: XmlText, joint: Element, step: float) -> None:
-    """The same of one joint's element, for steps of so many seconds."""
-    why = "dry friction as firm as the time step allows"
-    text.set(joint, "solreffriction", f"{number(2.0 * step)} 1", why)
-    text.set(joint, "solimpfriction", "0.99 0.999 0.001", why)
+    """Make the dry friction of a joint's element as firm as a time step (s) allows."""
+    reason = "dry friction as firm as the time step allows"
+    text.set(joint, "solreffriction", f"{format_number(2.0 * step)} 1", reason)
+    text.set(joint, "solimpfriction", "0.99 0.999 0.001", reason)
 
 
-def shorten_step(described: Described, text: XmlText, parts: int) -> None:
-    """Let MuJoCo make several steps of one."""
-    step = described.mechanism.timestep / parts
-    why = "its own error of a step was larger than what is left"
-    options = [e for e in text.elements if e.tag == "option" and len(e.above) == 1]
+def shorten_step(file: MechanismFile, text: XmlText, substeps: int) -> None:
+    """Divide MuJoCo's time step by ``substeps``."""
+    step = file.mechanism.timestep / substeps
+    reason = "the error of a step was larger than the remaining error"
+    options = [e for e in text.elements if e.tag == "option" and len(e.ancestors) == 1]
     if options:
-        text.set(options[-1], "timestep", number(step), why)
+        text.set(options[-1], "timestep", format_number(step), reason)
     else:
-        text.add(text.elements[0], f'<option timestep="{number(step)}"/>', why)
+        text.add(text.elements[0], f'<option timestep="{format_number(step)}"/>', reason)
     for actuator in text.inside("", "actuator"):
         count = text.current(actuator, "nsample")
         if count is not None:
-            text.set(actuator, "nsample", str(int(count) * parts), why)
+            text.set(actuator, "nsample", str(int(count) * substeps), reason)
 
 
-def _set_value_of_file(described: Described, text: XmlText, value: Value, new: float) -> None:
-    """A value that the file has already."""
-    old = read_value(described.model, value.field, value.of)
+def _set_file_value(file: MechanismFile, text: XmlText, value: Value, new: float) -> None:
+    """Change a value that the file has already."""
+    old = read_value(file.model, value.field, value.index)
     if abs(new - old) <= 1e-9 * abs(old):
         return
-    why = f"{value.name}: {number(old)} → {number(new)} {value.unit}"
+    reason = f"{value.name}: {format_number(old)} → {format_number(new)} {value.unit}"
     match value.field:
         case Field.MASS:
-            _set_mass(described, text, value.of, new / old, why)
+            _set_mass(file, text, value.index, new / old, reason)
         case Field.GEAR:
-            set_part(text, _actuator(described, text), "gear", 0, new, described.gear, why)
+            set_part(text, _actuator_element(file, text), "gear", 0, new, file.gear, reason)
         case Field.KP | Field.KV:
-            _set_gain(text, _actuator(described, text), value.field.value, new, why)
+            _set_gain(text, _actuator_element(file, text), value.field.value, new, reason)
         case _:
-            _set_of_joint(described, text, value.field, new, why)
+            _set_joint_value(file, text, value.field, new, reason)
 
 
-def _set_of_joint(described: Described, text: XmlText, field: Field, new: float, why: str) -> None:
-    joint, model = _joint(described, text), described.model
+def _set_joint_value(file: MechanismFile, text: XmlText, field: Field, new: float, reason: str) -> None:
+    joint, model = _joint_element(file, text), file.model
     if field is Field.SPRINGREF:
-        angle = described.in_degrees(text)
-        text.set(joint, "springref", number(degrees(new) if angle else new), why)
+        angle = file.in_degrees(text)
+        text.set(joint, "springref", format_number(degrees(new) if angle else new), reason)
         return
     poly = {
         Field.DAMPING: ("damping", 0),
@@ -148,124 +154,140 @@ def _set_of_joint(described: Described, text: XmlText, field: Field, new: float,
         Field.CUBIC_DAMPING: ("damping", 2),
     }
     if field not in poly:
-        text.set(joint, field.value, number(new), why)
+        text.set(joint, field.value, format_number(new), reason)
         return
-    attribute, place = poly[field]
-    now = text.current(joint, attribute)
-    has = [read_value(model, f, 0) for f in poly] if now is None else [float(x) for x in now.split()]
-    set_part(text, joint, attribute, place, new, has, why)
+    attribute, position = poly[field]
+    current = text.current(joint, attribute)
+    parts_of_file = (
+        [read_value(model, f, 0) for f in poly] if current is None else [float(x) for x in current.split()]
+    )
+    set_part(text, joint, attribute, position, new, parts_of_file, reason)
 
 
 def set_part(
-    text: XmlText, element: Element, attribute: str, place: int, new: float, has: list[float], why: str
+    text: XmlText, element: Element, attribute: str, index: int, new: float, default: list[float], reason: str
 ) -> None:
-    """One of several numbers of an attribute; zeros at the end are left out."""
-    now = text.current(element, attribute)
-    parts = [number(x) for x in has] if now is None else now.split()
-    parts += ["0"] * (place + 1 - len(parts))
-    parts[place] = number(new)
-    if now is None:
+    """Set one of several numbers of an attribute.
+
+    Args:
+        text: The text.
+        element: The element.
+        attribute: Name of the attribute.
+        index: Which of its numbers.
+        new: The new number.
+        default: The numbers where the file does not have the attribute; zeros at its end are dropped.
+        reason: Reason of the change.
+    """
+    current = text.current(element, attribute)
+    parts = [format_number(x) for x in default] if current is None else current.split()
+    parts += ["0"] * (index + 1 - len(parts))
+    parts[index] = format_number(new)
+    if current is None:
         while len(parts) > 1 and float(parts[-1]) == 0.0:
             parts.pop()
-    text.set(element, attribute, " ".join(parts), why)
+    text.set(element, attribute, " ".join(parts), reason)
 
 
-def _set_gain(text: XmlText, actuator: Element, attribute: str, new: float, why: str) -> None:
+def _set_gain(text: XmlText, actuator: Element, attribute: str, new: float, reason: str) -> None:
     if actuator.tag not in ("position", "velocity", "intvelocity"):
         raise UsageError(
             f"{text.path}: {actuator.label()}: expected position or velocity, whose {attribute} can be "
             f"changed, found {actuator.tag}; state {attribute} under [known]"
         )
-    text.set(actuator, attribute, number(new), why)
+    text.set(actuator, attribute, format_number(new), reason)
 
 
-def _set_mass(described: Described, text: XmlText, body: int, ratio: float, why: str) -> None:
-    """A body's mass with its inertia: of its inertial element, else of its geoms."""
-    element = _body(described, text, body)
+def _set_mass(file: MechanismFile, text: XmlText, body: int, ratio: float, reason: str) -> None:
+    """Scale mass and inertia of a body: of its inertial element, else of its geoms."""
+    element = _body_element(file, text, body)
     inertial = text.children(element, "inertial")
     if inertial:
         for attribute in ("mass", "diaginertia", "fullinertia"):
-            _scale(text, inertial[0], attribute, ratio, why)
+            _scale(text, inertial[0], attribute, ratio, reason)
         return
-    masses = described.geom_masses(body)
+    masses = file.geom_masses(body)
     for geom, (mass, density) in zip(text.children(element, "geom"), masses, strict=True):
         if "mass" in geom.attributes or "density" in geom.attributes:
-            _scale(text, geom, "mass" if "mass" in geom.attributes else "density", ratio, why)
+            _scale(text, geom, "mass" if "mass" in geom.attributes else "density", ratio, reason)
         elif mass is not None:
-            text.set(geom, "mass", number(mass * ratio), why)
+            text.set(geom, "mass", format_number(mass * ratio), reason)
         else:
-            text.set(geom, "density", number(density * ratio), why)
+            text.set(geom, "density", format_number(density * ratio), reason)
 
 
-def _scale(text: XmlText, element: Element, attribute: str, ratio: float, why: str) -> None:
-    now = text.current(element, attribute)
-    if now is not None:
-        text.set(element, attribute, " ".join(number(float(x) * ratio) for x in now.split()), why)
+def _scale(text: XmlText, element: Element, attribute: str, ratio: float, reason: str) -> None:
+    current = text.current(element, attribute)
+    if current is not None:
+        text.set(
+            element, attribute, " ".join(format_number(float(x) * ratio) for x in current.split()), reason
+        )
 
 
-def _add_to_joint(field: Field, what: str) -> Callable[[Described, XmlText, float], bool]:
-    """An effect that is a value of the joint, or adds to it; none may come out negative."""
+def _add_to_joint(field: Field, label: str) -> Callable[[MechanismFile, XmlText, float], bool]:
+    """Make the writer of an effect that is a value of the joint, or adds to one; none may become negative."""
 
-    def put(described: Described, text: XmlText, value: float) -> bool:
-        old = read_value(described.model, field, 0)
-        new = value if field in RUBS else old + value
+    def write(file: MechanismFile, text: XmlText, value: float) -> bool:
+        old = read_value(file.model, field, 0)
+        new = value if field in FRICTION_FIELDS else old + value
         if new == old:
             return True
         linear = field in (Field.DAMPING, Field.FRICTIONLOSS, Field.ARMATURE)
         if new < 0.0 and linear:
             return False
-        if field in (Field.QUADRATIC_DAMPING, Field.CUBIC_DAMPING) and not described.has_polynomials:
+        if field in (Field.QUADRATIC_DAMPING, Field.CUBIC_DAMPING) and not file.has_polynomials:
             return False
-        _set_of_joint(described, text, field, new, f"{what} = {number(value)}")
+        _set_joint_value(file, text, field, new, f"{label} = {format_number(value)}")
         return True
 
-    return put
+    return write
 
 
-def _add_spring(described: Described, text: XmlText, value: float) -> bool:
-    """F = −k·x beside the file's own spring, which rests at springref: one spring that rests in between."""
-    model = described.model
+def _add_spring(file: MechanismFile, text: XmlText, value: float) -> bool:
+    """Merge F = −k·x with the file's own spring about springref: one spring with a reference in between."""
+    model = file.model
     if value == 0.0:
         return True
     stiffness, rest = read_value(model, Field.STIFFNESS, 0), read_value(model, Field.SPRINGREF, 0)
     if stiffness + value <= 0.0:
         return False
-    why = f"spring_force.stiffness = {number(value)}"
-    text.set(_joint(described, text), "stiffness", number(stiffness + value), why)
+    reason = f"spring_force.stiffness = {format_number(value)}"
+    text.set(_joint_element(file, text), "stiffness", format_number(stiffness + value), reason)
     if rest * stiffness:
-        _set_of_joint(described, text, Field.SPRINGREF, rest * stiffness / (stiffness + value), why)
+        _set_joint_value(file, text, Field.SPRINGREF, rest * stiffness / (stiffness + value), reason)
     return True
 
 
-def _add_delay(described: Described, text: XmlText, value: float) -> bool:
-    """A delayed control is read from a buffer of past ones, between two of them along a straight line."""
+def _add_delay(file: MechanismFile, text: XmlText, value: float) -> bool:
+    """Delay the control: MuJoCo interpolates linearly in a buffer of past ones."""
     if value == 0.0:
         return True
-    if described.driven < 0 or not described.has_delays:
+    if file.actuator < 0 or not file.has_delays:
         return False
-    actuator, delay = _actuator(described, text), described.mechanism.input_delay + value
-    why = f"time_delay.delay = {number(value)} s"
-    text.set(actuator, "nsample", str(ceil(delay / described.mechanism.timestep * LONGER) + 1), why)
-    text.set(actuator, "interp", "linear", why)
-    text.set(actuator, "delay", number(delay), why)
+    actuator, delay = _actuator_element(file, text), file.mechanism.input_delay + value
+    reason = f"time_delay.delay = {format_number(value)} s"
+    text.set(actuator, "nsample", str(ceil(delay / file.mechanism.timestep * (1.0 + 1e-9)) + 1), reason)
+    text.set(actuator, "interp", "linear", reason)
+    text.set(actuator, "delay", format_number(delay), reason)
     return True
 
 
-def _add_saturation(described: Described, text: XmlText, value: float) -> bool:
-    """The command is cut off at ± 1/s, as by ctrlrange."""
+def _add_saturation(file: MechanismFile, text: XmlText, value: float) -> bool:
+    """Limit the command to ± 1/s by ctrlrange."""
     if value == 0.0:
         return True
-    low, high = described.mechanism.held.clip
+    low, high = file.mechanism.non_smooth.clip
     limit = 1.0 / value
-    if described.driven < 0:
+    if file.actuator < 0:
         return False
-    actuator, why = _actuator(described, text), f"saturation at {number(limit)}"
-    text.set(actuator, "ctrllimited", "true", why)
-    text.set(actuator, "ctrlrange", f"{number(max(low, -limit))} {number(min(high, limit))}", why)
+    actuator, reason = _actuator_element(file, text), f"saturation at {format_number(limit)}"
+    text.set(actuator, "ctrllimited", "true", reason)
+    text.set(
+        actuator, "ctrlrange", f"{format_number(max(low, -limit))} {format_number(min(high, limit))}", reason
+    )
     return True
 
 
-EFFECTS: Mapping[str, Callable[[Described, XmlText, float], bool]] = {
+EFFECTS: Mapping[str, Callable[[MechanismFile, XmlText, float], bool]] = {
     "viscous_friction.coefficient": _add_to_joint(Field.DAMPING, "viscous friction"),
     "quadratic_viscous_friction.coefficient": _add_to_joint(Field.QUADRATIC_DAMPING, "F = c₂·v·|v|, c₂"),
     "cubic_viscous_friction.coefficient": _add_to_joint(Field.CUBIC_DAMPING, "F = c₃·v³, c₃"),
@@ -277,29 +299,31 @@ EFFECTS: Mapping[str, Callable[[Described, XmlText, float], bool]] = {
 }
 
 
-def _joint(described: Described, text: XmlText) -> Element:
+def _joint_element(file: MechanismFile, text: XmlText) -> Element:
     joints = text.inside("joint", "worldbody")
-    return _one_of(text, joints, described.joint_name, "joint")
+    return _find_element(text, joints, file.joint_name, "joint")
 
 
-def _actuator(described: Described, text: XmlText) -> Element:
-    actuators = [e for e in text.inside("", "actuator") if text.elements[e.above[-1]].tag == "actuator"]
-    return _one_of(text, actuators, described.actuator_name, "actuator", described.driven)
+def _actuator_element(file: MechanismFile, text: XmlText) -> Element:
+    actuators = [e for e in text.inside("", "actuator") if text.elements[e.ancestors[-1]].tag == "actuator"]
+    return _find_element(text, actuators, file.actuator_name, "actuator", file.actuator)
 
 
-def _body(described: Described, text: XmlText, body: int) -> Element:
+def _body_element(file: MechanismFile, text: XmlText, body: int) -> Element:
     bodies = text.inside("body", "worldbody")
-    return _one_of(text, bodies, described.body_name(body), "body", body - 1)
+    return _find_element(text, bodies, file.body_name(body), "body", body - 1)
 
 
-def _one_of(text: XmlText, candidates: list[Element], name: str | None, what: str, place: int = 0) -> Element:
-    """The element of this name, or of this place where it has none."""
-    named = [e for e in candidates if name is not None and e.attributes.get("name") == name]
-    if len(named) == 1:
-        return named[0]
-    if name is None and place < len(candidates):
-        return candidates[place]
+def _find_element(
+    text: XmlText, candidates: list[Element], name: str | None, kind: str, index: int = 0
+) -> Element:
+    """Find the element of this name, or with this index where it has no name."""
+    matches = [e for e in candidates if name is not None and e.attributes.get("name") == name]
+    if len(matches) == 1:
+        return matches[0]
+    if name is None and index < len(candidates):
+        return candidates[index]
     raise UsageError(
-        f"{text.path}: expected the {what} {name or place!r} in this file, found none; where it is included "
+        f"{text.path}: expected the {kind} {name or index!r} in this file, found none; where it is included "
         "from another file, give that whole with --into"
     )

@@ -1,9 +1,9 @@
-"""A simulator is probed before it is used: what breaks is named with what was expected."""
+"""Call a simulator at a few states before it is used, and report what was expected and found."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,64 +13,118 @@ from labhil.signals import FloatArray
 if TYPE_CHECKING:
     from labhil.simulators.simulator import Simulator
 
-POINTS = (0.0, 0.1, -0.2)
-"""States at which f is called, of each in turn, in their own units."""
+PROBED_STATES = (0.0, 0.1, -0.2)
+"""Positions and velocities at which f is called, in their own units."""
 
-SAME, SAME_OF_STEPS, SAME_OF_SOLVERS = 1e-9, 1e-3, 1e-2
-"""Share by which a rate may be missed: as it is given, from a step, and from what a solver inside makes."""
-
-ROUNDED = 1e-6
-"""Share of an acceleration by which that of a step function may change through rounding."""
-
-SOLVED = 1e-3
-"""The same where a solver inside makes steps of its own, many of them Euler's."""
-
-MOVED = 1e-3
-"""Share of itself by which a parameter is moved to see whether anything changes."""
-
-NOTHING = 1e-12
-"""Change of the outputs, as a share of their size, that counts as none."""
+PROBED_INPUT = 0.5
 
 
-def probe(simulator: Simulator, same: float = SAME) -> None:
-    """Call f at a few states; UsageError with what was expected of it and what was found."""
-    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
-    for x in POINTS:
-        for v in POINTS:
-            state, u = (x, v), 0.5
-            first = _rates(simulator, 0.0, state, u, values)
-            again = _rates(simulator, 0.0, state, u, values)
-            if first != again:
-                _refuse(simulator, f"the same rates for the same state, found {first} and then {again}")
-            if _rates(simulator, 7.0, state, u, values) != first:
+class Tolerances(NamedTuple):
+    """Accuracy of the rates of a simulator.
+
+    Attributes:
+        rate: Error of the position's rate, relative to the velocity.
+        acceleration: Change of the acceleration by rounding, relative to the acceleration.
+    """
+
+    rate: float
+    acceleration: float
+
+
+EXACT = Tolerances(1e-9, 0.0)
+"""Rates that f returns."""
+
+FROM_STEPS = Tolerances(1e-3, 1e-6)
+"""Rates from short steps."""
+
+FROM_SOLVER = Tolerances(1e-2, 1e-3)
+"""Rates from short runs of a solver with steps of its own, often Euler's."""
+
+
+def probe(simulator: Simulator, tolerances: Tolerances = EXACT) -> None:
+    """Check that f gives repeatable rates of a position and its velocity that do not depend on time.
+
+    Args:
+        simulator: The simulator.
+        tolerances: Accuracy of its rates.
+
+    Raises:
+        UsageError: What was expected of f, and what was found.
+    """
+    values = start_numbers(simulator)
+    for x in PROBED_STATES:
+        for v in PROBED_STATES:
+            rates = _rates(simulator, 0.0, (x, v), values)
+            again = _rates(simulator, 0.0, (x, v), values)
+            if rates != again:
+                _refuse(simulator, f"the same rates for the same state, found {rates} and then {again}")
+            if _rates(simulator, 7.0, (x, v), values) != rates:
                 _refuse(simulator, "rates that do not depend on t (give such a course as an input)")
-            if abs(first[0] - v) > same * max(abs(v), 1.0):
+            if abs(rates[0] - v) > tolerances.rate * max(abs(v), 1.0):
                 position, velocity = simulator.states
-                _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {first[0]:g}")
+                _refuse(simulator, f"the rate of {position} to be {velocity} = {v:g}, found {rates[0]:g}")
 
 
 def probe_once(simulator: Simulator) -> None:
-    """Call f once; UsageError where it cannot be called, or gives something else than rates."""
-    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
-    _rates(simulator, 0.0, (POINTS[1], POINTS[2]), 0.5, values)
+    """Call f once; UsageError where it cannot be called, or does not return rates."""
+    _rates(simulator, 0.0, (PROBED_STATES[1], PROBED_STATES[2]), start_numbers(simulator))
 
 
-def is_damped(simulator: Simulator, same: float = 0.0) -> bool:
-    """Whether its acceleration changes with the velocity anywhere, by more than a share ``same`` of it."""
-    values = [quantity.start for quantity in simulator.parameters.values()] or [0.0]
+def is_damped(simulator: Simulator, tolerances: Tolerances = EXACT) -> bool:
+    """Whether the acceleration of a simulator depends on the velocity at any probed position."""
+    values = start_numbers(simulator)
     accelerations = np.array(
-        [[_rates(simulator, 0.0, (x, v), 0.5, values)[1] for v in POINTS] for x in POINTS]
+        [[_rates(simulator, 0.0, (x, v), values)[1] for v in PROBED_STATES] for x in PROBED_STATES]
     )
-    return bool(np.any(np.ptp(accelerations, axis=1) > same * np.max(np.abs(accelerations), initial=0.0)))
+    size = np.max(np.abs(accelerations), initial=0.0)
+    return bool(np.any(np.ptp(accelerations, axis=1) > tolerances.acceleration * size))
+
+
+def start_numbers(simulator: Simulator) -> list[float]:
+    """Return the starts of all parameters; a single 0 where there are none."""
+    return [quantity.start for quantity in simulator.parameters.values()] or [0.0]
+
+
+def find_dead_parameters(
+    simulate: Callable[[FloatArray], FloatArray],
+    theta: FloatArray,
+    names: Sequence[str],
+    *,
+    step: float = 1e-3,
+    max_change: float = 1e-12,
+) -> tuple[str, ...]:
+    """Find parameters that change nothing in the simulated outputs.
+
+    Args:
+        simulate: Parameter values to outputs.
+        theta: Parameter values, those of the named parameters first.
+        names: Names of the parameters.
+        step: Change of a parameter, relative to its value.
+        max_change: Change of the outputs that counts as none, relative to their size.
+
+    Returns:
+        Their names.
+    """
+    outputs = simulate(theta)
+    size = float(np.nanmax(np.abs(outputs), initial=0.0)) or 1.0
+    dead = []
+    for i, name in enumerate(names):
+        moved = theta.copy()
+        moved[i] += step * (abs(theta[i]) or 1.0)
+        if float(np.nanmax(np.abs(simulate(moved) - outputs), initial=0.0)) <= max_change * size:
+            dead.append(name)
+    return tuple(dead)
 
 
 def _rates(
-    simulator: Simulator, t: float, state: tuple[float, float], u: float, values: list[float]
+    simulator: Simulator, t: float, state: tuple[float, float], values: list[float]
 ) -> tuple[float, float]:
     states, inputs, parameters = simulator.records
-    where = f"at x = {state}, u = {u:g}"
+    where = f"at x = {state}, u = {PROBED_INPUT:g}"
     try:
-        rates = np.asarray(simulator.f(t, states(*state), inputs(u), parameters(*values)), dtype=np.float64)
+        rates = np.asarray(
+            simulator.f(t, states(*state), inputs(PROBED_INPUT), parameters(*values)), dtype=np.float64
+        )
     except UsageError:
         raise
     except Exception as error:
@@ -84,20 +138,5 @@ def _rates(
     return float(rates[0]), float(rates[1])
 
 
-def _refuse(simulator: Simulator, what: str) -> None:
-    raise UsageError(f"simulator {simulator.name!r}: expected {what}")
-
-
-def dead_parameters(
-    simulate: Callable[[FloatArray], FloatArray], theta: FloatArray, names: list[str]
-) -> tuple[str, ...]:
-    """Names of the parameters (first in ``theta``) that change nothing in what is simulated when moved."""
-    base = simulate(theta)
-    size = float(np.nanmax(np.abs(base), initial=0.0)) or 1.0
-    dead = []
-    for i, name in enumerate(names):
-        moved = theta.copy()
-        moved[i] += MOVED * (abs(theta[i]) or 1.0)
-        if float(np.nanmax(np.abs(simulate(moved) - base), initial=0.0)) <= NOTHING * size:
-            dead.append(name)
-    return tuple(dead)
+def _refuse(simulator: Simulator, expected: str) -> None:
+    raise UsageError(f"simulator {simulator.name!r}: expected {expected}")

@@ -1,4 +1,4 @@
-"""A Python function that simulates a whole input, as a simulator (see ``simulators.stepped.Stepped``)."""
+"""A Python function that simulates a whole input, as a simulator (see :mod:`labhil.simulators.stepped`)."""
 
 from __future__ import annotations
 
@@ -12,64 +12,71 @@ from labhil.errors import UsageError
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.pointwise import accelerations_at, extrapolate_rates
-from labhil.simulators.rollouts import means
-from labhil.simulators.stepped import Held, Nodes
-from labhil.simulators.tables import Ask
+from labhil.simulators.rollouts import interval_means
+from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.tables import Acceleration
 
 RolloutFunction = Callable[[Any, FloatArray, Any, Any], Any]
 """``simulate(p, t, u, x0)`` to the states (n, 2) at times t (n,), which begin at 0; ``u.NAME`` is an array
 (n,) of what is held from each time to the next, ``x0`` the states at the first."""
 
-LENGTHS = (1e-4, 1e-3, 1e-2)
-"""Of the short steps (s) from which an acceleration is taken; the first at which the position moves."""
-
-PROBE = (0.1, 0.5)
-MOVES = 0.05
-"""Share of the velocity by which a short step may miss it."""
-
 
 class PythonRollout:
-    """A user's function with the names of what it takes."""
+    """A user's function with the classes of its arguments."""
 
-    held = Held()
+    non_smooth = NonSmooth()
 
     def __init__(self, simulate: RolloutFunction, name: str, records: tuple[Any, Any, Any]) -> None:
         self._simulate, self._name, self._records = simulate, name, records
-        self._length = LENGTHS[0]
+        self._step = 1e-4
 
-    def settle(self, starts: Sequence[float]) -> None:
-        """Choose the length of short steps: what goes on in steps of its own rests within shorter ones."""
-        for length in LENGTHS:
-            self._length = length
-            moved = self.rates(starts, PROBE, 0.0)[0]
-            if abs(moved - PROBE[1]) <= MOVES * PROBE[1]:
+    def choose_step(
+        self,
+        starts: Sequence[float],
+        *,
+        steps: Sequence[float] = (1e-4, 1e-3, 1e-2),
+        state: tuple[float, float] = (0.1, 0.5),
+        tolerance: float = 0.05,
+    ) -> None:
+        """Choose the first step in which the position moves: one with its own steps needs longer ones.
+
+        Args:
+            starts: Values of the parameters.
+            steps: Steps to try, s.
+            state: Position and velocity from which they are tried.
+            tolerance: Error of the position's rate, relative to the velocity.
+        """
+        for step in steps:
+            self._step = step
+            rate = self.rates(starts, state, 0.0)[0]
+            if abs(rate - state[1]) <= tolerance * state[1]:
                 return
-        self._length = LENGTHS[0]
+        self._step = steps[0]
 
     def rates(self, numbers: Sequence[float], state: Sequence[float], drive: float) -> list[float]:
-        """Rates of both states, from a short step and one of twice its length (Richardson)."""
-        h, begin = self._length, np.asarray(state, dtype=np.float64)
+        """Take the rates of both states from a short step and one of twice its length."""
+        h, begin = self._step, np.asarray(state, dtype=np.float64)
         motion = self._run(numbers, h * np.arange(3.0), np.full(3, drive), begin)
         return [float(x) for x in extrapolate_rates(begin, motion[1], motion[2], h)]
 
-    def ask(self, numbers: Sequence[float]) -> Ask:
-        """Its acceleration, from short rollouts."""
+    def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
+        """Return the acceleration from short runs."""
         return partial(accelerations_at, partial(self.rates, numbers))
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """Only its input is known to push."""
+        """Return None: forces act like the input."""
         return None
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity (N, 2): one call for each window, under the mean of the input."""
+        """Simulate each window in one call, under the mean of the input, (N, 2)."""
         motions = []
         for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
             t = record.t[first:last]
-            drives = means(nodes, t) if len(t) > 1 else np.zeros(1)
-            held = np.append(drives, drives[-1])[: len(t)]
-            motions.append(self._run(numbers, t - t[0], held, np.asarray(states[w], dtype=np.float64)))
+            drives = interval_means(nodes, t) if len(t) > 1 else np.zeros(1)
+            drives_held = np.append(drives, drives[-1])[: len(t)]
+            motions.append(self._run(numbers, t - t[0], drives_held, np.asarray(states[w], dtype=np.float64)))
         return np.concatenate(motions)
 
     def _run(

@@ -1,4 +1,4 @@
-"""A simulator's own rollouts as a model: what its file really does, effects on the way in and out beside."""
+"""A model that steps the simulator itself: it scores a file as it is, with effects of input and sensor."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from labhil.simulators.simulator import Simulator
 
 
 class RolledOutModel(SimulatorModel):
-    """The model of which nothing is tabulated: every window is stepped by the simulator itself.
+    """A model without a table: the simulator steps every window.
 
-    It is slow and serves to score a file as it stands; forces are the file's own.
+    It is slow, and forces are those of the file alone.
     """
 
     def __init__(self, simulator: Simulator, rig: RigFile, record: Record) -> None:
         if simulator.stepped is None:
             raise UsageError(f"simulator {simulator.name!r}: expected one that is stepped, found a function")
-        self._itself = simulator.stepped
+        self._stepped = simulator.stepped
         super().__init__(simulator, rig, record)
 
-    def _try_out(self, parameters: object, record: Record) -> None:
+    def _examine(self, parameters: object, record: Record) -> None:
         """Nothing is fitted here."""
 
     def _trajectory(
@@ -30,4 +30,4 @@ class RolledOutModel(SimulatorModel):
     ) -> FloatArray:
         nodes = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         numbers = [self._values.of(theta, name) for name in self.simulator.parameters]
-        return self._itself.roll_out(numbers, record, nodes, windows, states)
+        return self._stepped.roll_out(numbers, record, nodes, windows, states)

@@ -1,4 +1,4 @@
-"""Windows of a recording as MuJoCo itself steps them, from a state that is set at the begin of each."""
+"""Let MuJoCo step the windows of a recording, each from a given state."""
 
 from __future__ import annotations
 
@@ -13,117 +13,125 @@ from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.stepped import Nodes
 
-THREADS = 2
 
-MOST_STEPS = 10_000_000
-"""Steps of all windows together: they take 400 MB."""
+class Actuation(NamedTuple):
+    """Where a mechanism takes its input.
 
-
-class Driven(NamedTuple):
-    """Where a mechanism takes its input: a control, or a force at its joint; ``actuator`` is −1 for that."""
+    Attributes:
+        actuator: Number of the actuator; −1 where the input is a force at the joint.
+        control: Number of its control.
+    """
 
     actuator: int
     control: int
 
 
-Push = Callable[[float, float, float], float]
-"""(position, velocity, force of the actuator) to one more force at the joint."""
+JointForce = Callable[[float, float, float], float]
+"""(position, velocity, force of the actuator) to an additional force at the joint."""
 
 
 def roll_out(
     model: Any,
-    driven: Driven,
+    actuation: Actuation,
     record: Record,
     nodes: Nodes,
     windows: Windows,
     states: FloatArray,
-    push: Push | None = None,
+    joint_force: JointForce | None = None,
+    *,
+    threads: int = 2,
+    max_steps: int = 10_000_000,
 ) -> FloatArray:
     """Step a model with one degree of freedom through all windows at once.
 
-    MuJoCo steps evenly at its own time step. In each step the input is its mean over the step, and what lies
-    between two steps is read off the cubic through both.
+    MuJoCo steps evenly at its own time step. In each step the input is its mean over the step; samples
+    between two steps are on the cubic through both.
 
     Args:
         model: A ``mujoco.MjModel``.
         driven: Where the input goes.
         record: The recording.
         nodes: Times and values of the input.
-        windows: Stretches of the recording.
-        states: Position and velocity (w, 2) that each begins with.
-        push: One more force; with it the windows are stepped one by one.
+        windows: w windows of the recording, N samples in total.
+        states: Position and velocity at the start of each window, (w, 2).
+        joint_force: An additional force; with it the windows are stepped one by one.
+        threads: Threads that step windows.
+        max_steps: Most steps of all windows together; 10 million take 400 MB.
 
     Returns:
-        Position and velocity (N, 2) at the samples of all windows.
+        Position and velocity, (N, 2).
+
+    Raises:
+        UsageError: The time step of the file makes too many steps.
     """
     mujoco, rollout = load_optional("mujoco", "an MJCF file"), load_optional("mujoco.rollout", "an MJCF file")
-    step, begins = float(model.opt.timestep), record.t[windows.first]
-    steps = int(min(np.ceil(np.max(record.t[windows.last - 1] - begins) / step), MOST_STEPS)) + 1
-    if steps * len(begins) > MOST_STEPS:
+    step, starts = float(model.opt.timestep), record.t[windows.first]
+    steps = int(min(np.ceil(np.max(record.t[windows.last - 1] - starts) / step), max_steps)) + 1
+    if steps * len(starts) > max_steps:
         raise UsageError(
-            f"expected a MuJoCo file whose time step makes at most {MOST_STEPS} steps of a recording, found "
+            f"expected a MuJoCo file whose time step makes at most {max_steps} steps of a recording, found "
             f'timestep="{step:g}"'
         )
-    edges = begins[:, None] + step * np.arange(steps + 1)
-    control = means(nodes, edges)[:, :, None]
-    if push is not None:
-        motion = _step_with_push(model, driven, nodes, begins, states, control[:, :, 0], push)
-        return _at_samples(record, windows, begins, motion, step)
-    if driven.actuator >= 0 and model.nu > 1:
-        control = control * np.eye(model.nu)[driven.control]
-    kinds = mujoco.mjtState
-    data = [mujoco.MjData(model) for _ in range(THREADS)]
-    begun = np.array(
-        [_state(model, data[0], driven, nodes, t, s) for t, s in zip(begins, states, strict=True)]
+    edges = starts[:, None] + step * np.arange(steps + 1)
+    control = interval_means(nodes, edges)[:, :, None]
+    if joint_force is not None:
+        motion = _step_with_force(model, actuation, nodes, starts, states, control[:, :, 0], joint_force)
+        return _at_samples(record, windows, starts, motion, step)
+    if actuation.actuator >= 0 and model.nu > 1:
+        control = control * np.eye(model.nu)[actuation.control]
+    flags = mujoco.mjtState
+    data = [mujoco.MjData(model) for _ in range(threads)]
+    initial = np.array(
+        [_full_state(model, data[0], actuation, nodes, t, s) for t, s in zip(starts, states, strict=True)]
     )
-    spec = kinds.mjSTATE_CTRL if driven.actuator >= 0 else kinds.mjSTATE_QFRC_APPLIED
-    full_states, _ = rollout.rollout(model, data, begun, control, control_spec=int(spec), nstep=steps)
+    spec = flags.mjSTATE_CTRL if actuation.actuator >= 0 else flags.mjSTATE_QFRC_APPLIED
+    full_states, _ = rollout.rollout(model, data, initial, control, control_spec=int(spec), nstep=steps)
     # of a full state the time is first, then position and velocity of the only degree of freedom
-    motion = np.concatenate([begun[:, None, 1:3], full_states[:, :, 1:3]], axis=1)
-    return _at_samples(record, windows, begins, motion, step)
+    motion = np.concatenate([initial[:, None, 1:3], full_states[:, :, 1:3]], axis=1)
+    return _at_samples(record, windows, starts, motion, step)
 
 
 def _at_samples(
-    record: Record, windows: Windows, begins: FloatArray, motion: FloatArray, step: float
+    record: Record, windows: Windows, starts: FloatArray, motion: FloatArray, step: float
 ) -> FloatArray:
     return np.concatenate(
         [
-            _between(record.t[first:last] - t, motion[w], step)
-            for w, (first, last, t) in enumerate(zip(windows.first, windows.last, begins, strict=True))
+            _interpolate(record.t[first:last] - t, motion[w], step)
+            for w, (first, last, t) in enumerate(zip(windows.first, windows.last, starts, strict=True))
         ]
     )
 
 
-def _step_with_push(
+def _step_with_force(
     model: Any,
-    driven: Driven,
+    actuation: Actuation,
     nodes: Nodes,
-    begins: FloatArray,
+    starts: FloatArray,
     states: FloatArray,
     control: FloatArray,
-    push: Push,
+    joint_force: JointForce,
 ) -> FloatArray:
-    """Position and velocity (w, steps + 1, 2), with a force that is evaluated in every step."""
+    """Step the windows one by one with a force that is evaluated in every step, (w, steps + 1, 2)."""
     mujoco = load_optional("mujoco", "an MJCF file")
     data = mujoco.MjData(model)
-    out = np.empty((len(begins), control.shape[1] + 1, 2))
+    out = np.empty((len(starts), control.shape[1] + 1, 2))
     spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    for w, now in enumerate(begins):
-        mujoco.mj_setState(model, data, _state(model, data, driven, nodes, now, states[w]), spec)
+    for w, start in enumerate(starts):
+        mujoco.mj_setState(model, data, _full_state(model, data, actuation, nodes, start, states[w]), spec)
         out[w, 0] = states[w]
         for k, u in enumerate(control[w].tolist()):
-            direct = 0.0 if driven.actuator >= 0 else u
-            if driven.actuator >= 0:
-                data.ctrl[driven.control] = u
-            drive = u if driven.actuator < 0 else float(data.qfrc_actuator[0])
-            data.qfrc_applied[0] = direct + push(float(data.qpos[0]), float(data.qvel[0]), drive)
+            direct = 0.0 if actuation.actuator >= 0 else u
+            if actuation.actuator >= 0:
+                data.ctrl[actuation.control] = u
+            drive = u if actuation.actuator < 0 else float(data.qfrc_actuator[0])
+            data.qfrc_applied[0] = direct + joint_force(float(data.qpos[0]), float(data.qvel[0]), drive)
             mujoco.mj_step(model, data)
             out[w, k + 1] = data.qpos[0], data.qvel[0]
     return out
 
 
-def means(nodes: Nodes, edges: FloatArray) -> FloatArray:
-    """Mean of an input over the stretches (…, n) between edges (…, n + 1); it keeps its first and last."""
+def interval_means(nodes: Nodes, edges: FloatArray) -> FloatArray:
+    """Average an input over the intervals (…, n) between edges (…, n + 1); it is constant beyond its ends."""
     t, u = nodes
     first, last = float(np.min(edges)) - 1.0, float(np.max(edges)) + 1.0
     t = np.concatenate([[min(first, t[0])], t, [max(last, t[-1])]])
@@ -132,29 +140,31 @@ def means(nodes: Nodes, edges: FloatArray) -> FloatArray:
     k = np.clip(np.searchsorted(t, edges, side="right") - 1, 0, len(t) - 2)
     width = np.maximum(t[k + 1] - t[k], 1e-300)
     past = edges - t[k]
-    upto = area[k] + past * (u[k] + 0.5 * (u[k + 1] - u[k]) * past / width)
-    return np.asarray(np.diff(upto, axis=-1) / np.diff(edges, axis=-1))
+    integral = area[k] + past * (u[k] + 0.5 * (u[k + 1] - u[k]) * past / width)
+    return np.asarray(np.diff(integral, axis=-1) / np.diff(edges, axis=-1))
 
 
-def _state(model: Any, data: Any, driven: Driven, nodes: Nodes, now: float, state: FloatArray) -> FloatArray:
-    """The full state of MuJoCo at the begin of a window, with the past of a delayed input."""
+def _full_state(
+    model: Any, data: Any, actuation: Actuation, nodes: Nodes, start: float, state: FloatArray
+) -> FloatArray:
+    """MuJoCo's full state at the start of a window, with the history of a delayed input."""
     mujoco = load_optional("mujoco", "an MJCF file")
     mujoco.mj_resetData(model, data)
-    data.time, data.qpos[0], data.qvel[0] = now, *state
-    if driven.actuator >= 0 and hasattr(model, "nhistory"):
-        count = int(model.actuator_history[driven.actuator][0])
+    data.time, data.qpos[0], data.qvel[0] = start, *state
+    if actuation.actuator >= 0 and hasattr(model, "nhistory"):
+        count = int(model.actuator_history[actuation.actuator][0])
         if count:
-            edges = now + model.opt.timestep * np.arange(-count, 1)
-            past = np.ascontiguousarray(means(nodes, edges)[:, None])
-            mujoco.mj_initCtrlHistory(model, data, driven.actuator, edges[:-1].copy(), past)
+            edges = start + model.opt.timestep * np.arange(-count, 1)
+            past = np.ascontiguousarray(interval_means(nodes, edges)[:, None])
+            mujoco.mj_initCtrlHistory(model, data, actuation.actuator, edges[:-1].copy(), past)
     spec = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
     full_state = np.empty(mujoco.mj_stateSize(model, spec))
     mujoco.mj_getState(model, data, full_state, spec)
     return full_state
 
 
-def _between(t: FloatArray, motion: FloatArray, step: float) -> FloatArray:
-    """Position and velocity (n, 2) at times since the begin, from those at even steps."""
+def _interpolate(t: FloatArray, motion: FloatArray, step: float) -> FloatArray:
+    """Interpolate position and velocity at times since the start by cubics between even steps, (n, 2)."""
     k = np.minimum((t / step + 1e-9).astype(int), len(motion) - 2)
     s = (t / step - k)[:, None]
     before, after = motion[k], motion[k + 1]

@@ -1,4 +1,7 @@
-"""What a user says of a simulator: its right-hand side, its names, and where forces act."""
+"""Describe a simulator by a Python function: its states, inputs, parameters, and where forces act.
+
+:mod:`labhil.simulators.probing` calls the function, :mod:`labhil.simulators.model` makes a model of it.
+"""
 
 from __future__ import annotations
 
@@ -17,37 +20,41 @@ from labhil.physics.rigs import RigModel, declare_model
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
 from labhil.simulators.probing import (
-    ROUNDED,
-    SAME,
-    SAME_OF_SOLVERS,
-    SAME_OF_STEPS,
-    SOLVED,
+    EXACT,
+    FROM_SOLVER,
+    FROM_STEPS,
     is_damped,
     probe,
     probe_once,
+    start_numbers,
 )
 from labhil.simulators.python_rollout import PythonRollout, RolloutFunction
 from labhil.simulators.python_step import PythonStep, StepFunction, rates_of
 
 if TYPE_CHECKING:
-    from labhil.simulators.stepped import Stepped
+    from labhil.simulators.stepped import SteppedSimulator
 
 RightHandSide = Callable[[float, Any, Any, Any], Sequence[float]]
 """``f(t, x, u, p)`` to the rates of the states; x, u and p have their values by name and by number."""
 
 RATES, STEP, ROLLOUT = KINDS = ("rates", "step", "rollout")
-"""What a function may give: the rates of the states, the states a step later, or at all of many times."""
+"""What a function may return: rates of the states, the states after a step, or the states at given times."""
+
+TOLERANCES = {RATES: EXACT, STEP: FROM_STEPS, ROLLOUT: FROM_SOLVER}
 
 UNDAMPED = ("viscous_friction",)
-"""What a simulator without damping of its own begins with."""
+"""Terms that a diagnosis of a simulator without damping starts with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """A place where a generalised force may act: the port for friction, springs and other forces.
+    """A coordinate at which friction, springs and other generalised forces may act.
 
-    ``velocity`` names the state that is the rate of the coordinate. A force acts like the input ``like``, or
-    is divided by the parameter ``inertia`` and has the unit ``force``.
+    Attributes:
+        velocity: Name of the state that is the rate of the coordinate.
+        like: Name of the input that a force acts like; or
+        inertia: name of the parameter that a force is divided by, and
+        force: the unit of the force then.
 
     Example:
         >>> from labhil import Coordinate
@@ -63,11 +70,23 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Simulator:
-    """A simulator as its user describes it; made by :func:`simulator`. Wherever a rig may be named, it may.
+    """A simulator as its user describes it; it can be given wherever a rig can.
 
-    One that only answers when it is called, a step or a MuJoCo file, is ``stepped``; ``nominal`` are values
-    of a file that stand for the user's simulation, as ``[nominal]`` of a rig file would. ``notes`` say what
-    of a file is not part of what is fitted.
+    :func:`simulator` and the readers of files make it.
+
+    Attributes:
+        f: ``f(t, x, u, p)`` to the rates of the states.
+        name: Name of the rig kind.
+        states: Units of position and velocity by name.
+        inputs: Unit of the input by name.
+        outputs: Units of the measured states by name.
+        parameters: Start, unit and bounds by name.
+        position: Name of the position.
+        coordinate: Where forces act.
+        horizon: Length of the scored windows, s; None where a recording decides.
+        stepped: The simulator that is called point by point; None where ``f`` is compiled.
+        nominal: Values of a file, by key, as in ``[nominal]`` of a rig file.
+        notes: Parts of a file that are not part of the fitted model.
 
     Example:
         >>> import labhil as lh
@@ -91,13 +110,13 @@ class Simulator:
     position: str
     coordinate: Coordinate
     horizon: float | None
-    stepped: Stepped | None = None
+    stepped: SteppedSimulator | None = None
     nominal: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     @property
     def kind(self) -> RigKind:
-        """The rig kind that it is: its signals, and what ``[known]`` may say."""
+        """The rig kind: signals, and the keys that ``[known]`` may have."""
         signals = {
             Direction.INPUT: [
                 Signal(n, u, Direction.INPUT, hold=Hold.ZERO, description="of the simulator")
@@ -119,7 +138,7 @@ class Simulator:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file that says nothing but that the rig is this simulator."""
+        """A rig file with the kind alone."""
         return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"{self.name}.toml"))
 
     @property
@@ -129,7 +148,7 @@ class Simulator:
 
     @cached_property
     def records(self) -> tuple[Any, Any, Any]:
-        """What f takes for x, u and p: tuples with names."""
+        """Classes of the arguments x, u and p of f: named tuples."""
         return (
             namedtuple("States", tuple(self.states)),
             namedtuple("Inputs", tuple(self.inputs)),
@@ -149,15 +168,15 @@ def simulator(
     horizon: float | None = None,
     kind: str = RATES,
 ) -> Simulator:
-    """Describe a simulator by its right-hand side; the whole catalogue of effects is then there for it.
+    """Describe a simulator by its right-hand side, so that all effects of the catalogue can be fitted to it.
 
     The right-hand side is that of one coordinate: a position, its velocity and one input. It has to be
-    smooth: friction, stops of dead zones and the like are what the catalogue adds. numba compiles it. A
-    function that makes a step, or simulates a whole input, may be any Python: its acceleration is tabulated.
+    smooth: the catalogue adds friction, dead zones and the like. numba compiles it. A function that makes a
+    step, or simulates a whole input, may be any Python: its acceleration is tabulated.
 
     Args:
         f: ``f(t, x, u, p)`` to the rates of the states, in their order. ``x.angle``, ``u.torque`` and
-            ``p.inertia`` are the values by name; by number they are there too. With ``kind="step"``
+            ``p.inertia`` are the values by name; an index gives them, too. With ``kind="step"``
             ``f(x, u, p, dt)`` to the states ``dt`` s later; with ``kind="rollout"`` ``f(p, t, u, x0)`` to the
             states (n, 2) at the times ``t`` (n,), from ``x0`` at the first, where ``u.torque`` (n,) is held
             from each time to the next.
@@ -166,15 +185,15 @@ def simulator(
         parameters: Start, unit and bounds by name.
         outputs: Which states are measured; the position when absent.
         coordinates: Where forces act, by the name of the position. Without it a force acts like the input.
-        name: What the rig is called; the name of ``f`` when absent.
+        name: Name of the rig; that of ``f`` when absent.
         horizon: Length of the simulated windows by which it is scored, s; taken from the recording when
             absent.
         kind: ``"rates"`` where ``f`` gives the rates of the states, ``"step"`` where it makes a step,
             ``"rollout"`` where it simulates a whole input.
 
     Returns:
-        The simulator: :func:`labhil.fit`, :func:`labhil.diagnose`, :func:`labhil.model` and
-        :func:`labhil.recording` take it for a rig.
+        The simulator, to be given as a rig to :func:`labhil.fit`, :func:`labhil.diagnose`,
+        :func:`labhil.model` and :func:`labhil.recording`.
 
     Raises:
         UsageError: What was expected of ``f`` or of the names, and what was found.
@@ -192,43 +211,45 @@ def simulator(
         >>> rig.kind.name
         'pendulum'
     """
-    title = name or getattr(f, "__name__", "")
-    if not title.isidentifier():
-        raise UsageError(f"simulator: expected a name of letters, digits and _, found {title!r}")
+    name = name or getattr(f, "__name__", "")
+    _check_names(name, states, inputs)
+    position, velocity = states
+    measured = _measured_units(name, outputs, states)
+    quantities = {n: q if isinstance(q, Quantity) else Quantity(float(q)) for n, q in parameters.items()}
+    _check_quantities(name, quantities, {*states, *inputs})
+    coordinates = dict(coordinates or {position: Coordinate(velocity, like=next(iter(inputs)))})
+    if list(coordinates) != [position] or coordinates[position].velocity != velocity:
+        raise UsageError(
+            f"simulator {name!r}: expected one coordinate, {position!r} with velocity {velocity!r}, found "
+            f"{', '.join(f'{n!r} with {c.velocity!r}' for n, c in coordinates.items())}"
+        )
+    coordinate = coordinates[position]
+    _check_coordinate(name, coordinate, inputs, quantities)
+    if kind not in KINDS:
+        raise UsageError(f"simulator {name!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
+    rig = Simulator(f, name, dict(states), dict(inputs), measured, quantities, position, coordinate, horizon)
+    if kind == STEP:
+        rig = replace(rig, f=_rates_of_step(f), stepped=PythonStep(f, rig.records))
+    elif kind == ROLLOUT:
+        rig = _with_rollout(rig, f)
+    probe(rig, TOLERANCES[kind])
+    declare(rig, () if is_damped(rig, TOLERANCES[kind]) else UNDAMPED)
+    return rig
+
+
+def _check_names(name: str, states: Mapping[str, str], inputs: Mapping[str, str]) -> None:
+    if not name.isidentifier():
+        raise UsageError(f"simulator: expected a name of letters, digits and _, found {name!r}")
     if len(states) != 2 or len(inputs) != 1:
         raise UsageError(
-            f"simulator {title!r}: expected 2 states (a position and its velocity) and 1 input, found "
+            f"simulator {name!r}: expected 2 states (a position and its velocity) and 1 input, found "
             f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see "
             "docs/how-to/add-a-twin-and-a-rig.md"
         )
-    position, velocity = states
-    measured = _measured_units(title, outputs, states)
-    quantities = {n: q if isinstance(q, Quantity) else Quantity(float(q)) for n, q in parameters.items()}
-    _check_quantities(title, quantities, {*states, *inputs})
-    given = dict(coordinates or {position: Coordinate(velocity, like=next(iter(inputs)))})
-    if list(given) != [position] or given[position].velocity != velocity:
-        raise UsageError(
-            f"simulator {title!r}: expected one coordinate, {position!r} with velocity {velocity!r}, found "
-            f"{', '.join(f'{n!r} with {c.velocity!r}' for n, c in given.items())}"
-        )
-    _check_coordinate(title, given[position], inputs, quantities)
-    if kind not in KINDS:
-        raise UsageError(f"simulator {title!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
-    made = Simulator(
-        f,
-        title, dict(states), dict(inputs), measured, quantities, position, given[position], horizon,
-    )  # fmt: skip
-    if kind == STEP:
-        made = replace(made, f=_rates_of_step(f), stepped=PythonStep(f, made.records))
-    elif kind == ROLLOUT:
-        made = _with_rollout(made, f)
-    probe(made, {RATES: SAME, STEP: SAME_OF_STEPS, ROLLOUT: SAME_OF_SOLVERS}[kind])
-    declare(made, () if is_damped(made, {RATES: 0.0, STEP: ROUNDED, ROLLOUT: SOLVED}[kind]) else UNDAMPED)
-    return made
 
 
 def _rates_of_step(step: StepFunction) -> RightHandSide:
-    """The rates of a function that makes steps, as it is probed."""
+    """Make the rates of a function that makes steps."""
 
     def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
         return rates_of(step, x, u, p)
@@ -236,75 +257,80 @@ def _rates_of_step(step: StepFunction) -> RightHandSide:
     return rates
 
 
-def _with_rollout(made: Simulator, f: Any) -> Simulator:
-    """The simulator with a function that simulates a whole input: its rates are those of short rollouts."""
-    stepped = PythonRollout(f, made.name, made.records)
+def _with_rollout(rig: Simulator, f: Any) -> Simulator:
+    """Make a simulator of a function that simulates a whole input, with the rates of short runs."""
+    stepped = PythonRollout(f, rig.name, rig.records)
 
     def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
         return stepped.rates(list(p), list(x), float(u[0]))
 
-    with_rates = replace(made, f=rates, stepped=stepped)
+    with_rates = replace(rig, f=rates, stepped=stepped)
     probe_once(with_rates)
-    stepped.settle([quantity.start for quantity in made.parameters.values()] or [0.0])
+    stepped.choose_step(start_numbers(rig))
     return with_rates
 
 
-def declare(made: Simulator, baseline: tuple[str, ...]) -> None:
-    """Make a simulator's kind and model known in this process, with the terms that it begins with."""
+def declare(rig: Simulator, baseline: tuple[str, ...]) -> None:
+    """Declare the kind and the model of a simulator in this process.
+
+    Args:
+        rig: The simulator.
+        baseline: Terms that a diagnosis starts with.
+    """
     from labhil.simulators.model import SimulatorModel
 
-    def model(rig: RigFile, record: Any = None) -> Any:
-        return SimulatorModel(made, rig, record)
+    def model(rig_file: RigFile, record: Any = None) -> Any:
+        return SimulatorModel(rig, rig_file, record)
 
-    declare_kind(made.kind)
-    declare_model(made.name, RigModel(model, baseline, tuple(dict.fromkeys((*baseline, "coulomb_friction")))))
+    declare_kind(rig.kind)
+    declare_model(rig.name, RigModel(model, baseline, tuple(dict.fromkeys((*baseline, "coulomb_friction")))))
 
 
 def _measured_units(
-    title: str, outputs: Mapping[str, str] | Sequence[str] | None, states: Mapping[str, str]
+    rig_name: str, outputs: Mapping[str, str] | Sequence[str] | None, states: Mapping[str, str]
 ) -> dict[str, str]:
-    """Units of what is measured, by name of the state."""
+    """Return the units of the measured states by name."""
     names = tuple(states)[:1] if outputs is None else tuple(outputs)
     for name in names:
         if name not in states:
             raise UsageError(
-                f"simulator {title!r}: outputs: expected names of states, found {name!r}"
+                f"simulator {rig_name!r}: outputs: expected names of states, found {name!r}"
                 f"{suggestion(name, states)}; states: {', '.join(states)}"
             )
     if not names:
-        raise UsageError(f"simulator {title!r}: outputs: expected one at least, found none")
+        raise UsageError(f"simulator {rig_name!r}: outputs: expected one at least, found none")
     return {n: states[n] for n in states if n in names}
 
 
-def _check_quantities(title: str, quantities: Mapping[str, Quantity], taken: set[str]) -> None:
+def _check_quantities(rig_name: str, quantities: Mapping[str, Quantity], taken: set[str]) -> None:
     for name, quantity in quantities.items():
         low, high = quantity.bounds
         if name in taken:
-            raise UsageError(f"simulator {title!r}: {name!r} names a parameter and a signal; rename one")
+            raise UsageError(f"simulator {rig_name!r}: {name!r} names a parameter and a signal; rename one")
         if not isfinite(quantity.start) or not low <= quantity.start <= high or not low < high:
             raise UsageError(
-                f"simulator {title!r}: {name}: expected a start from {low:g} to {high:g}, found "
+                f"simulator {rig_name!r}: {name}: expected a start from {low:g} to {high:g}, found "
                 f"{quantity.start:g}"
             )
 
 
 def _check_coordinate(
-    title: str, coordinate: Coordinate, inputs: Mapping[str, str], quantities: Mapping[str, Quantity]
+    rig_name: str, coordinate: Coordinate, inputs: Mapping[str, str], quantities: Mapping[str, Quantity]
 ) -> None:
     for what, name, known in (("like", coordinate.like, inputs), ("inertia", coordinate.inertia, quantities)):
         if name and name not in known:
             raise UsageError(
-                f"simulator {title!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
+                f"simulator {rig_name!r}: coordinate {what}: unknown name {name!r}{suggestion(name, known)}; "
                 f"known: {', '.join(known)}"
             )
     if coordinate.inertia and not quantities[coordinate.inertia].bounds[0] > 0.0:
         quantity = quantities[coordinate.inertia]
         raise UsageError(
-            f"simulator {title!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
+            f"simulator {rig_name!r}: {coordinate.inertia}: expected an inertia above 0, as is its lower "
             f"bound; found a start of {quantity.start:g} and a lower bound of {quantity.bounds[0]:g}"
         )
     if bool(coordinate.like) == bool(coordinate.inertia):
         raise UsageError(
-            f"simulator {title!r}: coordinate: expected either `like` (an input that a force acts like) or "
-            "`inertia` (a parameter that divides it)"
+            f"simulator {rig_name!r}: coordinate: expected either `like` (an input that a force acts like) "
+            "or `inertia` (a parameter that divides it)"
         )

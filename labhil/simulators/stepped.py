@@ -1,4 +1,4 @@
-"""The interface of a simulator that is stepped or called and cannot be compiled."""
+"""The interface of a simulator that is called point by point and cannot be compiled."""
 
 from __future__ import annotations
 
@@ -10,44 +10,58 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.tables import NEGLIGIBLE, Ask
+from labhil.simulators.tables import ROUNDING, Acceleration
 
 Nodes = tuple[FloatArray, FloatArray]
-"""Times and values (m,) of an input that is straight in between; it jumps where a time is there twice."""
+"""Times and values (m,) of a piecewise linear input; it jumps where a time occurs twice."""
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """What of a simulator is no smooth acceleration, and is solved apart from it.
+class NonSmooth:
+    """Properties of a simulator that its smooth acceleration does not contain.
 
-    ``stops`` are the ends of its way, ``clip`` what its input is clipped to, ``delay`` (s) by how much that
-    acts late. ``rough`` is the share of its acceleration below which its own solver is not to be believed.
+    Attributes:
+        stops: End stops of the position.
+        clip: Limits of the input.
+        delay: Delay of the input, s.
+        rounding: Share of its acceleration below which its own solver is not accurate.
     """
 
     stops: tuple[float, float] = (-np.inf, np.inf)
     clip: tuple[float, float] = (-np.inf, np.inf)
     delay: float = 0.0
-    rough: float = NEGLIGIBLE
+    rounding: float = ROUNDING
 
 
-class Stepped(Protocol):
-    """A simulator of one coordinate that answers only when it is called."""
+class SteppedSimulator(Protocol):
+    """A simulator of one coordinate that can only be called."""
 
     @property
-    def held(self) -> Held:
-        """What is solved apart."""
+    def non_smooth(self) -> NonSmooth:
+        """Stops, limits and delay."""
         ...
 
-    def ask(self, numbers: Sequence[float]) -> Ask:
-        """Its smooth acceleration at these values of its parameters, in their order."""
+    def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
+        """Return the smooth acceleration at these values of its parameters, in their order."""
         ...
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """What a force at the coordinate is divided by; None where only its input is known to push."""
+        """Return the generalised force per acceleration; None where forces act like the input."""
         ...
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Position and velocity (N, 2) of all windows as the simulator itself steps them, with all it has."""
+        """Step all windows with everything that the simulator contains.
+
+        Args:
+            numbers: Values of its parameters.
+            record: The recording.
+            nodes: Times and values of the input.
+            windows: w windows of the recording, N samples in total.
+            states: Position and velocity at the start of each window, (w, 2).
+
+        Returns:
+            Position and velocity, (N, 2).
+        """
         ...

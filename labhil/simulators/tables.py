@@ -1,9 +1,9 @@
-"""The acceleration of a simulator that nobody can compile, as a table that is exact where it is smooth.
+"""Tabulate the acceleration of a simulator that cannot be compiled.
 
-MuJoCo, and a Python function that makes a step, are evaluated for their acceleration at points in position,
-velocity and input: at even nodes along the way, at Chebyshev's points of the other two. The slow evaluation
-happens once for each set of the simulator's own parameters; all windows and all effects are then simulated
-by one compiled kernel, with rests as events.
+MuJoCo, an FMU or a Python step function is evaluated for its acceleration at points in position, velocity and
+input: at even nodes of the position, at Chebyshev points of the other two. That happens once for each set of
+the simulator's own parameters. :mod:`labhil.physics.tabulated` then simulates all windows and all effects by
+one compiled kernel, with events.
 """
 
 from __future__ import annotations
@@ -20,28 +20,15 @@ from labhil.errors import UsageError
 from labhil.physics.tabulated import Table
 from labhil.signals import FloatArray
 
-Ask = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+Acceleration = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """Positions, velocities, inputs, each (m,), to accelerations (m,)."""
 
-MOST_VELOCITIES = 9
-MOST_INPUTS = 7
-PROBED = 7
-"""Points of velocity and input, and places along the way, at which the shape is determined."""
-
-NEGLIGIBLE = 1e-8
-SMOOTH = 1e-4
-"""Share of the acceleration's size: below the first a power is left out, above the second the last power of
-all shows that the acceleration has a corner or a jump."""
-
-CELLS = 160
-"""Along the way."""
-
-BEYOND = 2.0
-"""Times the largest recorded speed, up to which a simulation may go."""
+ROUNDING = 1e-8
+"""Share of the acceleration's size below which a power of velocity or input is rounding."""
 
 
-class Reach(NamedTuple):
-    """Where a table has to be right: position, size of the velocity, and input, SI."""
+class OperatingRange(NamedTuple):
+    """Range of position, velocity and input in which a table is valid, SI."""
 
     x_low: float = -np.pi
     x_high: float = np.pi
@@ -57,109 +44,163 @@ class Reach(NamedTuple):
         u: FloatArray,
         horizon: float,
         clip: tuple[float, float],
-    ) -> Reach:
-        """Around what a recording shows; positions that nobody measured begin at 0 in each window."""
+        *,
+        speed_margin: float = 2.0,
+    ) -> OperatingRange:
+        """Choose the range around what a recording contains.
+
+        Args:
+            x: Measured positions (n,); None where none is measured: then each window starts at 0.
+            speeds: Velocities (m,).
+            u: Inputs (n,).
+            horizon: Longest window, s.
+            clip: Limits of the input.
+            speed_margin: Largest simulated velocity over the largest recorded one.
+
+        Returns:
+            The range.
+        """
         speed = float(np.max(np.abs(speeds), initial=0.0)) or 1.0
         if x is None:
             low, high = -speed * horizon, speed * horizon
         else:
             low, high = float(np.min(x)), float(np.max(x))
         margin = max(0.5 * (high - low), 0.1 * speed) if x is not None else 0.0
-        ends = np.clip([np.min(u), np.max(u)], *clip)
-        least, most = float(ends[0]), float(ends[1])
-        half = 0.5 * (most - least) or abs(most) or 1.0
-        middle = 0.5 * (least + most)
-        return cls(low - margin, high + margin, BEYOND * speed, middle - half, middle + half)
+        limits = np.clip([np.min(u), np.max(u)], *clip)
+        u_low, u_high = float(limits[0]), float(limits[1])
+        half = 0.5 * (u_high - u_low) or abs(u_high) or 1.0
+        middle = 0.5 * (u_low + u_high)
+        return cls(low - margin, high + margin, speed_margin * speed, middle - half, middle + half)
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
-    """How many powers of input and velocity an acceleration has within a reach."""
+class TableShape:
+    """Number of powers of input and velocity that an acceleration needs within a range."""
 
     inputs: int
     velocities: int
 
     @classmethod
-    def of(cls, ask: Ask, reach: Reach, name: str, rough: float = NEGLIGIBLE) -> Shape:
-        """Sample a few places, and leave out powers below ``rough``; UsageError where it is not smooth."""
-        x = np.linspace(reach.x_low, reach.x_high, PROBED)
-        accelerations = _sample(ask, x, reach, MOST_INPUTS, MOST_VELOCITIES)
+    def of(
+        cls,
+        acceleration: Acceleration,
+        where: OperatingRange,
+        name: str,
+        rounding: float = ROUNDING,
+        *,
+        n_positions: int = 7,
+        max_inputs: int = 7,
+        max_velocities: int = 9,
+        max_last_power: float = 1e-4,
+    ) -> TableShape:
+        """Determine the powers from samples at a few positions.
+
+        Args:
+            acceleration: The simulator at some values of its parameters.
+            where: Range of the table.
+            name: Name of the simulator, for the message.
+            rounding: Share of the acceleration's size below which a power is left out.
+            n_positions: Positions that are sampled.
+            max_inputs: Most powers of the input.
+            max_velocities: Most powers of the velocity.
+            max_last_power: Largest share of the last two powers. Larger ones show a corner or a jump.
+
+        Returns:
+            The shape.
+
+        Raises:
+            UsageError: The acceleration is not smooth in velocity or input.
+        """
+        x = np.linspace(where.x_low, where.x_high, n_positions)
+        accelerations = _sample(acceleration, x, where, max_inputs, max_velocities)
         size = float(np.max(np.abs(accelerations))) or 1.0
-        by_input = _strengths(accelerations, 1, size)
-        by_velocity = _strengths(accelerations, 2, size)
-        for what, strengths in (("input", by_input), ("velocity", by_velocity)):
-            if np.max(strengths[-2:]) > SMOOTH:
+        by_input = _coefficient_sizes(accelerations, 1, size)
+        by_velocity = _coefficient_sizes(accelerations, 2, size)
+        for what, sizes in (("input", by_input), ("velocity", by_velocity)):
+            if np.max(sizes[-2:]) > max_last_power:
                 raise UsageError(
                     f"simulator {name!r}: expected an acceleration that is smooth in its {what}, found one "
                     "with a corner or a jump; leave dry friction, dead zones and limits to the effects that "
                     "are offered (`labhil terms`)"
                 )
-        return cls(_count_needed(by_input, rough), _count_needed(by_velocity, rough))
+        return cls(_count_needed(by_input, rounding), _count_needed(by_velocity, rounding))
 
 
-def table_of(ask: Ask, reach: Reach, shape: Shape, clip: tuple[float, float]) -> Table:
-    """Fill a table.
+def fill_table(
+    acceleration: Acceleration,
+    where: OperatingRange,
+    shape: TableShape,
+    clip: tuple[float, float],
+    *,
+    cells: int = 160,
+) -> Table:
+    """Sample the acceleration and fit splines over the position.
 
     Args:
-        ask: The simulator at some values of its own parameters.
-        reach: Where the table has to be right.
-        shape: Powers of input and velocity that it needs.
-        clip: What the simulator clips its input to.
+        acceleration: The simulator at some values of its parameters.
+        where: Range of the table.
+        shape: Powers of input and velocity.
+        clip: Limits of the input.
+        cells: Number of cells of the position.
 
     Returns:
         The table.
+
+    Raises:
+        UsageError: An acceleration is not finite.
     """
-    cells = CELLS
-    x = np.linspace(reach.x_low, reach.x_high, cells + 1)
-    accelerations = _sample(ask, x, reach, shape.inputs, shape.velocities)
+    x = np.linspace(where.x_low, where.x_high, cells + 1)
+    accelerations = _sample(acceleration, x, where, shape.inputs, shape.velocities)
     powers = np.einsum(
         "ia,jb,xab->xij", _to_powers(shape.inputs), _to_powers(shape.velocities), accelerations, optimize=True
     )
     spline = np.asarray(CubicSpline(np.arange(cells + 1.0), powers, axis=0).c)
     return Table(
-        reach.x_low,
-        cells / (reach.x_high - reach.x_low),
-        reach.speed,
-        0.5 * (reach.u_low + reach.u_high),
-        0.5 * (reach.u_high - reach.u_low),
+        where.x_low,
+        cells / (where.x_high - where.x_low),
+        where.speed,
+        0.5 * (where.u_low + where.u_high),
+        0.5 * (where.u_high - where.u_low),
         *clip,
         np.ascontiguousarray(np.moveaxis(spline, 1, 0)),
     )
 
 
-def _sample(ask: Ask, x: FloatArray, reach: Reach, inputs: int, velocities: int) -> FloatArray:
-    """Accelerations (places, inputs, velocities) at Chebyshev's points of the last two."""
-    u = 0.5 * (reach.u_low + reach.u_high) + 0.5 * (reach.u_high - reach.u_low) * _points(inputs)
-    v = reach.speed * _points(velocities)
+def _sample(
+    acceleration: Acceleration, x: FloatArray, where: OperatingRange, inputs: int, velocities: int
+) -> FloatArray:
+    """Accelerations (positions, inputs, velocities) at Chebyshev points of the last two."""
+    u = 0.5 * (where.u_low + where.u_high) + 0.5 * (where.u_high - where.u_low) * _chebyshev_points(inputs)
+    v = where.speed * _chebyshev_points(velocities)
     places, drives, speeds = np.meshgrid(x, u, v, indexing="ij")
-    accelerations = ask(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
+    accelerations = acceleration(places.ravel(), speeds.ravel(), drives.ravel()).reshape(places.shape)
     if not np.isfinite(accelerations).all():
         raise UsageError(
             f"expected a simulator with finite accelerations, found others where the position is "
-            f"{reach.x_low:.4g} to {reach.x_high:.4g}, the velocity up to {reach.speed:.4g} and the input "
-            f"{reach.u_low:.4g} to {reach.u_high:.4g}"
+            f"{where.x_low:.4g} to {where.x_high:.4g}, the velocity up to {where.speed:.4g} and the input "
+            f"{where.u_low:.4g} to {where.u_high:.4g}"
         )
     return accelerations
 
 
-def _points(count: int) -> FloatArray:
-    """Points in −1 … 1; of a single one 0."""
+def _chebyshev_points(count: int) -> FloatArray:
+    """Points in −1 … 1, (count,); 0 for a single one."""
     return np.asarray(chebyshev.chebpts1(count)) if count > 1 else np.zeros(1)
 
 
 def _to_powers(count: int) -> FloatArray:
-    """Matrix from values at the points to coefficients of powers."""
-    return np.asarray(np.linalg.inv(np.vander(_points(count), increasing=True)))
+    """Matrix from values at the Chebyshev points to coefficients of powers."""
+    return np.asarray(np.linalg.inv(np.vander(_chebyshev_points(count), increasing=True)))
 
 
-def _strengths(accelerations: FloatArray, axis: int, size: float) -> FloatArray:
-    """Largest Chebyshev coefficient of each order along an axis, over the size."""
+def _coefficient_sizes(accelerations: FloatArray, axis: int, size: float) -> FloatArray:
+    """Largest Chebyshev coefficient of each order along an axis, relative to ``size``."""
     along = np.moveaxis(accelerations, axis, 0)
     count = len(along)
-    matrix = np.linalg.inv(chebyshev.chebvander(_points(count), count - 1))
+    matrix = np.linalg.inv(chebyshev.chebvander(_chebyshev_points(count), count - 1))
     return np.asarray(np.max(np.abs(matrix @ along.reshape(count, -1)), axis=1) / size)
 
 
-def _count_needed(strengths: FloatArray, rough: float) -> int:
-    counted = np.flatnonzero(strengths > rough)
-    return int(counted[-1]) + 1 if len(counted) else 1
+def _count_needed(sizes: FloatArray, rounding: float) -> int:
+    needed = np.flatnonzero(sizes > rounding)
+    return int(needed[-1]) + 1 if len(needed) else 1

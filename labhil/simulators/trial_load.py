@@ -1,7 +1,7 @@
-"""A MuJoCo file, loaded in a process of its own: a file that crashes it, or never ends, harms only that.
+"""Load a MuJoCo file in a process of its own, so that a file that crashes or never ends ends only that.
 
 MuJoCo reads XML, meshes and pictures in C, and ``<replicate count="…">`` makes a million bodies of a line.
-The process has bounds on memory and time; what it loaded comes back as MuJoCo's own binary form.
+The process has limits on memory and time; it returns the model in MuJoCo's binary format.
 """
 
 from __future__ import annotations
@@ -18,89 +18,89 @@ from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.terminal import show
 
-CPU_SECONDS = 8
-"""Processor time for a file; meshes of a robot take one or two seconds."""
+MAX_CPU_SECONDS = 8
+"""Processor time for a file, s; the meshes of a robot take one or two."""
 
-WALL_SECONDS = 15.0
+MAX_WALL_SECONDS = 15.0
 
-MEMORY = 700 << 20
-"""Bytes of memory for a file, beyond those of MuJoCo itself."""
+MAX_MEMORY = 700 << 20
+"""Memory for a file in addition to that of MuJoCo itself, bytes."""
 
-MOST_PARTS = 20_000
-"""Bodies, or shapes, of a file with one joint."""
+MAX_PARTS = 20_000
+"""Largest number of bodies, and of shapes."""
 
 
-def load_apart(file: Path, purpose: str) -> Any:
-    """Load a file with MuJoCo.
+def load_in_subprocess(file: Path, purpose: str) -> Any:
+    """Load a file with MuJoCo in a process of its own.
 
     Args:
         file: An MJCF or URDF file.
-        purpose: What it is for, for the message where MuJoCo is not installed.
+        purpose: The feature that needs MuJoCo, for the message where that is not installed.
 
     Returns:
         A ``mujoco.MjModel``.
 
     Raises:
-        UsageError: What MuJoCo says of it, or that it takes more time or memory than a file may.
+        UsageError: MuJoCo cannot load it (with its message), or it exceeds the limits of time or memory.
     """
     mujoco = load_optional("mujoco", purpose)
     with tempfile.TemporaryDirectory(prefix="labhil-mujoco-") as folder:
         binary = Path(folder) / "model.mjb"
-        complaint = _load_error(file.resolve(), binary)
-        if complaint:
-            raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {complaint}")
-        # else MuJoCo writes warnings of a simulation to a file in the working directory
+        error = _load_error(file.resolve(), binary)
+        if error:
+            raise UsageError(f"{file}: expected a file that MuJoCo loads (MJCF, URDF), found: {error}")
+        # without this MuJoCo writes warnings of a simulation to a file in the working directory
         mujoco.set_mju_user_warning(lambda _text: None)
         return mujoco.MjModel.from_binary_path(str(binary))
 
 
 def _load_error(file: Path, binary: Path) -> str:
-    """What is wrong with a file; nothing where its binary form was written."""
+    """Return the error of loading a file; "" where its binary form was written."""
     command = [sys.executable, "-P", "-m", "labhil.simulators.trial_load", str(file), str(binary)]
     path = os.pathsep.join(entry for entry in sys.path if entry)
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             command,
-            cwd=binary.parent,  # where MuJoCo writes a log of its own
+            cwd=binary.parent,  # MuJoCo writes a log there
             env={**os.environ, "PYTHONPATH": path},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            timeout=WALL_SECONDS,
+            timeout=MAX_WALL_SECONDS,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"one that takes longer than {WALL_SECONDS:.0f} s"
-    if done.returncode == -signal.SIGXCPU:
-        return f"one that takes more than {CPU_SECONDS} s of processor time"
-    if done.returncode or not binary.is_file():
-        message = " ".join(done.stdout.decode("utf-8", "replace").split())
-        return message or f"one that ends its reader ({done.returncode})"
+        return f"one that takes longer than {MAX_WALL_SECONDS:.0f} s"
+    if process.returncode == -signal.SIGXCPU:
+        return f"one that takes more than {MAX_CPU_SECONDS} s of processor time"
+    if process.returncode or not binary.is_file():
+        message = " ".join(process.stdout.decode("utf-8", "replace").split())
+        return message or f"one that ends its reader ({process.returncode})"
     return ""
 
 
 def main() -> None:
-    """Load the file that is named first, and write it to the one that is named second; else print why not."""
+    """Load the file of the first argument and write it to that of the second, or print the error."""
     import mujoco
 
-    _bound()
+    _limit_resources()
     try:
         model = mujoco.MjModel.from_xml_path(sys.argv[1])
     except (ValueError, MemoryError) as error:
-        sys.exit(_tell(str(error) or f"one that needs more than {MEMORY >> 20} MB of memory"))
-    if max(model.nbody, model.ngeom) > MOST_PARTS:
+        sys.exit(_fail(str(error) or f"one that needs more than {MAX_MEMORY >> 20} MB of memory"))
+    if max(model.nbody, model.ngeom) > MAX_PARTS:
         size = f"{model.nbody} bodies with {model.ngeom} shapes"
-        sys.exit(_tell(f"{size}; at most {MOST_PARTS} of either are taken"))
+        sys.exit(_fail(f"{size}; at most {MAX_PARTS} of either are taken"))
     mujoco.mj_saveModel(model, sys.argv[2], None)
 
 
-def _tell(text: str) -> int:
+def _fail(text: str) -> int:
     show(text)
     return 1
 
 
-def _bound() -> None:
-    """Bound what the file may take, beyond what the process has taken already."""
+def _limit_resources() -> None:
+    """Limit processor time and memory of this process."""
     try:
         import resource
     except ImportError:  # not a POSIX system
@@ -108,8 +108,8 @@ def _bound() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     for what, limit in (
-        (resource.RLIMIT_CPU, CPU_SECONDS),
-        (resource.RLIMIT_AS, pages * resource.getpagesize() + MEMORY),
+        (resource.RLIMIT_CPU, MAX_CPU_SECONDS),
+        (resource.RLIMIT_AS, pages * resource.getpagesize() + MAX_MEMORY),
     ):
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))

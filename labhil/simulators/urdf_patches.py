@@ -1,4 +1,4 @@
-"""Values and effects of one joint as changes of a URDF file; what it cannot hold is left over."""
+"""Write identified values and effects into a URDF file with one joint; the format has no place for some."""
 
 from __future__ import annotations
 
@@ -6,70 +6,73 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from labhil.simulators.mechanism import RUBS, Field, read_value
-from labhil.simulators.mjcf_file import Described
-from labhil.simulators.patches import Patched, number, with_holding, without_shapes
+from labhil.simulators.mechanism import FRICTION_FIELDS, Field, read_value
+from labhil.simulators.mjcf_file import MechanismFile
+from labhil.simulators.patches import PatchedFile, drop_inactive, format_number, merge_holding_friction
 from labhil.simulators.urdf_text import inertial_of_link, scale_mass, set_dynamics, set_inertial
 from labhil.simulators.xml_text import XmlText
 
 ROTOR = "added_inertia.inertia"
-HELD = {RUBS[Field.DAMPING]: "damping", RUBS[Field.FRICTIONLOSS]: "friction"}
+JOINT_ATTRIBUTES = {
+    FRICTION_FIELDS[Field.DAMPING]: "damping",
+    FRICTION_FIELDS[Field.FRICTIONLOSS]: "friction",
+}
 
 
-def patch_urdf(described: Described, text: XmlText, values: Mapping[str, float]) -> Patched:
-    """Put values into the text of a URDF file with one joint that moves.
+def patch_urdf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) -> PatchedFile:
+    """Write values into the text of a URDF file with one joint that moves.
 
-    Inertia about the joint is written as that of its link, equal about all axes, which the joint cannot tell
-    from a rotor's.
+    URDF has no rotor inertia. It becomes inertia of the link, equal about all axes: that acts on the joint in
+    the same way.
 
     Args:
-        described: The file as it was read.
+        file: The file as it was read.
         text: Its text.
         values: Values of its own parameters and of effects, by name.
 
     Returns:
-        The text with its changes, and what of the values it cannot hold.
+        The text with its changes, and the remaining values.
 
     Raises:
-        UsageError: The file does not itself have what is to be changed.
+        UsageError: An element is not in the file.
     """
-    remaining, model = with_holding(described, values), described.model
-    joint, link = described.joint_name or "", described.body_name(int(model.jnt_bodyid[0])) or ""
-    for value in described.mechanism.values:
+    remaining, model = merge_holding_friction(file, values), file.model
+    joint, link = file.joint_name or "", file.body_name(int(model.jnt_bodyid[0])) or ""
+    for value in file.mechanism.values:
         if value.name in remaining and value.field is Field.MASS:
-            old, new = read_value(model, value.field, value.of), remaining.pop(value.name)
+            old, new = read_value(model, value.field, value.index), remaining.pop(value.name)
             if abs(new - old) > 1e-9 * old:
-                why = f"{value.name}: {number(old)} → {number(new)} {value.unit}"
-                scale_mass(text, described.body_name(value.of) or "", new / old, why)
-    for name, attribute in HELD.items():
+                reason = f"{value.name}: {format_number(old)} → {format_number(new)} {value.unit}"
+                scale_mass(text, file.body_name(value.index) or "", new / old, reason)
+    for name, attribute in JOINT_ATTRIBUTES.items():
         if remaining.get(name, -1.0) >= 0.0:
             new = remaining.pop(name)
-            if new != read_value(model, next(f for f, n in RUBS.items() if n == name), 0):
-                set_dynamics(text, joint, attribute, new, f"{name} = {number(new)}")
+            if new != read_value(model, next(f for f, n in FRICTION_FIELDS.items() if n == name), 0):
+                set_dynamics(text, joint, attribute, new, f"{name} = {format_number(new)}")
     inertia = remaining.pop(ROTOR, 0.0)
     if inertia:
         pi = inertial_of_link(text, link)
         pi[4:7] += inertia
-        set_inertial(text, link, pi, f"{ROTOR} = {number(inertia)}")
-    return Patched(text, without_shapes(remaining))
+        set_inertial(text, link, pi, f"{ROTOR} = {format_number(inertia)}")
+    return PatchedFile(text, drop_inactive(remaining))
 
 
-def shorten_urdf_step(described: Described, text: XmlText, parts: int) -> None:
-    """Say MuJoCo's time step in the element that URDF readers pass over."""
-    step = number(described.mechanism.timestep / parts)
-    why = "its own error of a step was larger than what is left"
+def shorten_urdf_step(file: MechanismFile, text: XmlText, substeps: int) -> None:
+    """Divide MuJoCo's time step by ``substeps``, in the element <mujoco> that other readers ignore."""
+    step = format_number(file.mechanism.timestep / substeps)
+    reason = "the error of a step was larger than the remaining error"
     root, options = text.elements[0], text.inside("option", "mujoco")
     extensions = text.children(root, "mujoco")
     if options:
-        text.set(options[-1], "timestep", step, why)
+        text.set(options[-1], "timestep", step, reason)
     elif extensions:
-        text.add(extensions[0], f'<option timestep="{step}"/>', why)
+        text.add(extensions[0], f'<option timestep="{step}"/>', reason)
     else:
-        text.add(root, f'<mujoco><option timestep="{step}"/></mujoco>', why)
+        text.add(root, f'<mujoco><option timestep="{step}"/></mujoco>', reason)
 
 
-def firm_friction(model: object, timestep: float) -> None:
-    """Let a loaded model's dry friction hold firmly: URDF cannot say so."""
+def stiffen_model_friction(model: object, timestep: float) -> None:
+    """Make the dry friction of a loaded model as firm as its time step (s) allows; URDF has no attribute."""
     solver = np.array([2.0 * timestep, 1.0])
     model.dof_solref[:] = solver  # type: ignore[attr-defined]
     model.dof_solimp[:, :3] = 0.99, 0.999, 0.001  # type: ignore[attr-defined]

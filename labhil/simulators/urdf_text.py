@@ -1,4 +1,4 @@
-"""Parts of a URDF's text: what a link carries, and how a joint rubs."""
+"""Read and change inertias of links and friction of joints in the text of a URDF file."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from labhil.physics.arm.links import inertial_of
 from labhil.physics.arm.rigid_body import PER_LINK
 from labhil.signals import FloatArray
 from labhil.simulators.arm_file import rotation_about
-from labhil.simulators.inertia import at_centre
+from labhil.simulators.inertia import centroidal
 from labhil.simulators.xml_text import Element, XmlText
 
 MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
-def tidy(values: FloatArray, form: str = "{:.6g}") -> list[str]:
-    """Numbers as they are written; what is nothing beside the largest is 0."""
+def format_numbers(values: FloatArray, form: str = "{:.6g}") -> list[str]:
+    """Format numbers; those below 1e-9 of the largest become 0."""
     least = 1e-9 * float(np.max(np.abs(values)))
     return [form.format(float(x) if abs(x) > least else 0.0) for x in values]
 
 
 def find_named(text: XmlText, tag: str, name: str) -> Element:
-    """The only <link> or <joint> of a name; UsageError where there is not one."""
-    matches = [e for e in text.elements if e.tag == tag and len(e.above) == 1]
+    """Return the <link> or <joint> of a name; UsageError unless there is exactly one."""
+    matches = [e for e in text.elements if e.tag == tag and len(e.ancestors) == 1]
     matches = [e for e in matches if e.attributes.get("name") == name]
     if len(matches) != 1:
         raise UsageError(f"{text.path}: expected one <{tag} name={name!r}>, found {len(matches)}")
     return matches[0]
 
 
-def set_dynamics(text: XmlText, joint: str, attribute: str, value: float, why: str) -> None:
+def set_dynamics(text: XmlText, joint: str, attribute: str, value: float, reason: str) -> None:
     """Set ``damping`` or ``friction`` of a joint."""
     element = find_named(text, "joint", joint)
     dynamics = text.children(element, "dynamics")
     if dynamics:
-        text.set(dynamics[0], attribute, f"{value:.6g}", why)
+        text.set(dynamics[0], attribute, f"{value:.6g}", reason)
     else:
-        text.add_attribute_of_new(element, "dynamics", attribute, f"{value:.6g}", why)
+        text.add_attribute_of_new(element, "dynamics", attribute, f"{value:.6g}", reason)
 
 
 def inertial_of_link(text: XmlText, link: str) -> FloatArray:
-    """Ten inertial parameters of a link, about its origin; zeros where it has none."""
+    """Return the ten inertial parameters of a link about its origin; zeros where it has none."""
     element = find_named(text, "link", link)
     parts = {e.tag: e for inertial in text.children(element, "inertial") for e in text.children(inertial)}
 
@@ -63,44 +63,44 @@ def inertial_of_link(text: XmlText, link: str) -> FloatArray:
     return inertial_of(stated("mass", "value", "0")[0], centre, six)
 
 
-def set_inertial(text: XmlText, link: str, pi: FloatArray, why: str) -> None:
-    """Set mass, <origin> and <inertia> of a link, whose axes are then those of the link."""
+def set_inertial(text: XmlText, link: str, pi: FloatArray, reason: str) -> None:
+    """Set mass, <origin> and <inertia> of a link, along the axes of the link."""
     element = find_named(text, "link", link)
-    m, centre, i = at_centre(pi)
-    place = " ".join(tidy(centre))
-    moments = dict(zip(MOMENTS, tidy(i[np.triu_indices(3)], "{:.9g}"), strict=True))
+    m, centre, i = centroidal(pi)
+    index = " ".join(format_numbers(centre))
+    moments = dict(zip(MOMENTS, format_numbers(i[np.triu_indices(3)], "{:.9g}"), strict=True))
     inertial = text.children(element, "inertial")
     if not inertial:
         stated = " ".join(f'{name}="{value}"' for name, value in moments.items())
-        mass = f'<origin xyz="{place}"/><mass value="{m:.6g}"/>'
-        text.add(element, f"<inertial>{mass}<inertia {stated}/></inertial>", why)
+        mass = f'<origin xyz="{index}"/><mass value="{m:.6g}"/>'
+        text.add(element, f"<inertial>{mass}<inertia {stated}/></inertial>", reason)
         return
     parts = {e.tag: e for e in text.children(inertial[0])}
     if "origin" in parts:
-        text.set(parts["origin"], "xyz", place, why)
-        text.drop(parts["origin"], "rpy", why)
+        text.set(parts["origin"], "xyz", index, reason)
+        text.drop(parts["origin"], "rpy", reason)
     else:
-        text.add(inertial[0], f'<origin xyz="{place}"/>', why)
-    text.set(parts["mass"], "value", f"{m:.6g}", why)
+        text.add(inertial[0], f'<origin xyz="{index}"/>', reason)
+    text.set(parts["mass"], "value", f"{m:.6g}", reason)
     for name, value in moments.items():
-        text.set(parts["inertia"], name, value, why)
+        text.set(parts["inertia"], name, value, reason)
 
 
-def scale_mass(text: XmlText, link: str, ratio: float, why: str) -> None:
-    """Scale the mass of a link and of those that are fixed to it, their inertia with it."""
+def scale_mass(text: XmlText, link: str, ratio: float, reason: str) -> None:
+    """Scale mass and inertia of a link and of those that are fixed to it."""
     for name in (link, *_links_fixed_to(text, link)):
         for inertial in text.children(find_named(text, "link", name), "inertial"):
             for part in text.children(inertial):
                 for attribute in {"mass": ("value",), "inertia": MOMENTS}.get(part.tag, ()):
-                    now = text.current(part, attribute)
-                    if now is not None and float(now):
-                        text.set(part, attribute, f"{float(now) * ratio:.6g}", why)
+                    current = text.current(part, attribute)
+                    if current is not None and float(current):
+                        text.set(part, attribute, f"{float(current) * ratio:.6g}", reason)
 
 
 def _links_fixed_to(text: XmlText, link: str) -> list[str]:
     links = []
-    for joint in (e for e in text.elements if e.tag == "joint" and len(e.above) == 1):
-        ends = {e.tag: e.attributes.get("link", "") for e in text.children(joint)}
-        if joint.attributes.get("type") == "fixed" and ends.get("parent") == link:
-            links += [ends["child"], *_links_fixed_to(text, ends["child"])]
+    for joint in (e for e in text.elements if e.tag == "joint" and len(e.ancestors) == 1):
+        links_of_joint = {e.tag: e.attributes.get("link", "") for e in text.children(joint)}
+        if joint.attributes.get("type") == "fixed" and links_of_joint.get("parent") == link:
+            links += [links_of_joint["child"], *_links_fixed_to(text, links_of_joint["child"])]
     return links

@@ -1,4 +1,4 @@
-"""An XML file whose attributes are changed in its text: all else stays as its author wrote it."""
+"""Change attributes in the text of an XML file; everything else stays as it was written."""
 
 from __future__ import annotations
 
@@ -12,24 +12,33 @@ from labhil.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """An element: tag, attributes, those around it from the root on, and its start tag in the text."""
+    """An element of an XML file.
+
+    Attributes:
+        number: Its number in the order of the file.
+        tag: Its tag.
+        attributes: Its attributes.
+        ancestors: Numbers of the elements around it, from the root on.
+        start: First byte of its start tag.
+        end: Byte after its start tag.
+    """
 
     number: int
     tag: str
     attributes: dict[str, str]
-    above: tuple[int, ...]
-    first: int
-    last: int
+    ancestors: tuple[int, ...]
+    start: int
+    end: int
 
     def label(self) -> str:
-        """For messages."""
+        """Format tag and name for a message."""
         name = self.attributes.get("name")
         return f"<{self.tag}>" if name is None else f'<{self.tag} name="{name}">'
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One attribute that is changed: of which element, from what to what (None: absent), and why."""
+    """A changed attribute (None: absent) of an element, and the reason; a row of the result's JSON."""
 
     element: str
     attribute: str
@@ -40,13 +49,13 @@ class Change:
 
 @dataclass
 class XmlText:
-    """A file's bytes with its elements, and the changes to make."""
+    """The bytes of an XML file, its elements, and the changes to make."""
 
     path: Path
     content: bytes
     elements: list[Element]
     changes: list[Change] = field(default_factory=list)
-    _wanted: dict[int, dict[str, str | None]] = field(default_factory=dict)
+    _changed_attributes: dict[int, dict[str, str | None]] = field(default_factory=dict)
     _added: dict[int, list[str]] = field(default_factory=dict)
 
     @classmethod
@@ -58,96 +67,97 @@ class XmlText:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
         return cls(path, content, _elements(path, content))
 
-    def inside(self, tag: str, around: str) -> list[Element]:
-        """Elements of a tag ("" for all) anywhere in one of another, in the order of the file."""
+    def inside(self, tag: str, ancestor: str) -> list[Element]:
+        """Return the elements of a tag ("" for all) below an element of another tag, in file order."""
         return [
             e
             for e in self.elements
-            if (not tag or e.tag == tag) and any(self.elements[k].tag == around for k in e.above)
+            if (not tag or e.tag == tag) and any(self.elements[k].tag == ancestor for k in e.ancestors)
         ]
 
     def children(self, element: Element, tag: str = "") -> list[Element]:
-        """Elements directly in another."""
+        """Return the children of an element."""
         return [
             e
             for e in self.elements
-            if e.above and e.above[-1] == element.number and (not tag or e.tag == tag)
+            if e.ancestors and e.ancestors[-1] == element.number and (not tag or e.tag == tag)
         ]
 
     def set(self, element: Element, attribute: str, value: str, why: str) -> None:
-        """Ask for an attribute's value; the same value as before is no change."""
+        """Set an attribute; the same value as before is no change."""
         before = self.current(element, attribute)
         if before == value:
             return
-        self._wanted.setdefault(element.number, {})[attribute] = value
+        self._changed_attributes.setdefault(element.number, {})[attribute] = value
         self.changes.append(Change(element.label(), attribute, before, value, why))
 
     def drop(self, element: Element, attribute: str, why: str) -> None:
-        """Ask for an attribute to be taken away; one that is absent is no change."""
+        """Remove an attribute; an absent one is no change."""
         before = self.current(element, attribute)
         if before is not None:
-            self._wanted.setdefault(element.number, {})[attribute] = None
+            self._changed_attributes.setdefault(element.number, {})[attribute] = None
             self.changes.append(Change(element.label(), attribute, before, None, why))
 
     def add(self, parent: Element, line: str, why: str) -> None:
-        """Ask for one more element, as text, before all others in a parent."""
+        """Insert an element, as text, before the other children of a parent."""
         self._added.setdefault(parent.number, []).append(line)
         self.changes.append(Change(parent.label(), "", None, line, why))
 
     def add_attribute_of_new(self, parent: Element, tag: str, attribute: str, value: str, why: str) -> None:
-        """Ask for an attribute of an element that is not there yet; of several, one element takes all."""
-        begun = f"<{tag} "
+        """Set an attribute of a new child; several attributes of a tag go into one element."""
+        prefix = f"<{tag} "
         lines = self._added.setdefault(parent.number, [])
-        place = next((k for k, line in enumerate(lines) if line.startswith(begun)), None)
+        place = next((k for k, line in enumerate(lines) if line.startswith(prefix)), None)
         if place is None:
-            lines.append(f'{begun}{attribute}="{value}"/>')
+            lines.append(f'{prefix}{attribute}="{value}"/>')
         else:
             lines[place] = lines[place].replace("/>", f' {attribute}="{value}"/>')
         self.changes.append(Change(f"{parent.label()}/<{tag}>", attribute, None, value, why))
 
     def current(self, element: Element, attribute: str) -> str | None:
-        """What an attribute has, changes included; None where it is absent."""
-        wanted = self._wanted.get(element.number, {})
-        return wanted.get(attribute, element.attributes.get(attribute))
+        """Return the value of an attribute with all changes; None where it is absent."""
+        attributes = self._changed_attributes.get(element.number, {})
+        return attributes.get(attribute, element.attributes.get(attribute))
 
     def changed(self) -> bytes:
-        """The file's bytes with all changes."""
+        """Return the file's bytes with all changes."""
         content = self.content
-        for number in sorted(self._wanted.keys() | self._added.keys(), reverse=True):
+        for number in sorted(self._changed_attributes.keys() | self._added.keys(), reverse=True):
             element = self.elements[number]
-            tag = content[element.first : element.last]
-            for attribute, value in self._wanted.get(number, {}).items():
-                tag = _without(tag, attribute) if value is None else _with_attribute(tag, attribute, value)
+            tag = content[element.start : element.end]
+            for attribute, value in self._changed_attributes.get(number, {}).items():
+                tag = (
+                    _drop_attribute(tag, attribute)
+                    if value is None
+                    else _set_attribute(tag, attribute, value)
+                )
             for line in self._added.get(number, ()):
                 tag += self._indent(element) + line.encode()
-            content = content[: element.first] + tag + content[element.last :]
+            content = content[: element.start] + tag + content[element.end :]
         return content
 
     def _indent(self, parent: Element) -> bytes:
-        """What stands before the first element in a parent: the end of a line, and spaces."""
-        inner = self.children(parent)
-        before = self.content[parent.last : inner[0].first] if inner else b"\n  "
+        """Return the line break and spaces before the first child of a parent."""
+        children = self.children(parent)
+        before = self.content[parent.end : children[0].start] if children else b"\n  "
         return before if before and not before.strip() else b"\n  "
 
 
 def _elements(path: Path, content: bytes) -> list[Element]:
     elements: list[Element] = []
-    open_ones: list[int] = []
+    open_elements: list[int] = []
     parser = expat.ParserCreate()
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        first = parser.CurrentByteIndex
-        elements.append(
-            Element(
-                len(elements), tag, dict(attributes), tuple(open_ones), first, _end_of_tag(content, first)
-            )
-        )
-        open_ones.append(len(elements) - 1)
+    def open_element(tag: str, attributes: dict[str, str]) -> None:
+        start, number = parser.CurrentByteIndex, len(elements)
+        end = _tag_end(content, start)
+        elements.append(Element(number, tag, dict(attributes), tuple(open_elements), start, end))
+        open_elements.append(number)
 
-    def end(tag: str) -> None:
-        open_ones.pop()
+    def close_element(tag: str) -> None:
+        open_elements.pop()
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler, parser.EndElementHandler = open_element, close_element
     try:
         parser.Parse(content, True)
     except expat.ExpatError as error:
@@ -155,19 +165,19 @@ def _elements(path: Path, content: bytes) -> list[Element]:
     return elements
 
 
-def _end_of_tag(content: bytes, first: int) -> int:
-    """Behind the > that ends a start tag; one inside of quotes does not."""
-    match = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(content, first)
+def _tag_end(content: bytes, start: int) -> int:
+    """Return the position after the > that ends a start tag; one inside of quotes does not."""
+    match = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(content, start)
     return len(content) if match is None else match.end()
 
 
-def _without(tag: bytes, name: str) -> bytes:
-    """A start tag without an attribute, and without the space before it."""
+def _drop_attribute(tag: bytes, name: str) -> bytes:
+    """Return a start tag without an attribute and the space before it."""
     return re.sub(rb"\s+" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", b"", tag, count=1)
 
 
-def _with_attribute(tag: bytes, name: str, value: str) -> bytes:
-    """A start tag with an attribute changed where it stands, or put behind the last one."""
+def _set_attribute(tag: bytes, name: str, value: str) -> bytes:
+    """Return a start tag with a changed attribute, or a new one after the others."""
     quoted = value.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;").encode()
     pattern = re.compile(rb"(\s" + re.escape(name.encode()) + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
     match = pattern.search(tag)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from labhil.plants.dc_motor_world import MOTOR
+from labhil.plants.dc_motor_definition import MOTOR
 from labhil.serial_twin.bench import SimulatedRig
 from labhil.serial_twin.settings import TwinSettings, check_range, check_whole, settable_world
 from labhil.serial_twin.twin import SerialTwin

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from labhil.plants.solenoid_world import SOLENOID
+from labhil.plants.solenoid_definition import SOLENOID
 from labhil.serial_twin.bench import SimulatedRig
 from labhil.serial_twin.settings import TwinSettings, check_range, check_whole, settable_world
 from labhil.serial_twin.twin import SerialTwin

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.plants.arm.links import UR5
-from labhil.plants.arm.live import LiveArm, Moment, Sample
+from labhil.plants.arm.live import LiveArm, Sample, Setpoint
 from labhil.plants.arm.newton_euler import RecursiveBody
 from labhil.signals import FloatArray
 from labhil_sim_ur5.motion import Plan
@@ -40,7 +40,7 @@ class PhysicalArm:
 
     def expect(self, mass: float, centre: Point, gravity: Point) -> None:
         """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
-        self._live.expect(mass, centre, gravity)
+        self._live.set_expected_load(mass, centre, gravity)
 
     def place(self, q: FloatArray) -> None:
         """Put the arm at rest at angles (6,) rad."""
@@ -48,7 +48,7 @@ class PhysicalArm:
 
     def step(self, plan: Plan, h: float) -> Sample:
         """Let h (s) pass while the drives follow the plan, and measure then."""
-        return self._live.step(Moment(plan.q, plan.qd, plan.qdd), h)
+        return self._live.step(Setpoint(plan.q, plan.qd, plan.qdd), h)
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
         """M(q) (6, 6) kg·m² after the controller's model."""

@@ -12,7 +12,7 @@ from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.physics.model import Model, Record, Windows, index_of, start_values
 from labhil.physics.rigs import model_for
-from labhil.plants.rigs import WORLDS, plant_of
+from labhil.plants.rigs import PLANT_DEFINITIONS, plant_of
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Hold
 
@@ -59,7 +59,7 @@ def replay(
     outputs: Sequence[str] = (),
 ) -> Replay:
     """Let a plant follow ``u``; ``own`` are the model's values where it names them otherwise (SI)."""
-    silent = {name: 0.0 for name in WORLDS[kind].bare if name.endswith("_noise")}
+    silent = {name: 0.0 for name in PLANT_DEFINITIONS[kind].bare if name.endswith("_noise")}
     plant = plant_of(kind, {**silent, **(parameters or {}), **(noise or {})}, terms, seed, period)
     made = plant.simulate(u)
     driven_by, names, units, others, hold = CHANNELS[kind]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import MissingExtraError
-from labhil.optimise.field import FieldProblem, Solution, skfem, solve_solenoid
+from labhil.optimise.field import FieldProblem, Solution, load_skfem, solve_solenoid
 from labhil.optimise.field_mesh import Section, graded
 from labhil.optimise.geometry import HOUSING, ORIGINAL, TEXT_OPTIMUM
 from labhil.optimise.steel import FREE_CUTTING, MU0, Steel, flux_density
@@ -99,4 +99,4 @@ def test_steel_stays_below_what_it_can_carry() -> None:
 def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "skfem", None)
     with pytest.raises(MissingExtraError, match=r"scikit-fem.*labhil\[field\]"):
-        skfem()
+        load_skfem()

@@ -12,24 +12,26 @@ import pytest
 from rich.console import Console
 
 from labhil.optimise.circuit import force_curves, positions
-from labhil.optimise.database import Database, apart
+from labhil.optimise.database import Database, select_distinct
 from labhil.optimise.geometry import LEVELS, LOWER, ORIGINAL, UPPER
-from labhil.optimise.objectives import Objectives, largest_force, mean_slope, not_dominated, rms_slope
+from labhil.optimise.objectives import Objectives, largest_force, mean_slope, pareto_front, rms_slope
 from labhil.optimise.plot import plot
 from labhil.optimise.runs import COUNT, design_runs
 from labhil.optimise.sensitivity import global_sensitivity
 from labhil.optimise.show import show
-from labhil.optimise.study import REFINED_NAME, Effort, Optimisation, run
+from labhil.optimise.study import REFINED_NAME, Optimisation, StudyOptions, run
 from labhil.optimise.swarm import maximise
 
 pytestmark = pytest.mark.extended
 
-SMALL = Effort(held_out=10, swarms=2, iterations=8, best_known=4, rounds=2, settling=12, angles=3, sobol=8)
+SMALL = StudyOptions(
+    held_out=10, swarms=2, iterations=8, best_known=4, rounds=2, local_evaluations=12, n_directions=3, sobol=8
+)
 
 
 @pytest.fixture(scope="module")
 def study() -> Optimisation:
-    return run(4, effort=SMALL)
+    return run(4, options=SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +86,8 @@ def test_an_arch_is_not_level() -> None:
 def test_the_front_is_what_comparing_all_with_all_finds() -> None:
     values = np.random.default_rng(0).random((200, 2))
     beaten = [np.any(np.all(values >= row, axis=1) & np.any(values > row, axis=1)) for row in values]
-    assert set(not_dominated(values)) == set(np.flatnonzero(~np.array(beaten)))
-    thinned = values[not_dominated(values, 0.2)]
+    assert set(pareto_front(values)) == set(np.flatnonzero(~np.array(beaten)))
+    thinned = values[pareto_front(values, 0.2)]
     assert np.linalg.norm(np.diff(thinned, axis=0), axis=1).min() >= 0.2
 
 
@@ -106,7 +108,7 @@ def test_a_swarm_finds_a_hill_and_stays_in_its_box() -> None:
 
 def test_designs_that_are_known_already_are_left_out() -> None:
     near = LOWER + 0.003 * (UPPER - LOWER)
-    assert len(apart(np.vstack([near, UPPER, UPPER]), LOWER[None, :])) == 1
+    assert len(select_distinct(np.vstack([near, UPPER, UPPER]), LOWER[None, :])) == 1
 
 
 def test_sobol_shares_of_a_sum_are_those_of_its_terms() -> None:
@@ -128,13 +130,13 @@ def test_the_study_is_never_worse_than_any_design_it_evaluated(study: Optimisati
     refined = study.candidate(REFINED_NAME).design
     assert np.all((refined >= LOWER - 1e-12) & (refined <= UPPER + 1e-12))
     assert set(study.front) <= set(range(len(study.evaluated)))
-    better = study.no_weaker(study.candidates[0])
+    better = study.flattest_with_force_of(study.candidates[0])
     assert study.scores[better, 0] >= study.candidates[0].scores[0] - 1e-9
     assert study.slope_of(better) <= study.candidates[0].rms_slope * (1 + 1e-9)
 
 
 def test_the_same_seed_gives_the_same_study(study: Optimisation) -> None:
-    again = run(4, effort=SMALL)
+    again = run(4, options=SMALL)
     assert np.array_equal(again.evaluated, study.evaluated)
     assert {**again.to_json(), "seconds": 0} == {**study.to_json(), "seconds": 0}
 

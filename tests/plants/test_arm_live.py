@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import UsageError
-from labhil.plants.arm import UR3E, UR5, UR10E, ArmPlant, LiveArm, Moment
+from labhil.plants.arm import UR3E, UR5, UR10E, ArmPlant, LiveArm, Setpoint
 from labhil.plants.arm.newton_euler import RecursiveBody
 from labhil.plants.arm.rigid_body import Load, RigidBody
 
@@ -48,7 +48,7 @@ def test_tick_by_tick_it_is_the_same_arm(extra: tuple[str, ...]) -> None:
             0.3 * rate * np.sin(phase) * np.ones(6),
             0.3 * rate**2 * np.cos(phase) * np.ones(6),
         )
-        there, here = planned.step(*motion, 0.008), live.step(Moment(*motion), 0.008)
+        there, here = planned.step(*motion, 0.008), live.step(Setpoint(*motion), 0.008)
         assert np.allclose(there.actual_q[0], here.q, atol=1e-12)
         if k > 20:  # friction at rest begins with what was left of an earlier motion
             assert np.allclose(there.actual_current[0], here.current, atol=1e-9)
@@ -60,11 +60,11 @@ def test_what_the_controller_believes_is_not_what_the_flange_carries() -> None:
     arm = LiveArm(QUIET | {"payload.mass": 2.0}, ("payload",))
     home, still = np.array([0.0, -1.0, 1.0, -1.5, -1.5, 0.0]), np.zeros(6)
     arm.place(home)
-    unaware = arm.step(Moment(home, still, still), 0.002)
+    unaware = arm.step(Setpoint(home, still, still), 0.002)
     missing = unaware.current * arm.torque_constant - unaware.target_moment
     assert abs(missing[1]) > 5.0
-    arm.expect(2.0, (0.0, 0.0, 0.08), (0.0, 0.0, -9.81))
-    aware = arm.step(Moment(home, still, still), 0.002)
+    arm.set_expected_load(2.0, (0.0, 0.0, 0.08), (0.0, 0.0, -9.81))
+    aware = arm.step(Setpoint(home, still, still), 0.002)
     assert np.allclose(aware.current * arm.torque_constant, aware.target_moment, atol=1e-9)
 
 

@@ -316,10 +316,10 @@ def test_the_seed_decides_the_noise_and_what_rest_left_behind():
     assert np.all(np.any(runs[0].actual_current != runs[2].actual_current, axis=0))
 
 
-EVERY = [*EFFECTS, *HIDDEN]
+ALL_EFFECTS = [*EFFECTS, *HIDDEN]
 
 
-@pytest.mark.parametrize("effect", EVERY)
+@pytest.mark.parametrize("effect", ALL_EFFECTS)
 def test_each_effect_changes_what_is_seen(effect):
     others = [term for term in BARE if term != effect]
     with_it = followed([*others, effect], seed=1).actual_current
@@ -327,7 +327,7 @@ def test_each_effect_changes_what_is_seen(effect):
     assert np.any(with_it != without)
 
 
-@pytest.mark.parametrize("effect", EVERY)
+@pytest.mark.parametrize("effect", ALL_EFFECTS)
 def test_an_effect_of_no_strength_is_exactly_absent(effect):
     others = [term for term in BARE if term != effect]
     strengths = {f"{effect}.{name}": 0.0 for name in (EFFECTS | HIDDEN)[effect].strengths}
@@ -381,7 +381,7 @@ def test_names_and_values_that_make_no_world_are_refused():
         ArmPlant(terms=["presliding_friction"])
     with pytest.raises(UsageError, match="half the sample period"):
         ArmPlant({"stamp_jitter": 0.004})
-    assert {name for effect in EVERY for name in parameters_of(effect)} < set(all_parameters())
+    assert {name for effect in ALL_EFFECTS for name in parameters_of(effect)} < set(all_parameters())
 
 
 @pytest.mark.parametrize("rows", [np.zeros((5, 5)), np.zeros((0, 6)), np.full((5, 6), np.nan), np.zeros(6)])

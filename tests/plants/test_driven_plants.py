@@ -6,7 +6,7 @@ import pytest
 from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.axis import AXIS, AxisPlant
 from labhil.plants.dc_motor import MOTOR, DcMotorPlant
-from labhil.plants.rigs import PLANTS, WORLDS, plant_of
+from labhil.plants.rigs import PLANT_DEFINITIONS, PLANTS, plant_of
 from labhil.plants.solenoid import SOLENOID, SolenoidPlant
 
 pytestmark = pytest.mark.extended
@@ -23,7 +23,11 @@ ON_VOLTAGE = {
     ("solenoid", effect): "coil_voltage" for effect in ("motional_emf", "thermal_resistance", "pwm_ripple")
 }
 WARM = {"axis": {"warming": 0.05}}
-EFFECTS = [(kind, effect) for kind in PERIOD for effect in (*WORLDS[kind].effects, *WORLDS[kind].hidden)]
+EFFECTS = [
+    (kind, effect)
+    for kind in PERIOD
+    for effect in (*PLANT_DEFINITIONS[kind].effects, *PLANT_DEFINITIONS[kind].hidden)
+]
 
 
 def wandering(kind: str, n: int = 3000) -> np.ndarray:

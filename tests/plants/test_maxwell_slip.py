@@ -9,8 +9,8 @@ from labhil.errors import UsageError
 from labhil.plants.axis import AXIS, AxisPlant
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.plants.friction import ELEMENTS, Friction, bristle_force, bristle_level, relax_bristles
-from labhil.plants.maxwell import ROOM, held_force, relax_elements
-from labhil.plants.mover import V, X
+from labhil.plants.integrator import V, X
+from labhil.plants.maxwell import N_ELEMENT_STATES, held_force, relax_elements
 from labhil.plants.rigs import plant_of
 
 LEVEL, STIFFNESS, SPREAD = 20.0, 2e6, 10.0
@@ -41,7 +41,7 @@ def way_at(force):
 
 def pulled(path, speed=1e-6):
     """Force (N) at each place (m) of a part that is pulled from place to place."""
-    f, s = Friction.of(VALUES), np.zeros(ROOM)
+    f, s = Friction.of(VALUES), np.zeros(N_ELEMENT_STATES)
     forces = [0.0]
     for way in np.diff(path):
         relax_elements(s, np.sign(way) * speed, LEVEL, abs(way) / speed, f)
@@ -132,7 +132,9 @@ def test_steady_sliding_is_the_level_at_that_speed_and_viscous_friction(side):
     plant = AxisPlant(parameters, terms)
     v = plant.simulate(np.full(8001, side * 40.0)).truth["velocity"][-1]
     level = LEVEL + 8.0 * np.exp(-abs(v) / 0.05) + side * 3.0
-    elements = plant.drive.follow(np.zeros(1))[0][0, -1 - ROOM : -1 - ROOM + ELEMENTS]
+    elements = plant.simulation.follow(np.zeros(1))[0][
+        0, -1 - N_ELEMENT_STATES : -1 - N_ELEMENT_STATES + ELEMENTS
+    ]
     assert 0.03 < side * v < 0.12
     np.testing.assert_allclose(elements, side * level / ELEMENTS, rtol=1e-6)
     assert 204.0 * v + side * level == pytest.approx(side * 40.0, rel=1e-6)
@@ -140,7 +142,7 @@ def test_steady_sliding_is_the_level_at_that_speed_and_viscous_friction(side):
 
 def test_what_slips_lags_behind_the_level():
     """From 28 N to 20 N at once: F = s + (F₀ − s)·exp(−C·t/s) of those that slip."""
-    f, s = Friction.of(VALUES), np.zeros(ROOM)
+    f, s = Friction.of(VALUES), np.zeros(N_ELEMENT_STATES)
     relax_elements(s, 0.01, 28.0, 1.0, f)
     relax_elements(s, 0.1, LEVEL, 2e-3, f)
     assert held_force(s) == pytest.approx(LEVEL + 8.0 * np.exp(-5e3 * 2e-3 / LEVEL), rel=1e-9)
@@ -166,7 +168,7 @@ def test_no_cycle_gives_back_more_than_it_took():
     f = Friction.of(VALUES | {"stribeck_friction.level": 30.0, "stribeck_friction.velocity": 0.01})
     random, h = np.random.default_rng(0), 2e-5
     speeds = np.interp(np.arange(20000), np.arange(0, 20000, 100), 0.02 * random.standard_normal(200))
-    s, lost = np.zeros(ROOM), []
+    s, lost = np.zeros(N_ELEMENT_STATES), []
     for v in speeds:
         before = s[:ELEMENTS].copy()
         relax_elements(s, v, bristle_level(0.0, v, np.sign(v), f), h, f)
@@ -180,8 +182,10 @@ def test_an_axis_that_is_let_go_loses_energy_all_the_time_and_stops():
     terms = (*TERMS, "stribeck_friction", "static_friction")
     plant = AxisPlant(VALUES, terms)
     plant.simulate(np.full(401, 150.0))
-    rows, _ = plant.drive.follow(np.zeros(3001))
-    springs = np.sum(0.5 * rows[:, -1 - ROOM : -1 - ROOM + ELEMENTS] ** 2 / SPRINGS, axis=1)
+    rows, _ = plant.simulation.follow(np.zeros(3001))
+    springs = np.sum(
+        0.5 * rows[:, -1 - N_ELEMENT_STATES : -1 - N_ELEMENT_STATES + ELEMENTS] ** 2 / SPRINGS, axis=1
+    )
     energy = 0.5 * 95.0 * rows[:, V] ** 2 + springs
     assert energy[0] > 5.0
     assert np.all(np.diff(energy[1:]) <= 1e-9 * energy[0])

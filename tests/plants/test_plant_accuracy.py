@@ -10,16 +10,17 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.plants import solenoid
 from labhil.plants.axis import AxisPlant
 from labhil.plants.dc_motor import DcMotorPlant
-from labhil.plants.rigs import PLANTS, WORLDS, effects_of, plant_of
+from labhil.plants.definition import INPUT_EFFECTS as EFFECTS_IN
+from labhil.plants.rigs import PLANT_DEFINITIONS, PLANTS, effects_of, plant_of
 from labhil.plants.solenoid import SOLENOID, Plunger, SolenoidPlant, force_per_current, magnet_force
-from labhil.plants.world import WAY_IN as EFFECTS_IN
 
 PERIOD = {"ball_beam": 0.01, "dc_motor": 0.01, "axis": 0.001, "solenoid": 0.001}
 SIZE = {"ball_beam": 0.4, "dc_motor": 5.0, "axis": 150.0, "solenoid": 1.8}
 FRICTION = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 WAY_IN = ("time_delay", "backlash", "dead_zone", "saturation", "rate_limit", "actuator_lag")
 QUIET = {
-    kind: {name: 0.0 for name in world.bare if name.endswith("_noise")} for kind, world in WORLDS.items()
+    kind: {name: 0.0 for name in world.bare if name.endswith("_noise")}
+    for kind, world in PLANT_DEFINITIONS.items()
 }
 STATES = {
     "dc_motor": ("speed", "current", "angle"),
@@ -58,12 +59,12 @@ def levels(kind, seconds, seed=0):
 @pytest.mark.parametrize("what", [*WORLDLY, "own"])
 def test_a_finer_step_changes_nothing(kind, what):
     terms = (*FRICTION, *OWN[kind]) if what == "own" else WORLDLY[what]
-    terms = [term for term in terms if term in WORLDS[kind].effects]
+    terms = [term for term in terms if term in PLANT_DEFINITIONS[kind].effects]
     u = levels(kind, 1000 * PERIOD[kind])
     runs = []
     for tolerance in (None, 1e-12):
         plant = PLANTS[kind](QUIET[kind], terms, 0, PERIOD[kind])
-        plant.drive.tolerance = tolerance or plant.drive.tolerance
+        plant.simulation.tolerance = tolerance or plant.simulation.tolerance
         runs.append(plant.simulate(u).truth)
     for name in STATES[kind]:
         coarse, fine = (run[name] for run in runs)
@@ -141,11 +142,11 @@ def test_work_done_on_an_elastic_axis_is_kept_or_lost_to_friction():
     plant = AxisPlant(parameters, ["joint_elasticity"])
     force = levels("axis", 0.5, 3)
     plant.simulate(force)
-    rows = [plant.drive._row.copy()]
+    rows = [plant.simulation._row.copy()]
     work = 0.0
     for value in levels("axis", 0.5, 4):
         plant.step(float(value))
-        rows.append(plant.drive._row.copy())
+        rows.append(plant.simulation._row.copy())
         work += value * (rows[-1][0] - rows[-2][0])
     rows = np.array(rows)
     x, v, far, fast = rows[:, 0], rows[:, 1], rows[:, 6], rows[:, 7]
@@ -261,10 +262,14 @@ def test_an_effect_of_no_strength_is_no_effect(kind):
     u = levels(kind, 300 * PERIOD[kind])
     name = STATES[kind][0]
     bare = plant_of(kind, QUIET[kind], FRICTION, 0, PERIOD[kind]).simulate(u).measured[name]
-    for effect in (*WORLDS[kind].effects, *WORLDS[kind].hidden):
+    for effect in (*PLANT_DEFINITIONS[kind].effects, *PLANT_DEFINITIONS[kind].hidden):
         if effect in NEUTRAL or effect in FRICTION:
             continue
-        zero = {full: 0.0 for full in WORLDS[kind].parameters_of(effect) if full not in WORLDS[kind].positive}
+        zero = {
+            full: 0.0
+            for full in PLANT_DEFINITIONS[kind].parameters_of(effect)
+            if full not in PLANT_DEFINITIONS[kind].positive
+        }
         made = plant_of(kind, QUIET[kind] | zero, (*FRICTION, effect), 0, PERIOD[kind]).simulate(u)
         np.testing.assert_allclose(made.measured[name], bare, atol=1e-12, err_msg=effect)
 
@@ -280,7 +285,7 @@ def test_every_rig_has_physics_that_is_in_no_list(kind):
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("effect", WORLDS["ball_beam"].hidden)
+@pytest.mark.parametrize("effect", PLANT_DEFINITIONS["ball_beam"].hidden)
 def test_hidden_physics_moves_the_ball(effect):
     u = 0.9 * np.cos(3.0 * 0.01 * np.arange(800))
     bare, moved = (

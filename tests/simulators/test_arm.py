@@ -16,7 +16,7 @@ from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.arm.tree import Tree
 from labhil.simulators.arm import ArmSimulator, arm_simulator
-from labhil.simulators.inertia import at_centre, is_body, realise
+from labhil.simulators.inertia import centroidal, is_body, nearest_bodies
 
 sys.path.insert(0, str(Path(__file__).parent))
 from arm_file import DAMPING, DRY, LOAD_SHARE, MJCF, ROTOR, URDF, bench, recorded, torques, truth
@@ -75,7 +75,7 @@ def test_the_file_says_what_is_measured_and_what_a_diagnosis_begins_with(tmp_pat
     arm = lh.mujoco_simulator(tmp_path / "reach.xml")
     assert isinstance(arm, ArmSimulator)
     assert (arm.joints, arm.output, arm.unit) == (("turn", "lift", "bend"), "actual_current", "A")
-    assert arm.begins == ("viscous_friction", "coulomb_friction", "added_inertia", "sensor_offset")
+    assert arm.initial_terms == ("viscous_friction", "coulomb_friction", "added_inertia", "sensor_offset")
     assert arm.arm.nominal["viscous_friction.coefficient[0]"] == 1.0
     assert [signal.width for signal in arm.kind.inputs] == [3, 3]
 
@@ -200,12 +200,12 @@ def test_bodies_are_found_that_load_the_joints_as_wanted(tmp_path: Path) -> None
     wanted = tree.torques(*motion, gravity_in_base(), lighter)
     armature = np.array([0.4, 0.5, 0.2])
     own = np.zeros_like(tree.begin)
-    found = realise(tree, tree.begin, lighter, own, armature)
+    found = nearest_bodies(tree, tree.begin, lighter, own, armature)
     links = found.inertial.reshape(3, PER_LINK)
     assert all(is_body(link) for link in links)
     loads = tree.torques(*motion, gravity_in_base(), found.inertial) + motion[2] * (found.armature - armature)
     assert np.max(np.abs(loads - wanted)) < 1e-3 * np.max(np.abs(wanted))
-    mass, centre, _ = at_centre(links[2])
+    mass, centre, _ = centroidal(links[2])
     assert mass < 1.7
     assert 0.1 < centre[0] < 0.25
 
@@ -213,6 +213,6 @@ def test_bodies_are_found_that_load_the_joints_as_wanted(tmp_path: Path) -> None
 def test_what_needs_no_change_is_left_alone(tmp_path: Path) -> None:
     tree, _ = tree_of(tmp_path, MJCF)
     rotors = np.array([0.4, 0.5, 0.2])
-    found = realise(tree, tree.begin, tree.begin, np.zeros_like(tree.begin), rotors)
+    found = nearest_bodies(tree, tree.begin, tree.begin, np.zeros_like(tree.begin), rotors)
     assert np.array_equal(found.inertial, tree.begin)
     assert np.array_equal(found.armature, rotors)

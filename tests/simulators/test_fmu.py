@@ -72,7 +72,7 @@ def test_what_is_fitted_is_what_the_fmu_does(tmp_path: Path, version: int, kinds
     rod = lh.fmu_simulator(built(tmp_path, version=version, kinds=kinds))
     assert rod.stepped is not None
     at = np.array([0.3, -1.0]), np.array([0.4, 2.0]), np.array([0.1, -0.2])
-    own = rod.stepped.ask([0.025, 0.45, 0.012, 0.3])(*at)
+    own = rod.stepped.acceleration_at([0.025, 0.45, 0.012, 0.3])(*at)
     exact = (at[2] - 0.45 * np.sin(at[0]) - 0.012 * at[1]) / 0.025
     assert own == pytest.approx(exact, rel=1e-12 if kinds != "cs" else 2e-3)
     recording = swing(rod, seconds=4.0)
@@ -156,8 +156,8 @@ def test_an_fmu_that_fails_says_at_which_question(tmp_path: Path) -> None:
     assert rod.stepped is not None
     point = np.zeros(1), np.zeros(1), np.zeros(1)
     with pytest.raises(UsageError, match=r"initialised anew with its parameters, found fmi2EnterInit.*error"):
-        rod.stepped.ask([-0.02, 0.5, 0.01, 0.3])(*point)
-    assert np.isfinite(rod.stepped.ask([0.02, 0.5, 0.01, 0.3])(*point)).all()
+        rod.stepped.acceleration_at([-0.02, 0.5, 0.01, 0.3])(*point)
+    assert np.isfinite(rod.stepped.acceleration_at([0.02, 0.5, 0.01, 0.3])(*point)).all()
 
 
 def test_an_input_that_cannot_be_set_is_said_so(tmp_path: Path) -> None:

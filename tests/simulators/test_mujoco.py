@@ -13,7 +13,7 @@ import labhil as lh
 from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.model import Windows, start_values
 from labhil.physics.rigs import model_for, record_of
-from labhil.simulators.mjcf import describe
+from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.model import SimulatorModel
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -69,7 +69,7 @@ def test_what_is_fitted_is_what_mujoco_solves(tmp_path: Path, file: str) -> None
     """Against MuJoCo's Runge-Kutta steps of 0.1 ms; its friction is left out, which it smooths."""
     path = tmp_path / "file.xml"
     path.write_text(file.replace(' damping="1"', ""), encoding="utf-8")
-    described = describe(path)
+    described = read_mechanism(path)
     rig = described.simulator
     t = np.arange(0.0, 4.0, 0.01)
     u = 0.1 * np.sin(3.0 * t) + 0.05 * np.sin(8.0 * t)
@@ -95,15 +95,15 @@ def test_every_value_that_may_be_fitted_reaches_the_simulation(tmp_path: Path) -
     """Masses of bodies on a slide as well, whose inertia MuJoCo keeps as a constant."""
     path = tmp_path / "cart.xml"
     path.write_text(CART, encoding="utf-8")
-    described = describe(path)
+    described = read_mechanism(path)
     starts = [quantity.start for quantity in described.simulator.parameters.values()]
     point = np.array([0.3]), np.array([0.4]), np.array([0.1])
-    base = float(described.mechanism.ask(starts)(*point)[0])
+    base = float(described.mechanism.acceleration_at(starts)(*point)[0])
     for k, name in enumerate(described.simulator.parameters):
         moved = list(starts)
         moved[k] *= 1.1
-        assert float(described.mechanism.ask(moved)(*point)[0]) != base, name
-    assert float(described.mechanism.ask(starts)(*point)[0]) == base
+        assert float(described.mechanism.acceleration_at(moved)(*point)[0]) != base, name
+    assert float(described.mechanism.acceleration_at(starts)(*point)[0]) == base
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_a_value_that_mujoco_never_reads_is_said_so(tmp_path: Path) -> None:
     fit = lh.fit(recorded(rig, seed=5, seconds=4.0), rig, terms=["viscous_friction"])
     notes = fit.to_dict()["notes"]
     assert any("stiffness changes nothing" in note and "never" in note for note in notes)
-    assert any("gear is left at 1 as in the file" in note for note in notes)
+    assert any("gear stays at 1 as in the file" in note for note in notes)
     assert {"stiffness", "gear"}.isdisjoint(each.name for each in fit.parameters)
 
 

@@ -13,8 +13,8 @@ import labhil as lh
 from labhil.analysis.patch import KEPT
 from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, UsageError
-from labhil.simulators.companion import companion, sort_effects
-from labhil.simulators.mjcf import describe
+from labhil.simulators.companion import companion_text, sort_effects
+from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
 from labhil.simulators.xml_text import XmlText
 
@@ -37,8 +37,8 @@ SPRUNG = """<mujoco model="door">
 def edited(tmp_path: Path, file: str, values: dict[str, float]) -> tuple[str, dict[str, float]]:
     path = tmp_path / "file.xml"
     path.write_text(file, encoding="utf-8")
-    found = patch_mjcf(describe(path), XmlText.read(path), values)
-    return found.text.changed().decode(), dict(found.left)
+    found = patch_mjcf(read_mechanism(path), XmlText.read(path), values)
+    return found.text.changed().decode(), dict(found.remaining)
 
 
 def test_all_but_the_changed_attributes_stays_as_it_was_written(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     }
     text, left = edited(tmp_path, SPRUNG, values | {"dead_zone.left": 0.1, "dead_zone.right": 0.2})
     assert "frictionloss='0.5'" in text  # it holds with both, and the function gives one of them back
-    code = companion(sort_effects(left), "new.xml", "torque", 1e-4)
+    code = companion_text(sort_effects(left), "new.xml", "torque", 1e-4)
     names: dict[str, object] = {}
     exec(code, names)
     force, command = names["force"], names["Command"]
@@ -91,7 +91,7 @@ def test_a_urdf_is_to_be_saved_as_mjcf_first(tmp_path: Path) -> None:
         'iyy="0.02" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>',
         encoding="utf-8",
     )
-    described = describe(path, {"torque": "elbow"}, {"angle": "elbow"})
+    described = read_mechanism(path, {"torque": "elbow"}, {"angle": "elbow"})
     assert described.simulator.nominal["coulomb_friction.level"] == 0.2
     with pytest.raises(UsageError, match="expected an MJCF file"):
         patch_mjcf(described, XmlText.read(path), {"viscous_friction.coefficient": 0.2})

@@ -11,8 +11,8 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.patch import KEPT
-from labhil.simulators.companion import companion, sort_effects
-from labhil.simulators.mjcf import describe
+from labhil.simulators.companion import companion_text, sort_effects
+from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
 
@@ -58,7 +58,7 @@ def rig(tmp_path: Path) -> Path:
 
 def test_only_what_was_found_is_changed(rig: Path) -> None:
     path = rig.with_name("rod.urdf")
-    described, text = describe(path, {"torque": "hinge"}), XmlText.read(path)
+    described, text = read_mechanism(path, {"torque": "hinge"}), XmlText.read(path)
     values = {
         "rod_mass": 0.6,
         "viscous_friction.coefficient": 0.02,
@@ -67,7 +67,7 @@ def test_only_what_was_found_is_changed(rig: Path) -> None:
         "cubic_viscous_friction.coefficient": 1e-3,
     }
     found = patch_urdf(described, text, values)
-    assert set(found.left) == {"cubic_viscous_friction.coefficient"}
+    assert set(found.remaining) == {"cubic_viscous_friction.coefficient"}
     lines = list(zip(FILE.splitlines(), text.changed().decode().splitlines(), strict=False))
     assert lines[:5] == [(line, line) for line in FILE.splitlines()[:5]]
     new = path.with_name("new.urdf")
@@ -81,7 +81,7 @@ def test_only_what_was_found_is_changed(rig: Path) -> None:
 
 def test_a_shorter_step_is_said_where_other_readers_pass_over_it(rig: Path) -> None:
     path = rig.with_name("rod.urdf")
-    described, text = describe(path, {"torque": "hinge"}), XmlText.read(path)
+    described, text = read_mechanism(path, {"torque": "hinge"}), XmlText.read(path)
     shorten_urdf_step(described, text, 4)
     new = path.with_name("new.urdf")
     new.write_bytes(text.changed())
@@ -89,7 +89,7 @@ def test_a_shorter_step_is_said_where_other_readers_pass_over_it(rig: Path) -> N
 
 
 def test_firm_friction_is_told_beside_a_file_that_cannot_say_it() -> None:
-    code = companion(sort_effects({}), "new.urdf", "torque", 1e-4, firm=True)
+    code = companion_text(sort_effects({}), "new.urdf", "torque", 1e-4, firm=True)
     assert "model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0" in code
     compile(code, "new_effects.py", "exec")
 

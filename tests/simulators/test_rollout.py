@@ -58,7 +58,7 @@ def test_its_acceleration_is_that_of_short_rollouts(f: Callable[..., Any]) -> No
     assert rig.stepped is not None
     x, v, u = np.array([0.3, -1.0]), np.array([0.4, 2.0]), np.array([0.1, -0.2])
     exact = (u - 0.45 * np.sin(x)) / 0.025
-    assert rig.stepped.ask([0.025, 0.45])(x, v, u) == pytest.approx(exact, rel=5e-3)
+    assert rig.stepped.acceleration_at([0.025, 0.45])(x, v, u) == pytest.approx(exact, rel=5e-3)
 
 
 @pytest.mark.extended

@@ -13,7 +13,7 @@ from labhil.kinds import JOINTS
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.arm import ArmPlant
-from labhil.plants.arm.effects import BARE_ARM, EFFECTS, Given
+from labhil.plants.arm.effects import BARE_ARM, EFFECTS, Overrides
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 from labhil_benchmarks.statistics.noise import noise_like
@@ -59,7 +59,7 @@ def arm(seed: int, coloured: bool) -> Simulated:
     return Simulated(noisy, tested, np.asarray(left.std(axis=0)))
 
 
-def follow(terms: Sequence[str], values: Given, seed: int) -> Record:
+def follow(terms: Sequence[str], values: Overrides, seed: int) -> Record:
     """What an arm of these effects and values reports of a Fourier trajectory of its own."""
     plant = ArmPlant(values, terms, seed, PERIOD)
     series = fourier(
@@ -68,15 +68,15 @@ def follow(terms: Sequence[str], values: Given, seed: int) -> Record:
     )  # fmt: skip
     t: FloatArray = PERIOD * np.arange(round(DURATION / PERIOD), dtype=np.float64)
     seen = plant.follow(*motion(series, t))
-    six = range(JOINTS)
+    per_joint = range(JOINTS)
     return Record(
         t=seen.t,
         inputs=np.ascontiguousarray(np.hstack([seen.actual_q, seen.actual_qd])),
         outputs=np.ascontiguousarray(seen.actual_current),
-        input_names=tuple(f"{name}_{j}" for name in ("actual_q", "actual_qd") for j in six),
-        output_names=tuple(f"actual_current_{j}" for j in six),
+        input_names=tuple(f"{name}_{j}" for name in ("actual_q", "actual_qd") for j in per_joint),
+        output_names=tuple(f"actual_current_{j}" for j in per_joint),
         output_units=("A",) * JOINTS,
-        output_joints=tuple(six),
+        output_joints=tuple(per_joint),
     )
 
 

@@ -18,7 +18,7 @@ from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import keyed, unkeyed
 from labhil.plants.arm import ArmPlant
-from labhil.plants.arm.effects import BARE_ARM, EFFECTS, EVERY, HIDDEN, Six, parameters_of
+from labhil.plants.arm.effects import ALL_EFFECTS, BARE_ARM, EFFECTS, HIDDEN, PerJoint, parameters_of
 from labhil.signals import FloatArray, Hold, Signal
 
 PLANTS_NAME: Mapping[str, str] = {"torque_constant": "sensor_gain"}
@@ -183,7 +183,7 @@ class ArmSetup:
         term = str(random.choice(list(choices)))
         joint = choices[term][int(random.integers(len(choices[term])))]
         name = PLANTS_NAME.get(term, term)
-        shapes = {f"{name}.{short}" for short in EVERY[name].shapes}
+        shapes = {f"{name}.{short}" for short in ALL_EFFECTS[name].shapes}
         drawn, powers = {}, {}
         for full, default in parameters_of(name).items():
             key = keyed(full, joint if isinstance(default, tuple) else None)
@@ -304,7 +304,7 @@ def _hidden_effects() -> list[tuple[str, int | None]]:
     return effects
 
 
-def _size(name: str, default: float | Six, joint: int | None, random: np.random.Generator) -> float:
+def _size(name: str, default: float | PerJoint, joint: int | None, random: np.random.Generator) -> float:
     """A random value of one of an effect's parameters."""
     value = default if isinstance(default, float) else default[joint or 0] or max(default)
     if name in FIXED:

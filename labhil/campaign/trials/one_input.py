@@ -16,8 +16,8 @@ from labhil.errors import UsageError
 from labhil.kinds import KINDS
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
-from labhil.plants.rigs import WORLDS, Plant, effects_of, plant_of
-from labhil.plants.world import World
+from labhil.plants.definition import PlantDefinition
+from labhil.plants.rigs import PLANT_DEFINITIONS, Plant, effects_of, plant_of
 from labhil.signals import FloatArray, Hold, Signal
 
 STRENGTHS = (1.1, 5.0)
@@ -226,8 +226,8 @@ class OneInputSetup:
         )
 
     @property
-    def _world(self) -> World:
-        return WORLDS[self.kind]
+    def _world(self) -> PlantDefinition:
+        return PLANT_DEFINITIONS[self.kind]
 
     @property
     def _auxiliary(self) -> tuple[str, ...]:

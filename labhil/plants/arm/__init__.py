@@ -1,8 +1,11 @@
-"""A simulated arm of the UR class: its rigid body by MuJoCo (extra ``arm``), all else of our own."""
+"""A simulated arm of the UR class.
+
+:class:`ArmPlant` with MuJoCo (extra ``arm``), :class:`LiveArm` without.
+"""
 
 from labhil.plants.arm.effects import EFFECTS, HIDDEN, all_parameters, parameters_of
 from labhil.plants.arm.links import ARMS, UR3E, UR5, UR10E, Link, Links
-from labhil.plants.arm.live import LiveArm, Moment, Sample
+from labhil.plants.arm.live import LiveArm, Sample, Setpoint
 from labhil.plants.arm.plant import ArmPlant, Trajectory, Truth
 
 __all__ = [
@@ -16,8 +19,8 @@ __all__ = [
     "Link",
     "Links",
     "LiveArm",
-    "Moment",
     "Sample",
+    "Setpoint",
     "Trajectory",
     "Truth",
     "all_parameters",

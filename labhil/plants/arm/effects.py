@@ -1,8 +1,8 @@
-"""What a simulated arm can be made of: effects by name, and every number that can be set.
+"""Parameters and effects of a simulated arm.
 
-A parameter is one number for the whole arm, or six, one a joint: ``coulomb_friction.level`` then stands
-for all joints and ``coulomb_friction.level[2]`` for joint 2 alone (joints count from 0). An effect may
-likewise be given to one joint only: ``load_dependent_friction[1]``.
+A parameter is one number for the whole arm, or one per joint: ``coulomb_friction.level`` is then that of all
+joints, ``coulomb_friction.level[2]`` that of joint 2 (counted from 0). An effect may belong to one joint:
+``load_dependent_friction[1]``.
 """
 
 from __future__ import annotations
@@ -17,31 +17,33 @@ from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.arm.links import JOINTS
 from labhil.signals import FloatArray
 
-Six = tuple[float, ...]
-Given = Mapping[str, float | Sequence[float]]
+PerJoint = tuple[float, ...]
+Overrides = Mapping[str, float | Sequence[float]]
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One effect beyond the bare arm.
+    """An effect of a simulated arm.
 
-    ``strengths`` maps short names to defaults (SI) that make the effect vanish at zero; ``shapes`` are
-    its other numbers, without meaning while all strengths are zero.
+    Attributes:
+        about: What it is, with units.
+        strengths: Defaults (SI) by short name of the parameters at whose zero the effect vanishes.
+        shapes: Defaults of its other parameters.
     """
 
     about: str
-    strengths: Mapping[str, float | Six]
-    shapes: Mapping[str, float | Six] = field(default_factory=dict)
+    strengths: Mapping[str, float | PerJoint]
+    shapes: Mapping[str, float | PerJoint] = field(default_factory=dict)
 
 
-def _all(value: float) -> Six:
+def _same(value: float) -> PerJoint:
     return (value,) * JOINTS
 
 
-BARE_ARM: Mapping[str, float | Six] = {
+BARE_ARM: Mapping[str, float | PerJoint] = {
     "torque_constant": (13.26, 11.13, 10.62, 11.03, 11.47, 11.61),  # N·m/A, gear ratio included
     "servo_bandwidth": 200.0,  # rad/s
-    "stamp_jitter": 0.0,  # s, largest deviation of a sample from its place in the raster
+    "stamp_jitter": 0.0,  # s, largest deviation of a sample from its regular time
     "q_noise": 1e-5,  # rad
     "qd_noise": 1e-3,  # rad/s
     "current_noise": (0.02, 0.02, 0.015, 0.006, 0.006, 0.006),  # A
@@ -87,12 +89,12 @@ EFFECTS: Mapping[str, Effect] = {
         "dry friction that grows with the angle, N·m/rad", {"slope": (0.3, 0.3, 0.2, 0.08, 0.08, 0.08)}
     ),
     "load_dependent_friction": Effect(
-        "dry friction μ·|τ_load| of the torque that the rigid body asks for", {"coefficient": _all(0.05)}
+        "dry friction μ·|τ_load| of the torque that the rigid body asks for", {"coefficient": _same(0.05)}
     ),
     "temperature_dependent_friction": Effect(
         "viscous friction times exp(−rate·(T − reference)), 1/K and °C (needs viscous friction)",
-        {"rate": _all(0.03)},
-        {"reference": _all(30.0)},
+        {"rate": _same(0.03)},
+        {"reference": _same(30.0)},
     ),
     "presliding_friction": Effect(
         "dry friction carried by bristles: N·m/rad and N·m·s/rad (needs a dry friction to carry)",
@@ -102,7 +104,7 @@ EFFECTS: Mapping[str, Effect] = {
     "torque_ripple": Effect(
         "amplitude·sin(order·q + phase), N·m, cycles per turn and rad (harmonic drive: twice 101 a turn)",
         {"amplitude": (0.5, 0.5, 0.4, 0.15, 0.15, 0.15)},
-        {"order": _all(202.0), "phase": _all(0.0)},
+        {"order": _same(202.0), "phase": _same(0.0)},
     ),
     "added_inertia": Effect(
         "inertia of the drives, kg·m² at the joint", {"inertia": (0.6, 0.6, 0.4, 0.08, 0.08, 0.08)}
@@ -118,16 +120,16 @@ EFFECTS: Mapping[str, Effect] = {
     "joint_elasticity": Effect(
         "a spring (rad/(N·m)) between drive and link; relaxation (s) is its damping over its stiffness",
         {"compliance": (2e-4, 2e-4, 2e-4, 4e-4, 4e-4, 4e-4)},
-        {"relaxation": _all(2e-3)},
+        {"relaxation": _same(2e-3)},
     ),
     "constant_force": Effect("a torque that is always there, N·m", {"force": (0.4, 0.4, 0.3, 0.1, 0.1, 0.1)}),
     "sensor_offset": Effect(
         "measured current = current + offset, A", {"offset": (0.1, -0.08, 0.06, 0.05, -0.04, 0.03)}
     ),
-    "sensor_gain": Effect("measured current = (1 + gain)·current", {"gain": _all(0.05)}),
+    "sensor_gain": Effect("measured current = (1 + gain)·current", {"gain": _same(0.05)}),
     "clock_offset": Effect("currents are reported later than angles, s", {"offset": 0.008}),
 }
-"""Every effect by its name; an arm that does not name one is exactly the arm without it."""
+"""All effects by name; an arm has those alone that it names."""
 
 HIDDEN: Mapping[str, Effect] = {
     "hidden_cable": Effect(
@@ -138,13 +140,12 @@ HIDDEN: Mapping[str, Effect] = {
     "hidden_sticky_patch": Effect(
         "dry friction level·exp(−((q − centre)/width)²) of one joint, N·m and rad",
         {"level": (0.0, 0.0, 1.2, 0.0, 0.0, 0.0)},
-        {"centre": _all(0.3), "width": _all(0.15)},
+        {"centre": _same(0.3), "width": _same(0.15)},
     ),
 }
-"""Effects that stand in no list of terms: what a diagnosis can find only as unmodelled."""
+"""Effects that no list of terms contains: a diagnosis can only state them as unmodelled."""
 
-EVERY: Mapping[str, Effect] = {**EFFECTS, **HIDDEN}
-"""Both."""
+ALL_EFFECTS: Mapping[str, Effect] = {**EFFECTS, **HIDDEN}
 
 DRY = (
     "coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction",
@@ -161,91 +162,102 @@ NOT_NEGATIVE = {
     "joint_elasticity.compliance", "joint_elasticity.relaxation", "hidden_cable.stiffness",
     "hidden_cable.length", "clock_offset.offset",
 }  # fmt: skip
-LARGEST: Mapping[str, float] = {"clock_offset.offset": 0.1, "current_noise_memory": 0.999}
+UPPER_LIMITS: Mapping[str, float] = {"clock_offset.offset": 0.1, "current_noise_memory": 0.999}
 
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """Numbers of a world by name; what belongs to an absent effect is zero."""
+    """Parameters of an arm by name; those of an absent effect are zero."""
 
     numbers: Mapping[str, float]
     joints: Mapping[str, FloatArray]
 
     def number(self, name: str) -> float:
-        """One number of the whole arm; 0 where its effect is absent."""
+        """Return a parameter of the whole arm; 0 where its effect is absent."""
         return self.numbers.get(name, 0.0)
 
-    def six(self, name: str, absent: float = 0.0) -> FloatArray:
-        """One number a joint (6,); ``absent`` where the effect is."""
+    def per_joint(self, name: str, absent: float = 0.0) -> FloatArray:
+        """Return a parameter of the joints (6,); ``absent`` where its effect is."""
         return self.joints.get(name, np.full(JOINTS, absent))
 
     def by_key(self) -> dict[str, float]:
-        """Every number by its key, ``coulomb_friction.level[2]`` for joint 2."""
-        per_joint = {f"{name}[{j}]": float(x) for name, six in self.joints.items() for j, x in enumerate(six)}
+        """Return all parameters by key, ``coulomb_friction.level[2]`` for joint 2."""
+        per_joint = {
+            f"{name}[{j}]": float(x) for name, numbers in self.joints.items() for j, x in enumerate(numbers)
+        }
         return dict(self.numbers) | per_joint
 
 
-def parameters_of(effect: str) -> dict[str, float | Six]:
+def parameters_of(effect: str) -> dict[str, float | PerJoint]:
     """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
-    definition = EVERY[effect]
+    definition = ALL_EFFECTS[effect]
     return {
         f"{effect}.{name}": value
         for name, value in (*definition.strengths.items(), *definition.shapes.items())
     }
 
 
-def all_parameters() -> dict[str, float | Six]:
-    """Return every parameter that an arm takes, with its default (SI): one number, or one a joint."""
+def all_parameters() -> dict[str, float | PerJoint]:
+    """Return all parameters with their defaults (SI): one number, or one per joint."""
     known = dict(BARE_ARM)
-    for effect in EVERY:
+    for effect in ALL_EFFECTS:
         known |= parameters_of(effect)
     return known
 
 
-def resolve(terms: Iterable[str], overrides: Given) -> Values:
-    """Return the numbers in force: the bare arm's and those of the effects in ``terms``.
+def resolve(terms: Iterable[str], overrides: Overrides) -> Values:
+    """Return the parameters of an arm with some effects.
 
-    UnknownNameError for an effect or a parameter that does not exist; UsageError for a joint that does
-    not, for the parameter of an effect that is not among ``terms``, and for values that make no world.
+    Args:
+        terms: Names of the effects, with a joint in brackets or without.
+        overrides: Values by parameter name or key, SI.
+
+    Returns:
+        Values of all parameters.
+
+    Raises:
+        UnknownNameError: An effect or a parameter does not exist.
+        UsageError: A joint does not exist, a parameter belongs to an effect that is not in ``terms``, or a
+            value is out of range.
     """
     chosen = tuple(terms)
     values = {name: _array(value) for name, value in BARE_ARM.items()}
-    for name, of_joints in _joints_of(chosen).items():
+    for name, joints in _joints_by_effect(chosen).items():
         for parameter, default in parameters_of(name).items():
             values[parameter] = _array(default)
-            if parameter.partition(".")[2] in EVERY[name].strengths and values[parameter].size > 1:
-                values[parameter][[j for j in range(JOINTS) if j not in of_joints]] = 0.0
+            if parameter.partition(".")[2] in ALL_EFFECTS[name].strengths and values[parameter].size > 1:
+                values[parameter][[j for j in range(JOINTS) if j not in joints]] = 0.0
     # values of all joints come before those of one
     for key, value in sorted(overrides.items(), key=lambda item: "[" in item[0]):
-        _put(values, key, value, chosen)
+        _set(values, key, value, chosen)
     _check(values)
-    present = {split(term)[0] for term in chosen}
-    _check_company(present)
+    present = {split_key(term)[0] for term in chosen}
+    _check_combination(present)
     return Values(
         {name: float(value[0]) for name, value in values.items() if value.size == 1},
         {name: value for name, value in values.items() if value.size > 1},
     )
 
 
-def split(key: str) -> tuple[str, int | None]:
-    """Take ``name[2]`` apart; UsageError when what stands in the brackets is no joint."""
-    name, bracket, rest = key.partition("[")
+def split_key(key: str) -> tuple[str, int | None]:
+    """Split ``name[2]`` into name and joint; UsageError where the brackets do not contain a joint."""
+    name, bracket, suffix = key.partition("[")
     if not bracket:
         return key, None
-    if not re.fullmatch(rf"[0-{JOINTS - 1}]\]", rest):
+    if not re.fullmatch(rf"[0-{JOINTS - 1}]\]", suffix):
         raise UsageError(f"{key}: expected a joint from 0 to {JOINTS - 1} in brackets, such as {name}[2]")
-    return name, int(rest[0])
+    return name, int(suffix[0])
 
 
-def _joints_of(terms: tuple[str, ...]) -> dict[str, set[int]]:
-    """Which joints have each effect."""
+def _joints_by_effect(terms: tuple[str, ...]) -> dict[str, set[int]]:
+    """Return the joints of each effect."""
     joints: dict[str, set[int]] = {}
     for term in terms:
-        name, joint = split(term)
-        if name not in EVERY:
+        name, joint = split_key(term)
+        if name not in ALL_EFFECTS:
             raise UnknownNameError("effect", name, EFFECTS)
-        six = any(isinstance(value, tuple) for value in EVERY[name].strengths.values())
-        if joint is not None and not six:
+        is_per_joint = any(isinstance(value, tuple) for value in ALL_EFFECTS[name].strengths.values())
+        if joint is not None and not is_per_joint:
             raise UsageError(f"{term}: {name} belongs to the whole arm and takes no joint")
         joints.setdefault(name, set()).update(range(JOINTS) if joint is None else (joint,))
     return joints
@@ -255,20 +267,20 @@ def _array(value: float | Sequence[float]) -> FloatArray:
     return np.atleast_1d(np.array(value, dtype=np.float64))
 
 
-def _put(
+def _set(
     values: dict[str, FloatArray], key: str, value: float | Sequence[float], chosen: tuple[str, ...]
 ) -> None:
-    """Set one parameter, of one joint or of all."""
-    name, joint = split(key)
+    """Set a parameter of one joint or of all."""
+    name, joint = split_key(key)
     if name not in values:
         _refuse(name, chosen)
-    place, given = values[name], _array(value)
-    if joint is not None and place.size == 1:
+    target, array = values[name], _array(value)
+    if joint is not None and target.size == 1:
         raise UsageError(f"{key}: {name} belongs to the whole arm and takes no joint")
-    if given.size not in ({1} if joint is not None else {1, place.size}) or given.ndim != 1:
-        wanted = "one number" if joint is not None or place.size == 1 else f"one number, or {JOINTS}"
+    if array.size not in ({1} if joint is not None else {1, target.size}) or array.ndim != 1:
+        wanted = "one number" if joint is not None or target.size == 1 else f"one number, or {JOINTS}"
         raise UsageError(f"{key}: expected {wanted}, found {value!r}")
-    place[slice(None) if joint is None else joint] = given if joint is None else given[0]
+    target[slice(None) if joint is None else joint] = array if joint is None else array[0]
 
 
 def _refuse(name: str, chosen: tuple[str, ...]) -> None:
@@ -288,11 +300,11 @@ def _check(values: Mapping[str, FloatArray]) -> None:
         bad = ~np.isfinite(value) | (positive & (value <= 0.0)) | ((not signed) & (value < 0.0))
         if np.any(bad):
             raise UsageError(f"{name} must be {wanted}, found {value[bad][0]:g}")
-        if name in LARGEST and np.any(value > LARGEST[name]):
-            raise UsageError(f"{name} must be at most {LARGEST[name]:g}, found {value.max():g}")
+        if name in UPPER_LIMITS and np.any(value > UPPER_LIMITS[name]):
+            raise UsageError(f"{name} must be at most {UPPER_LIMITS[name]:g}, found {value.max():g}")
 
 
-def _check_company(present: set[str]) -> None:
+def _check_combination(present: set[str]) -> None:
     if "presliding_friction" in present and not set(DRY) & present:
         raise UsageError(
             f"presliding_friction needs a dry friction to carry; add one of: {', '.join(DRY[:-1])}"

@@ -1,9 +1,9 @@
-"""Links on springs: the drive moves as the servo says, the link follows through the joint's compliance.
+"""Elastic joints: the drive follows the servo, and the link follows the drive through a spring.
 
 M(q)·q̈ + C(q, q̇)·q̇ + G(q) = K·(θ − q) + D·(θ̇ − q̇) with the drive's angle θ; the torque on the right is
-what the drive has to give. A step balances that at a share of itself: the middle for springs that are slow
-against it, the end for those that are too fast to be followed (and so come to rest). Springs are solved
-implicitly by adding to the inertia what they hold back within the step.
+the torque of the drive. A step is implicit at a share of itself: at the middle for springs that are slow
+compared with the step, at the end for fast ones, which so come to rest. The implicit part of the springs is
+an addition to the inertia.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from labhil.plants.arm.rigid_body import RigidBody
 from labhil.plants.arm.servo import Motion, cubic, cubic_slope
 from labhil.signals import FloatArray
 
-LONGEST_STEP = 2e-3
+MAX_STEP = 2e-3
 """s; against steps of 0.05 ms that costs 1 mN·m (RMS) at the default compliances, 6 at 1/200 of them."""
-LEAST_COMPLIANCE = 1e-7
-"""rad/(N·m), of the joints without elasticity beside those with it; they need no damping of their own."""
-SETTLING = 20
+MIN_COMPLIANCE = 1e-7
+"""rad/(N·m), of the joints without elasticity in an arm with some; they need no damping."""
+SETTLING_ITERATIONS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +36,17 @@ class Springs:
 
     @classmethod
     def of(cls, values: Values) -> Springs | None:
-        """Pick them out of a plant's parameters; None when every joint is stiff."""
-        compliance = values.six("joint_elasticity.compliance")
+        """Take them from the parameters of a plant; None where all joints are rigid."""
+        compliance = values.per_joint("joint_elasticity.compliance")
         if not np.any(compliance > 0.0):
             return None
-        stiffness = 1.0 / np.maximum(compliance, LEAST_COMPLIANCE)
-        relaxation = values.six("joint_elasticity.relaxation")
+        stiffness = 1.0 / np.maximum(compliance, MIN_COMPLIANCE)
+        relaxation = values.per_joint("joint_elasticity.relaxation")
         return cls(stiffness, np.where(compliance > 0.0, stiffness * relaxation, 0.0))
 
 
 class ElasticBody:
-    """The links behind their springs; begins in the balance that :meth:`settle` finds."""
+    """The links on their springs; they start in the equilibrium of :meth:`settle`."""
 
     def __init__(self, body: RigidBody | RecursiveBody, springs: Springs) -> None:
         self._body = body
@@ -57,57 +57,57 @@ class ElasticBody:
         self._inertia = np.ones(JOINTS)
 
     def settle(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> None:
-        """Put the links where they hang while the drives move steadily; (6,) each."""
+        """Set the links to their equilibrium while the drives move with these values, (6,) each."""
         self._body.set_armature(np.zeros(JOINTS))
         link = q.copy()
-        for _ in range(SETTLING):
+        for _ in range(SETTLING_ITERATIONS):
             torque = self._body.torques(link[None], qd[None], qdd[None])[0]
             link = q - torque / self._springs.stiffness
         self._drive[:] = q, qd
         self._link[:] = link, qd
         self._torque = self._springs.stiffness * (q - link)
-        still = np.zeros((JOINTS, JOINTS))
-        weight = self._body.torques(link[None], still[:1], still[:1])
-        masses = self._body.torques(np.tile(link, (JOINTS, 1)), still, np.eye(JOINTS)) - weight
+        zeros = np.zeros((JOINTS, JOINTS))
+        weight = self._body.torques(link[None], zeros[:1], zeros[:1])
+        masses = self._body.torques(np.tile(link, (JOINTS, 1)), zeros, np.eye(JOINTS)) - weight
         self._inertia = np.diag(masses).copy()
 
     def torques(self, motion: Motion, h: FloatArray) -> FloatArray:
         """Return the drives' torques (n, 6) N·m; row i comes ``h[i]`` s after the one before."""
         out = np.empty_like(motion.q)
         for i in range(len(h)):
-            steps = max(1, math.ceil(h[i] / LONGEST_STEP - 1e-9)) if h[i] > 0.0 else 0
+            steps = max(1, math.ceil(h[i] / MAX_STEP - 1e-9)) if h[i] > 0.0 else 0
             out[i] = self._advance(motion.q[i], motion.qd[i], h[i], steps)
         return out
 
     def _advance(self, q: FloatArray, qd: FloatArray, h: float, steps: int) -> FloatArray:
-        """Go ``steps`` steps on while the drives come to q and q̇ within h (s); return the torques (6,) then.
+        """Advance by ``steps`` steps while the drives move to q and q̇ within h (s); return the torques.
 
-        They are those of the last step's balance, drawn on to its end along those of the step before.
+        They are extrapolated to the end of the last step from those of the last two steps.
         """
         final = self._torque
         if steps:
             k, d, step = self._springs.stiffness, self._springs.damping, h / steps
-            share = self._shares(step)
-            held_back = share * step * (d + share * step * k)
-            self._body.set_armature(held_back)
+            share = self._implicit_shares(step)
+            implicit_inertia = share * step * (d + share * step * k)
+            self._body.set_armature(implicit_inertia)
             moments = (np.arange(steps, dtype=np.float64)[:, None] + share) * step
             span = np.array([[h]])
             angles = cubic(self._drive[0], self._drive[1], q, qd, moments, span)
             rates = cubic_slope(self._drive[0], self._drive[1], q, qd, moments, span)
             for angle, rate in zip(angles, rates, strict=True):
-                where, speed = self._link
-                ahead = where + share * step * speed
-                pull = k * (angle - ahead) + d * (rate - speed)
-                gain = step * self._body.accelerations(ahead, speed, pull)
-                torque = pull - held_back * gain / step
+                angle_now, rate_now = self._link
+                predicted = angle_now + share * step * rate_now
+                spring_torque = k * (angle - predicted) + d * (rate - rate_now)
+                gain = step * self._body.accelerations(predicted, rate_now, spring_torque)
+                torque = spring_torque - implicit_inertia * gain / step
                 final = torque + (1.0 - share) * (torque - self._torque)
-                self._link[0] += step * (speed + share * gain)
+                self._link[0] += step * (rate_now + share * gain)
                 self._link[1] += gain
                 self._torque = torque
         self._drive[:] = q, qd
         return final
 
-    def _shares(self, step: float) -> FloatArray:
-        """At which share of a step each spring is balanced (6,): from one half, slow, to one, fast."""
-        pace = self._springs.stiffness / self._inertia * step**2
-        return np.asarray(0.5 + 0.5 * pace / (1.0 + pace))
+    def _implicit_shares(self, step: float) -> FloatArray:
+        """Return the implicit share of a step of each spring (6,): from one half, slow, to one, fast."""
+        relative_stiffness = self._springs.stiffness / self._inertia * step**2
+        return np.asarray(0.5 + 0.5 * relative_stiffness / (1.0 + relative_stiffness))

@@ -1,6 +1,6 @@
-"""What an arm's links are made of: standard Denavit-Hartenberg rows, masses, centres and inertias.
+"""Links of an arm: standard Denavit-Hartenberg parameters, masses, centres and inertias.
 
-Frame i stands at the far end of link i and moves with it; joint i (from 1) turns about the z axis of
+Frame i is at the far end of link i and moves with it; joint i (from 1) turns about the z axis of
 frame i − 1: T = Rot_z(q)·Trans_z(d)·Trans_x(a)·Rot_x(alpha).
 """
 
@@ -104,4 +104,4 @@ UR3E = Links(
 """Lengths, masses and centres as the manufacturer publishes them; the inertias are cylinders of ours."""
 
 ARMS: Mapping[str, Links] = {"ur5": UR5, "ur10e": UR10E, "ur3e": UR3E}
-"""The arms that come along, by name."""
+"""The known arms by name."""

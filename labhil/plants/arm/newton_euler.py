@@ -1,8 +1,8 @@
-"""The rigid body of the arm once more, without a physics engine: Newton and Euler's recursion, compiled.
+"""The rigid body of the arm by the recursive Newton-Euler algorithm, compiled, without a physics engine.
 
-For worlds that keep pace with a clock: one evaluation takes a few µs, and nothing beyond numpy is
-installed. It agrees with :mod:`labhil.plants.arm.rigid_body` to rounding, which the tests hold. Outward from
-the base: velocities and accelerations; inward from the tool: forces and moments, in each link's own frame.
+One evaluation takes a few µs. It agrees with :mod:`labhil.plants.arm.rigid_body` to rounding (see its tests).
+Outward from the base: velocities and accelerations; inward from the tool: forces and moments, in the frame of
+each link.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from labhil.plants.arm.rigid_body import Load
 from labhil.signals import FloatArray
 
 
-class Table(NamedTuple):
+class LinkArrays(NamedTuple):
     """The links as arrays: m, and cosines and sines of the twists (6,); kg; m (6, 3); kg·m² (6, 3, 3).
 
     ``gravity`` (3,) m/s² in the base's frame.
@@ -35,13 +35,14 @@ class Table(NamedTuple):
     gravity: FloatArray
 
     @classmethod
-    def of(cls, links: Links, load: Load) -> Table:
-        """Write links and load down; the payload becomes part of the last link.
+    def of(cls, links: Links, load: Load) -> LinkArrays:
+        """Make the arrays; the payload becomes part of the last link.
 
-        UsageError for a load with a cable, which needs the physics engine.
+        Raises:
+            UsageError: The load has a cable, which needs the physics engine.
         """
         if load.cable_stiffness != 0.0:
-            raise UsageError("hidden_cable is not among the effects of an arm that keeps pace with a clock")
+            raise UsageError("hidden_cable is not among the effects of an arm in real time")
         parts = links.links
         table = cls(
             a=np.array([link.a for link in parts]),
@@ -53,18 +54,20 @@ class Table(NamedTuple):
             inertia=np.array([_matrix(link.inertia) for link in parts]),
             gravity=np.array(load.gravity()),
         )
-        table.carry(load.mass, load.centre)
+        table.add_point_mass(load.mass, load.centre)
         return table
 
-    def carry(self, mass: float, centre: Vector) -> None:
+    def add_point_mass(self, mass: float, centre: Vector) -> None:
         """Add a point mass (kg) in the flange's frame (m) to the last link."""
         if mass == 0.0:
             return
-        link_mass, at = self.mass[-1], self.centre[-1].copy()
-        common = (link_mass * at + mass * np.array(centre)) / (link_mass + mass)
-        self.inertia[-1] += link_mass * _point(at - common) + mass * _point(np.array(centre) - common)
+        link_mass, link_centre = self.mass[-1], self.centre[-1].copy()
+        centre_of_both = (link_mass * link_centre + mass * np.array(centre)) / (link_mass + mass)
+        self.inertia[-1] += link_mass * _point_inertia(link_centre - centre_of_both) + mass * _point_inertia(
+            np.array(centre) - centre_of_both
+        )
         self.mass[-1] += mass
-        self.centre[-1] = common
+        self.centre[-1] = centre_of_both
 
 
 def _matrix(inertia: tuple[float, float, float, float, float, float]) -> FloatArray:
@@ -72,16 +75,16 @@ def _matrix(inertia: tuple[float, float, float, float, float, float]) -> FloatAr
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def _point(r: FloatArray) -> FloatArray:
+def _point_inertia(r: FloatArray) -> FloatArray:
     """Moment of inertia (3, 3) of a point of 1 kg at r about the origin."""
     return np.asarray(float(r @ r) * np.eye(3) - np.outer(r, r))
 
 
 class RecursiveBody:
-    """Rigid links with one hinge each; the same doors as :class:`~labhil.plants.arm.rigid_body.RigidBody`."""
+    """Rigid links with one hinge each; the interface of :class:`~labhil.plants.arm.rigid_body.RigidBody`."""
 
     def __init__(self, links: Links, load: Load | None = None) -> None:
-        self.table = Table.of(links, load or Load())
+        self.table = LinkArrays.of(links, load or Load())
         self._armature = np.zeros(JOINTS)
         self._out = np.zeros(JOINTS)
         self._masses = np.zeros((JOINTS, JOINTS))
@@ -94,15 +97,15 @@ class RecursiveBody:
         return out + self._armature * qdd
 
     def torque(self, q: FloatArray, qd: FloatArray, qdd: FloatArray) -> FloatArray:
-        """Return the joint torques (6,) N·m of one moment, without armature."""
+        """Return the joint torques (6,) N·m at one instant, without armature."""
         out = np.empty(JOINTS)
         recursion(self.table, q, qd, qdd, out)
         return out
 
     def accelerations(self, q: FloatArray, qd: FloatArray, torque: FloatArray) -> FloatArray:
         """Return the joint accelerations (6,) rad/s² under joint torques (6,) N·m, armature included."""
-        still = np.zeros(JOINTS)
-        recursion(self.table, q, qd, still, self._out)
+        zeros = np.zeros(JOINTS)
+        recursion(self.table, q, qd, zeros, self._out)
         masses = self.mass_matrix(q) + np.diag(self._armature)
         return np.asarray(np.linalg.solve(masses, torque - self._out))
 
@@ -117,32 +120,32 @@ class RecursiveBody:
 
 
 @compiled
-def recursion(table: Table, q: FloatArray, qd: FloatArray, qdd: FloatArray, out: FloatArray) -> None:
-    """Write the joint torques (6,) N·m of one moment: rad, rad/s, rad/s²."""
-    turns = np.zeros((7, 3, 3))
+def recursion(table: LinkArrays, q: FloatArray, qd: FloatArray, qdd: FloatArray, out: FloatArray) -> None:
+    """Write the joint torques (6,) N·m at one instant: rad, rad/s, rad/s²."""
+    rotations = np.zeros((7, 3, 3))
     forces, moments = np.zeros((6, 3)), np.zeros((6, 3))
     arms = np.zeros((6, 3))
     w, dw, dv = np.zeros(3), np.zeros(3), -table.gravity
     axis = np.array([0.0, 0.0, 1.0])
     for i in range(6):
         c, s, ca, sa = np.cos(q[i]), np.sin(q[i]), table.cosine[i], table.sine[i]
-        turn = turns[i]
-        turn[0, 0], turn[0, 1], turn[0, 2] = c, -s * ca, s * sa
-        turn[1, 0], turn[1, 1], turn[1, 2] = s, c * ca, -c * sa
-        turn[2, 0], turn[2, 1], turn[2, 2] = 0.0, sa, ca
+        rotation = rotations[i]
+        rotation[0, 0], rotation[0, 1], rotation[0, 2] = c, -s * ca, s * sa
+        rotation[1, 0], rotation[1, 1], rotation[1, 2] = s, c * ca, -c * sa
+        rotation[2, 0], rotation[2, 1], rotation[2, 2] = 0.0, sa, ca
         arms[i, 0], arms[i, 1], arms[i, 2] = table.a[i], table.d[i] * sa, table.d[i] * ca
-        dw = back(turn, dw + axis * qdd[i] + cross(w, axis * qd[i]))
-        w = back(turn, w + axis * qd[i])
-        dv = back(turn, dv) + cross(dw, arms[i]) + cross(w, cross(w, arms[i]))
+        dw = rotate_back(rotation, dw + axis * qdd[i] + cross(w, axis * qd[i]))
+        w = rotate_back(rotation, w + axis * qd[i])
+        dv = rotate_back(rotation, dv) + cross(dw, arms[i]) + cross(w, cross(w, arms[i]))
         centre = table.centre[i]
         forces[i] = table.mass[i] * (dv + cross(dw, centre) + cross(w, cross(w, centre)))
-        moments[i] = forth(table.inertia[i], dw) + cross(w, forth(table.inertia[i], w))
-    turns[6, 0, 0] = turns[6, 1, 1] = turns[6, 2, 2] = 1.0
+        moments[i] = rotate(table.inertia[i], dw) + cross(w, rotate(table.inertia[i], w))
+    rotations[6, 0, 0] = rotations[6, 1, 1] = rotations[6, 2, 2] = 1.0
     force, moment = np.zeros(3), np.zeros(3)
     for i in range(5, -1, -1):
-        carried = forth(turns[i + 1], force)
+        carried = rotate(rotations[i + 1], force)
         moment = (
-            forth(turns[i + 1], moment)
+            rotate(rotations[i + 1], moment)
             + cross(arms[i], carried)
             + cross(arms[i] + table.centre[i], forces[i])
             + moments[i]
@@ -152,14 +155,14 @@ def recursion(table: Table, q: FloatArray, qd: FloatArray, qdd: FloatArray, out:
 
 
 @compiled
-def mass_matrix(table: Table, q: FloatArray, out: FloatArray) -> None:
-    """Write M(q) (6, 6) kg·m²: the torques of a unit acceleration of each joint, without weight."""
-    weight, column, still = np.zeros(6), np.zeros(6), np.zeros(6)
-    recursion(table, q, still, still, weight)
+def mass_matrix(table: LinkArrays, q: FloatArray, out: FloatArray) -> None:
+    """Write M(q) (6, 6) kg·m²: the torques of a unit acceleration of each joint, without gravity."""
+    weight, column, zeros = np.zeros(6), np.zeros(6), np.zeros(6)
+    recursion(table, q, zeros, zeros, weight)
     for i in range(6):
         unit = np.zeros(6)
         unit[i] = 1.0
-        recursion(table, q, still, unit, column)
+        recursion(table, q, zeros, unit, column)
         out[:, i] = column - weight
 
 
@@ -174,18 +177,18 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @compiled
-def forth(turn: FloatArray, v: FloatArray) -> FloatArray:
+def rotate(rotation: FloatArray, v: FloatArray) -> FloatArray:
     """Return turn·v, (3,)."""
     out = np.empty(3)
     for i in range(3):
-        out[i] = turn[i, 0] * v[0] + turn[i, 1] * v[1] + turn[i, 2] * v[2]
+        out[i] = rotation[i, 0] * v[0] + rotation[i, 1] * v[1] + rotation[i, 2] * v[2]
     return out
 
 
 @compiled
-def back(turn: FloatArray, v: FloatArray) -> FloatArray:
+def rotate_back(rotation: FloatArray, v: FloatArray) -> FloatArray:
     """Return turnᵀ·v, (3,)."""
     out = np.empty(3)
     for i in range(3):
-        out[i] = turn[0, i] * v[0] + turn[1, i] * v[1] + turn[2, i] * v[2]
+        out[i] = rotation[0, i] * v[0] + rotation[1, i] * v[1] + rotation[2, i] * v[2]
     return out

@@ -17,16 +17,20 @@ GRAVITY = 9.81
 """m/s²."""
 CABLE_ON_FOREARM: Vector = (0.12, 0.0, 0.10)
 CABLE_ON_FLANGE: Vector = (0.05, 0.0, -0.01)
-"""Where the hidden cable is tied: m, in the frames of link 3 (from 1) and of the flange."""
+"""Ends of the hidden cable, m, in the frames of link 3 (from 1) and of the flange."""
 
 
 @dataclass(frozen=True, slots=True)
 class Load:
-    """What the arm carries and how it stands, beside its links.
+    """Payload, tilt of the base, and cable.
 
-    ``mass`` kg at ``centre`` m (in the flange's frame, a point); the base is rolled about its x axis
-    and then pitched about the y axis of the floor, rad; a cable of ``cable_length`` m and
-    ``cable_stiffness`` N/m between forearm and flange pulls once it is taut.
+    Attributes:
+        mass: Mass of the payload, a point, kg.
+        centre: Its position in the flange's frame, m.
+        roll: Roll of the base about its x axis, rad, before
+        pitch: its pitch about the y axis of the floor, rad.
+        cable_stiffness: Stiffness of a cable between forearm and flange, N/m.
+        cable_length: Length above which the cable is taut, m.
     """
 
     mass: float = 0.0
@@ -38,7 +42,7 @@ class Load:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Load:
-        """Pick it out of a plant's parameters."""
+        """Take it from the parameters of a plant."""
         return cls(
             mass=values.get("payload.mass", 0.0),
             centre=(
@@ -63,7 +67,7 @@ class RigidBody:
 
     def __init__(self, links: Links, load: Load | None = None) -> None:
         engine = physics_engine()
-        self.model = engine.MjModel.from_xml_string(describe(links, load or Load()))
+        self.model = engine.MjModel.from_xml_string(to_mjcf(links, load or Load()))
         self.data = engine.MjData(self.model)
         self._inverse = engine.mj_inverse
         self._forward = engine.mj_forward
@@ -84,7 +88,7 @@ class RigidBody:
     def accelerations(self, q: FloatArray, qd: FloatArray, torque: FloatArray) -> FloatArray:
         """Return the joint accelerations (6,) rad/s² under joint torques (6,) N·m, armature included.
 
-        The array is the engine's own and holds until the next call.
+        The array belongs to the engine and is valid until the next call.
         """
         self.data.qpos[:] = q
         self.data.qvel[:] = qd
@@ -102,22 +106,22 @@ def physics_engine() -> Any:
     return load_optional("mujoco", "the simulated arm")
 
 
-def describe(links: Links, load: Load) -> str:
-    """Return the arm as an MJCF document, one body a link, in the frames of the table of links."""
-    inner = _payload(load) + _site("flange", CABLE_ON_FLANGE)
+def to_mjcf(links: Links, load: Load) -> str:
+    """Return the arm as an MJCF document, one body per link."""
+    children = _payload(load) + _site("flange", CABLE_ON_FLANGE)
     for number in reversed(range(JOINTS)):
-        tied = _site("forearm", CABLE_ON_FOREARM) if number == 2 else ""
-        inner = _body(number, links.links[number], tied + inner)
+        site = _site("forearm", CABLE_ON_FOREARM) if number == 2 else ""
+        children = _body(number, links.links[number], site + children)
     return (
         f'<mujoco model="{links.name}"><compiler angle="radian" autolimits="false"/>'
         f'<option gravity="{_numbers(load.gravity())}">'
         '<flag contact="disable" constraint="disable"/></option>'
-        f"<worldbody>{inner}</worldbody>{_cable(load)}</mujoco>"
+        f"<worldbody>{children}</worldbody>{_cable(load)}</mujoco>"
     )
 
 
-def _body(number: int, link: Link, inner: str) -> str:
-    """One link: its frame seen from the one before at angle zero, its hinge there, its inertia here."""
+def _body(number: int, link: Link, children: str) -> str:
+    """Return a link with its children: frame at angle zero, hinge and inertia."""
     c, s = cos(link.alpha), sin(link.alpha)
     hinge = (-link.a, -link.d * s, -link.d * c)
     turned = (cos(link.alpha / 2), sin(link.alpha / 2), 0.0, 0.0)
@@ -126,7 +130,7 @@ def _body(number: int, link: Link, inner: str) -> str:
         f'<joint name="joint_{number}" type="hinge" axis="{_numbers((0.0, s, c))}" pos="{_numbers(hinge)}"/>'
         f'<inertial pos="{_numbers(link.centre)}" mass="{link.mass!r}"'
         f' fullinertia="{_numbers(link.inertia)}"/>'
-        f"{inner}</body>"
+        f"{children}</body>"
     )
 
 

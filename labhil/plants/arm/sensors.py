@@ -1,4 +1,4 @@
-"""From what is true in the arm to the numbers that its controller reports."""
+"""Sensors of the arm: from true quantities to the readings of the controller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labhil.signals import FloatArray
 
 @dataclass(slots=True)
 class Sensors:
-    """Encoders, current, temperature and voltage measurement; ``state`` is the current noise's own."""
+    """Encoders, current, temperature and voltage sensors; ``state`` is that of the coloured current noise."""
 
     q_noise: float
     qd_noise: float
@@ -33,13 +33,13 @@ class Sensors:
 
     @classmethod
     def of(cls, values: Values, random: np.random.Generator) -> Sensors:
-        """Pick them out of a plant's parameters; ``random`` is what all noise comes from."""
+        """Take them from the parameters of a plant; ``random`` generates all noise."""
         return cls(
             q_noise=values.number("q_noise"),
             qd_noise=values.number("qd_noise"),
-            gain=1.0 + values.six("sensor_gain.gain"),
-            offset=values.six("sensor_offset.offset"),
-            current_noise=values.six("current_noise"),
+            gain=1.0 + values.per_joint("sensor_gain.gain"),
+            offset=values.per_joint("sensor_offset.offset"),
+            current_noise=values.per_joint("current_noise"),
             memory=values.number("current_noise_memory"),
             current_resolution=values.number("current_resolution"),
             temperature_noise=values.number("temperature_noise"),
@@ -60,7 +60,7 @@ class Sensors:
         return qd + self.qd_noise * self.random.standard_normal(qd.shape)
 
     def currents(self, current: FloatArray) -> FloatArray:
-        """Measure currents (n, 6) A; the noise of a sample remembers the one before."""
+        """Measure currents (n, 6) A, with coloured noise."""
         noise = self.random.standard_normal(current.shape)
         colour(noise, self.memory, self.state)
         return round_to(
@@ -73,7 +73,7 @@ class Sensors:
         return round_to(temperature + noise, self.temperature_resolution)
 
     def voltage(self, power: FloatArray) -> FloatArray:
-        """Measure the supply's voltage (n,) under a power (n,) W; power that comes back does not raise it."""
+        """Measure the voltage (n,) of the supply under a power (n,) W; returned power does not raise it."""
         sag = self.supply_resistance * np.maximum(power, 0.0) / self.supply
         return np.asarray(self.supply - sag + self.voltage_noise * self.random.standard_normal(power.shape))
 
@@ -86,8 +86,8 @@ def round_to(values: FloatArray, resolution: float) -> FloatArray:
 @compiled
 def colour(noise: FloatArray, memory: float, state: FloatArray) -> None:
     """Turn white noise (n, 6) of unit variance into a first-order process of the same variance, in place."""
-    fresh = (1.0 - memory * memory) ** 0.5
+    innovation = (1.0 - memory * memory) ** 0.5
     for i in range(noise.shape[0]):
         for j in range(noise.shape[1]):
-            state[j] = memory * state[j] + fresh * noise[i, j]
+            state[j] = memory * state[j] + innovation * noise[i, j]
             noise[i, j] = state[j]

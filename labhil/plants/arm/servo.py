@@ -1,7 +1,7 @@
-"""How the joints follow what the controller plans, and the plan between its rows.
+"""The servo: how the joints follow a plan, and the plan between its rows.
 
 The servo feeds position and velocity forward, not acceleration: its error e = q − q_plan obeys
-ë = −ω²·e − 2ω·ė − q̈_plan. With q̈_plan on a straight line between two samples that is solved exactly.
+ë = −ω²·e − 2ω·ė − q̈_plan. With q̈_plan linear between two samples the solution is exact.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ class Motion:
 
     @classmethod
     def empty(cls, t: FloatArray) -> Motion:
-        """Room for a motion at the times ``t``."""
+        """Allocate a motion at the times ``t``."""
         shape = (len(t), JOINTS)
         return cls(t, np.empty(shape), np.empty(shape), np.empty(shape))
 
     def at(self, t: FloatArray) -> Motion:
-        """Return the motion at other times (m,): cubics between the rows, steady acceleration beyond them."""
+        """Return the motion at other times (m,): cubics between the rows, constant acceleration outside."""
         if np.array_equal(t, self.t):
             return self
         row = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
         after = np.minimum(row + 1, len(self.t) - 1)
-        beyond = ((t < self.t[0]) | (after == row))[:, None]
+        is_outside = ((t < self.t[0]) | (after == row))[:, None]
         span = np.where(after == row, 1.0, self.t[after] - self.t[row])[:, None]
         s = (t - self.t[row])[:, None]
         q, qd, qdd = self.q[row], self.qd[row], self.qdd[row]
         return Motion(
             t,
             np.where(
-                beyond, q + s * (qd + 0.5 * s * qdd), cubic(q, qd, self.q[after], self.qd[after], s, span)
+                is_outside, q + s * (qd + 0.5 * s * qdd), cubic(q, qd, self.q[after], self.qd[after], s, span)
             ),
-            np.where(beyond, qd + s * qdd, cubic(qd, qdd, self.qd[after], self.qdd[after], s, span)),
-            np.where(beyond, qdd, qdd + (self.qdd[after] - qdd) * s / span),
+            np.where(is_outside, qd + s * qdd, cubic(qd, qdd, self.qd[after], self.qdd[after], s, span)),
+            np.where(is_outside, qdd, qdd + (self.qdd[after] - qdd) * s / span),
         )
 
 
@@ -65,60 +65,60 @@ def cubic(
 def cubic_slope(
     y0: FloatArray, slope0: FloatArray, y1: FloatArray, slope1: FloatArray, s: FloatArray, span: FloatArray
 ) -> FloatArray:
-    """Return the slope of that cubic."""
+    """Return the slope of the cubic of :func:`cubic`."""
     u = s / span
     ends = (1.0 - u) * (1.0 - 3.0 * u) * slope0 + u * (3.0 * u - 2.0) * slope1
     return np.asarray(6.0 * u * (1.0 - u) * (y1 - y0) / span + ends)
 
 
-class Lag(NamedTuple):
-    """What the servo remembers, (6,) each: its error rad and that error's rate, the planned acceleration."""
+class ServoState(NamedTuple):
+    """State of the servo, (6,) each: error rad, rate of the error, last planned acceleration."""
 
     error: FloatArray
     rate: FloatArray
     planned: FloatArray
 
     @classmethod
-    def settled(cls, qdd: FloatArray, bandwidth: float) -> Lag:
-        """The servo that has followed a steady acceleration (6,) for long."""
+    def steady(cls, qdd: FloatArray, bandwidth: float) -> ServoState:
+        """Return the steady state under a constant acceleration (6,)."""
         return cls(-qdd / bandwidth**2, np.zeros(JOINTS), qdd.copy())
 
 
-def track(plan: Motion, h: FloatArray, bandwidth: float, lag: Lag) -> Motion:
-    """Return how the joints move along a plan, row i ``h[i]`` s after the one before; ``lag`` moves on.
+def track(plan: Motion, h: FloatArray, bandwidth: float, servo: ServoState) -> Motion:
+    """Return how the joints move along a plan, row i ``h[i]`` s after the one before; ``servo`` moves on.
 
     ``bandwidth`` is the servo's ω, rad/s.
     """
     moved = Motion.empty(plan.t)
-    walk(plan.q, plan.qd, plan.qdd, h, bandwidth, lag, moved.q, moved.qd, moved.qdd)
+    follow_plan(plan.q, plan.qd, plan.qdd, h, bandwidth, servo, moved.q, moved.qd, moved.qdd)
     return moved
 
 
 @compiled
-def walk(
+def follow_plan(
     q: FloatArray,
     qd: FloatArray,
     qdd: FloatArray,
     h: FloatArray,
     w: float,
-    lag: Lag,
+    servo: ServoState,
     out_q: FloatArray,
     out_qd: FloatArray,
     out_qdd: FloatArray,
 ) -> None:
-    """Walk the servo's error through all rows, in place; see ``track``."""
+    """Advance the servo's error through all rows, in place; see ``track``."""
     for i in range(h.size):
         decay = math.exp(-w * h[i])
         for j in range(q.shape[1]):
-            before, now = lag.planned[j], qdd[i, j]
+            before, now = servo.planned[j], qdd[i, j]
             if h[i] > 0.0:
                 slope = (now - before) / h[i]
                 shift = 2.0 * slope / w**3
-                free = lag.error[j] + before / w**2 - shift
-                kick = lag.rate[j] + slope / w**2 + w * free
-                lag.error[j] = -now / w**2 + shift + (free + kick * h[i]) * decay
-                lag.rate[j] = -slope / w**2 + (kick - w * (free + kick * h[i])) * decay
-            lag.planned[j] = now
-            out_q[i, j] = q[i, j] + lag.error[j]
-            out_qd[i, j] = qd[i, j] + lag.rate[j]
-            out_qdd[i, j] = -w * (w * lag.error[j] + 2.0 * lag.rate[j])
+                free = servo.error[j] + before / w**2 - shift
+                kick = servo.rate[j] + slope / w**2 + w * free
+                servo.error[j] = -now / w**2 + shift + (free + kick * h[i]) * decay
+                servo.rate[j] = -slope / w**2 + (kick - w * (free + kick * h[i])) * decay
+            servo.planned[j] = now
+            out_q[i, j] = q[i, j] + servo.error[j]
+            out_qd[i, j] = qd[i, j] + servo.rate[j]
+            out_qdd[i, j] = -w * (w * servo.error[j] + 2.0 * servo.rate[j])

@@ -1,4 +1,7 @@
-"""What a simulated rig can be made of: a bare rig's numbers, effects by name, and what fits together."""
+"""Definition of a simulated rig: its parameters, the effects it can have, and which of them can be combined.
+
+Each rig has one (``dc_motor_definition``, ``solenoid_definition``, …); the effects common to all are here.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +17,18 @@ NOT_NEGATIVE = (
     ".right", ".damping", ".time_constant", ".compliance", "quantisation.step", "magnetic_hysteresis.width",
     "spring_stiffness",
 )  # fmt: skip
-"""Endings of the names of sizes that may be zero and never less."""
+"""Endings of the names of parameters that are not negative."""
 
 
 @dataclass(frozen=True, slots=True)
-class World:
-    """``bare`` maps a rig's parameters to defaults (SI); ``effects`` are what may be added by name.
+class PlantDefinition:
+    """Parameters and effects of a simulated rig.
 
-    ``hidden`` effects are in no list of names: they are for trials with physics that nobody expects.
-    ``positive`` names must be larger than zero.
+    Attributes:
+        bare: Parameters of the rig without effects, with their defaults, SI.
+        effects: Effects by name.
+        positive: Names of parameters that must be larger than zero.
+        hidden: Effects that no list contains, for trials with unmodelled physics.
     """
 
     bare: Mapping[str, float]
@@ -31,9 +37,10 @@ class World:
     hidden: Mapping[str, Effect]
 
     def parameters_of(self, effect: str) -> dict[str, float]:
-        """The effect's parameters by full name (``effect.parameter``) with their defaults.
+        """Return the parameters of an effect by full name (``effect.parameter``) with their defaults.
 
-        UnknownNameError lists the effects that there are, but for hidden ones.
+        Raises:
+            UnknownNameError: No effect has this name; the message lists those that are not hidden.
         """
         definition = self.effects.get(effect) or self.hidden.get(effect)
         if definition is None:
@@ -41,15 +48,23 @@ class World:
         return {f"{effect}.{name}": value for name, value in definition.parameters.items()}
 
     def all_parameters(self) -> dict[str, float]:
-        """Every parameter that the plant takes, with its default (SI); hidden effects' too."""
+        """Return all parameters with their defaults (SI), those of hidden effects included."""
         named = [self.parameters_of(effect) for effect in (*self.effects, *self.hidden)]
         return dict(self.bare) | {name: value for group in named for name, value in group.items()}
 
     def resolve(self, terms: Iterable[str], overrides: Mapping[str, float]) -> dict[str, float]:
-        """The parameters in force: the bare rig's and those of the effects in ``terms``.
+        """Return the parameters of the rig with some effects.
 
-        UnknownNameError for an effect or a parameter that does not exist; UsageError for the parameter of
-        an effect that is not among ``terms``, and for values that make no world.
+        Args:
+            terms: Names of the effects.
+            overrides: Values by parameter name, SI.
+
+        Returns:
+            Values of all parameters, SI.
+
+        Raises:
+            UnknownNameError: An effect or a parameter does not exist.
+            UsageError: A parameter belongs to an effect that is not in ``terms``, or a value is out of range.
         """
         chosen = tuple(terms)
         values = dict(self.bare)
@@ -94,10 +109,10 @@ class World:
 
 SAMPLING: Mapping[str, float] = {
     "noise_correlation": 0.0,  # of neighbouring samples, every channel's
-    "stamp_jitter": 0.0,  # s, standard deviation of samples and commands beside their beat; stamps show it
-    "stamp_error": 0.0,  # s, standard deviation of stamps beside the samples' true times
+    "stamp_jitter": 0.0,  # s, standard deviation of samples and commands from an even clock
+    "stamp_error": 0.0,  # s, standard deviation of time stamps from the true times
 }
-"""What every recording may suffer from."""
+"""Parameters of the sampling, common to all rigs."""
 
 POSITIVE = frozenset(
     {
@@ -134,9 +149,9 @@ FRICTION: Mapping[str, Effect] = {
         {"stiffness": 1.0, "damping": 1.0, "spread": 10.0, "attraction": 100.0},
     ),
 }
-"""Friction laws that every moving part may have; each rig sets its own sizes."""
+"""Friction laws of all moving parts; each rig has its own defaults."""
 
-WAY_IN: Mapping[str, Effect] = {
+INPUT_EFFECTS: Mapping[str, Effect] = {
     "time_delay": Effect("the command acts later, s", {"delay": 0.02}),
     "dead_zone": Effect("commands between −left and right do nothing", {"left": 1.0, "right": 1.0}),
     "saturation": Effect("the command goes no further than ± limit", {"limit": 1.0}),
@@ -144,20 +159,20 @@ WAY_IN: Mapping[str, Effect] = {
     "actuator_lag": Effect("the command acts through a first-order lag, s", {"time_constant": 0.02}),
     "rate_limit": Effect("the command changes no faster than rate per second", {"rate": 1.0}),
 }
-"""Effects between a command and what it drives; sizes in the command's unit."""
+"""Effects of the input path; parameters in the unit of the command."""
 
-WAY_OUT: Mapping[str, Effect] = {
+OUTPUT_EFFECTS: Mapping[str, Effect] = {
     "sensor_gain": Effect("measured = (1 + gain)·x", {"gain": 0.05}),
     "sensor_offset": Effect("measured = x + offset", {"offset": 0.01}),
     "sensor_nonlinearity": Effect("measured = x + c·x³", {"cubic": 0.01}),
     "sensor_lag": Effect("the sensor follows with a first-order lag, s", {"time_constant": 0.02}),
     "quantisation": Effect("a sensor that counts in steps", {"step": 0.01}),
 }
-"""Effects between the first measured quantity and its samples."""
+"""Effects of the first sensor."""
 
 
 def with_sizes(effects: Mapping[str, Effect], sizes: Mapping[str, Mapping[str, float]]) -> dict[str, Effect]:
-    """Effects with the defaults of one rig in the place of the general ones."""
+    """Replace the general defaults of effects by those of a rig."""
     return {
         name: Effect(effect.about, {**effect.parameters, **sizes.get(name, {})})
         for name, effect in effects.items()

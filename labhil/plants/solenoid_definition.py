@@ -1,9 +1,9 @@
-"""What a simulated solenoid can be made of: every number and every effect, without the plant itself."""
+"""Parameters and effects of the simulated solenoid (see :mod:`labhil.plants.definition`)."""
 
 from __future__ import annotations
 
+from labhil.plants.definition import FRICTION, OUTPUT_EFFECTS, POSITIVE, SAMPLING, PlantDefinition, with_sizes
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_OUT, World, with_sizes
 
 STROKE = 0.005
 COPPER = 0.0039
@@ -12,9 +12,9 @@ FORCE_MAP = {
     "force_map_10": 8.0, "force_map_11": 2.0, "force_map_12": -3.0,
     "force_map_20": 12.0, "force_map_21": 1.5, "force_map_30": -2.0,
 }  # fmt: skip
-"""This project's own stated magnet, N: the factor of i^a·(x/5 mm)^b, i in A, for each ``force_map_ab``."""
+"""Our own magnet: ``force_map_ab`` is the factor, N, of i^a·(x/5 mm)^b with i in A."""
 
-SOLENOID = World(
+SOLENOID = PlantDefinition(
     bare={
         "moving_mass": 0.064,  # kg
         "spring_stiffness": 6850.0,  # N/m
@@ -71,10 +71,10 @@ SOLENOID = World(
             "the amplifier's switching on current (A) and voltage (V), Hz",
             {"current": 0.02, "voltage": 0.5, "frequency": 20013.0},
         ),
-        # no other way in: the input is the coil's current itself, and what drives it is the current loop's
+        # no other input effects: the input is the coil's current itself, which the current loop controls
         "time_delay": Effect("the position is seen later than the current, s", {"delay": 0.002}),
         **with_sizes(
-            WAY_OUT,
+            OUTPUT_EFFECTS,
             {
                 "sensor_offset": {"offset": 1e-4},
                 "sensor_nonlinearity": {"cubic": 2e3},

@@ -1,13 +1,21 @@
-"""What a simulated DC motor can be made of: every number and every effect, without the plant itself."""
+"""Parameters and effects of the simulated DC motor (see :mod:`labhil.plants.definition`)."""
 
 from __future__ import annotations
 
+from labhil.plants.definition import (
+    FRICTION,
+    INPUT_EFFECTS,
+    OUTPUT_EFFECTS,
+    POSITIVE,
+    SAMPLING,
+    PlantDefinition,
+    with_sizes,
+)
 from labhil.plants.effects import Effect
-from labhil.plants.world import FRICTION, POSITIVE, SAMPLING, WAY_IN, WAY_OUT, World, with_sizes
 
 COPPER = 0.0039
 
-MOTOR = World(
+MOTOR = PlantDefinition(
     bare={
         "inertia": 0.1,  # kg·m²
         "torque_constant": 0.2,  # N·m/A
@@ -55,7 +63,7 @@ MOTOR = World(
         "supply_sag": Effect("a supply that gives way, 1/V", {"coefficient": 0.02}),
         "thermal_resistance": Effect("resistance that rises with warmth, 1/K", {"coefficient": COPPER}),
         **with_sizes(
-            WAY_IN,
+            INPUT_EFFECTS,
             {
                 "dead_zone": {"left": 0.4, "right": 0.5},
                 "saturation": {"limit": 4.0},
@@ -64,7 +72,7 @@ MOTOR = World(
             },
         ),
         **with_sizes(
-            WAY_OUT,
+            OUTPUT_EFFECTS,
             {
                 "sensor_gain": {"current_gain": 0.0},
                 "sensor_offset": {"offset": 0.05, "current_offset": 0.0},

@@ -13,7 +13,7 @@ import labhil as lh
 from labhil.errors import UsageError
 from labhil.physics.model import Windows, start_values
 from labhil.physics.rigs import model_for, record_of
-from labhil.simulators.mjcf import describe
+from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.model import SimulatorModel
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -93,20 +93,20 @@ def test_what_matters_only_in_places_is_named_in_the_notes(tmp_path: Path) -> No
     assert "actuator brake is not the recorded input: it is held at 0" in notes
     assert "sensor encoder: it reads no more than ±1 in the file" in notes
     assert "bob and wall touch between -2.583" in notes
-    assert "-0.5236 rad of the joint: what is fitted knows no contacts" in notes
+    assert "-0.5236 rad of the joint: the fitted model has no contacts" in notes
 
 
 def test_limits_and_friction_that_the_file_switches_off_are_off(tmp_path: Path) -> None:
     file = of_joint('range="-30 30" damping="0.1" frictionloss="0.2" actuatorfrcrange="-3 2"')
     (tmp_path / "rod.xml").write_text(file, encoding="utf-8")
-    held = describe(tmp_path / "rod.xml")
-    assert held.mechanism.held.stops == pytest.approx((-np.pi / 6, np.pi / 6))
-    assert held.mechanism.held.clip == pytest.approx((-3.0, 2.0))
+    held = read_mechanism(tmp_path / "rod.xml")
+    assert held.mechanism.non_smooth.stops == pytest.approx((-np.pi / 6, np.pi / 6))
+    assert held.mechanism.non_smooth.clip == pytest.approx((-3.0, 2.0))
     assert held.simulator.nominal["coulomb_friction.level"] == 0.2
     flags = '<option><flag constraint="disable" damper="disable"/></option><option'
     (tmp_path / "rod.xml").write_text(file.replace("<option", flags), encoding="utf-8")
-    off = describe(tmp_path / "rod.xml")
-    assert off.mechanism.held.stops == (-np.inf, np.inf)
+    off = read_mechanism(tmp_path / "rod.xml")
+    assert off.mechanism.non_smooth.stops == (-np.inf, np.inf)
     assert "coulomb_friction.level" not in off.simulator.nominal
     assert off.simulator.nominal["viscous_friction.coefficient"] == 0.0
 
@@ -132,9 +132,9 @@ def test_a_late_sensor_is_read_as_mujoco_reads_it(tmp_path: Path) -> None:
         mujoco.mj_forward(model, data)
         read.append(float(data.sensordata[0]))
         mujoco.mj_step(model, data, 10)
-    described = describe(path)
+    described = read_mechanism(path)
     rig = described.simulator
-    assert described.mechanism.held.delay == pytest.approx(0.05)
+    assert described.mechanism.non_smooth.delay == pytest.approx(0.05)
     assert described.mechanism.input_delay == 0.0
     recording = lh.recording(t, {"motor": torque}, {"encoder": np.array(read)}, rig=rig)
     record = record_of(recording.file, rig.kind)
