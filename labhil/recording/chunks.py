@@ -23,8 +23,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.bounds import Budget, ImplausibleError
 from labhil.codec import ByteRows
-from labhil.recording.mapped import STRIDE, FileBytes, let_go
-from labhil.recording.packing import unpack
+from labhil.recording.compression import unpack
+from labhil.recording.memory_maps import RELEASE_INTERVAL, FileBytes, release_pages
 from labhil.signals import IntArray
 from labhil.terminal import printable_name
 
@@ -128,8 +128,8 @@ def scan(data: FileBytes, on_block: OnBlock | None = None) -> Contents:
             contents.damage = f"byte {position}: a damaged record was left out: {error}"
         if opcode == Opcode.FOOTER and len(data) - end == len(MCAP0_MAGIC) and data[end:] == MCAP0_MAGIC:
             return contents
-        if end - let_go_at > STRIDE:
-            let_go(data, end)
+        if end - let_go_at > RELEASE_INTERVAL:
+            release_pages(data, end)
             let_go_at = end
             _hand_over(contents, on_block)
         position = end

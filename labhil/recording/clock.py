@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labhil.recording.clock_map import CONGESTION, ClockMap, ClockStep, DelayLine, delay_line, steps_in
+from labhil.recording.clock_map import CONGESTION, ClockMap, ClockStep, DelayLine, fit_delay_line, steps_in
 from labhil.signals import FloatArray, IntArray
 
 OUTLIER = 4.0
@@ -59,7 +59,7 @@ class ClockFit:
     map: ClockMap | None = None
 
 
-def keeps_its_rate(t_hw_ns: IntArray, seq: IntArray, rate: float) -> bool:
+def keeps_declared_rate(t_hw_ns: IntArray, seq: IntArray, rate: float) -> bool:
     """Tell whether nearly all samples are as far apart by the device's clock as ``rate`` (Hz) says.
 
     A simulated device on a machine that has no time for it falls behind the host's clock by any amount,
@@ -80,7 +80,7 @@ def fit_clock(
         t_acq_ns: The host's, (n,).
         origin_ns: Where the host's time is 0.
         speed: How many seconds of the device's world pass in one second of the host.
-        steady: Whether the device's clock is known to keep its declared rate (:func:`keeps_its_rate`).
+        steady: Whether the device's clock is known to keep its declared rate (:func:`keeps_declared_rate`).
 
     Returns:
         The device's own time. Where its clock does not advance with every sample, or runs at quite another
@@ -126,7 +126,7 @@ def _map_clock(
     edges = [0, *(step.row for step in steps), len(x)]
     stretches = [slice(first, last) for first, last in pairwise(edges) if last > first]
     longest = max(range(len(stretches)), key=lambda k: float(x[stretches[k]][-1] - x[stretches[k]][0]))
-    line = delay_line(x[stretches[longest]], delay[stretches[longest]])
+    line = fit_delay_line(x[stretches[longest]], delay[stretches[longest]])
     stepped = np.concatenate([[0.0], np.cumsum([step.size for step in steps])])
     levels = line.level + stepped - stepped[longest]
     begins = x[[0, *(step.row for step in steps)]]

@@ -41,13 +41,13 @@ class ClockFaultKind(StrEnum):
 class ClockFault:
     """One fault of a stream's stamps.
 
-    ``times`` (s) are times of analysis; ``bends_time`` says whether the time of analysis is itself wrong
+    ``times`` (s) are times of analysis; ``distorts_time`` says whether the time of analysis is itself wrong
     there, rather than only its place in the host's time. ``statement`` says what is wrong and what it means.
     """
 
     kind: ClockFaultKind
     times: tuple[float, ...]
-    bends_time: bool
+    distorts_time: bool
     statement: str
 
 

@@ -137,7 +137,7 @@ class ClockMap:
         return min(x, float(ends[segment])) if segment + 1 < len(ends) else x
 
 
-def delay_line(x: FloatArray, delay: FloatArray) -> DelayLine:
+def fit_delay_line(x: FloatArray, delay: FloatArray) -> DelayLine:
     """Return the line along the smallest delays.
 
     Args:
@@ -200,7 +200,7 @@ def _errors(x: FloatArray, y: FloatArray, level: float, slope: float) -> tuple[f
 def steps_in(x: FloatArray, delay: FloatArray) -> list[tuple[int, float]]:
     """Return where the least delay jumps for good: the first row after it and by how much (s), in order.
 
-    What comes late for a while and then in time again is no step. Arguments as of :func:`delay_line`.
+    What comes late for a while and then in time again is no step. Arguments as of :func:`fit_delay_line`.
     """
     per_cell = _per_cell(x)
     if len(x) < 2 * per_cell:

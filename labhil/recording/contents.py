@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.documents import parse_json
 from labhil.kinds import RigKind, kind_named, kind_names
-from labhil.recording.mapped import ROWS, let_go_of
+from labhil.recording.memory_maps import BLOCK_ROWS, release_array
 from labhil.recording.recording import Event, Recording, StreamData
 from labhil.recording.runs import UNIX_TIMES
 
@@ -28,13 +28,13 @@ def tags_of(recording: Recording) -> tuple[str, ...]:
     return tuple(str(tag) for tag in tags) if isinstance(tags, list) else ()
 
 
-def how_it_ended(recording: Recording) -> str:
+def recording_status(recording: Recording) -> str:
     """Return "done", "failed", "imported", or "no end" for one whose recorder was killed."""
-    return ending_of(recording.metadata) if recording.complete else "no end"
+    return status_from_metadata(recording.metadata) if recording.complete else "no end"
 
 
-def ending_of(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Return how a recording with this metadata ended, as :func:`how_it_ended`."""
+def status_from_metadata(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """Return how a recording with this metadata ended, as :func:`recording_status`."""
     end = metadata.get("end", {})
     if not end:
         return "no end"
@@ -43,13 +43,13 @@ def ending_of(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return "done" if end.get("exit_status") in ("0", "done") else "failed"
 
 
-def started_at(recording: Recording) -> datetime | None:
+def start_time(recording: Recording) -> datetime | None:
     """Return when the first sample was taken; None where no stamp says that."""
     first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
     return datetime.fromtimestamp(first * 1e-9, UTC) if first >= UNIX_TIMES else None
 
 
-def fitting_kinds(recording: Recording) -> tuple[str, ...]:
+def compatible_kinds(recording: Recording) -> tuple[str, ...]:
     """Return the rig kinds whose inputs and outputs one device of the recording has."""
     names: dict[str, set[str]] = {}
     for data in recording.streams:
@@ -66,21 +66,21 @@ def _fits(kind: RigKind, names: set[str]) -> bool:
 
 def describe_contents(recording: Recording) -> dict[str, Any]:
     """Return what a recording holds as ``labhil.info/1``; every number is finite or None."""
-    start = started_at(recording)
+    start = start_time(recording)
     experiment = recording.metadata.get("experiment", {})
     return {
         "schema": "labhil.info/1",
         "path": str(recording.path),
         "sha256": recording.sha256,
         "size": recording.path.stat().st_size,
-        "status": how_it_ended(recording),
+        "status": recording_status(recording),
         "reason": recording.metadata.get("end", {}).get("reason", ""),
         "complete": recording.complete,
         "damage": recording.damage,
         "start": None if start is None else start.isoformat(),
         "duration": recording.duration,
         "rig": None if recording.rig is None else recording.rig.kind.name,
-        "fits": list(fitting_kinds(recording)),
+        "fits": list(compatible_kinds(recording)),
         "experiment": experiment.get("name"),
         **{key: experiment.get(key) for key in FREE_TEXT},
         "tags": list(tags_of(recording)),
@@ -89,7 +89,7 @@ def describe_contents(recording: Recording) -> dict[str, Any]:
         "events": [_event(event) for event in recording.events if not _is_routine(event)],
         "attachments": sorted(recording.attachments),
         "foreign": list(recording.foreign),
-        "warnings": recording.losses(),
+        "warnings": recording.warnings(),
     }
 
 
@@ -125,12 +125,12 @@ def _stream(recording: Recording, data: StreamData) -> dict[str, Any]:
 def _range(data: StreamData, name: str) -> dict[str, float | None]:
     values = data[name]
     lowest, highest = np.inf, -np.inf
-    for start in range(0, len(values), ROWS):
-        block = values[start : start + ROWS]
+    for start in range(0, len(values), BLOCK_ROWS):
+        block = values[start : start + BLOCK_ROWS]
         finite = block[np.isfinite(block)]
         lowest = min(lowest, float(finite.min(initial=np.inf)))
         highest = max(highest, float(finite.max(initial=-np.inf)))
-    let_go_of(values)
+    release_array(values)
     if lowest > highest:
         return {"lowest": None, "highest": None}
     return {"lowest": lowest, "highest": highest}
@@ -151,7 +151,7 @@ def _event(event: Event) -> dict[str, Any]:
     }
 
 
-def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
+def format_contents(info: Mapping[str, Any]) -> Iterator[str]:
     """Yield the lines of ``labhil info``; ``info`` is what :func:`describe_contents` returns."""
     yield f"{info['path']}: {info['status']}, {info['duration']:.4g} s, {info['size'] / 1e6:.3g} MB"
     start = "" if info["start"] is None else f"started {info['start'][:19].replace('T', ' ')} UTC"

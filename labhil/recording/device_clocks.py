@@ -25,7 +25,7 @@ CLOCKS = "clocks"
 OFFSETS = "clock_offsets"
 """Names of the metadata that hold them: one entry a device, and one a pair; JSON each."""
 
-LARGEST = 16384
+MAX_STAMPS = 16384
 """As many stamps are looked at; of more, those that came in with the least delay."""
 
 
@@ -78,7 +78,7 @@ class ClockOffset:
     t_host_ns: int
 
 
-class ClockWatch:
+class StampCollector:
     """Collects the stamps of one device in bounded memory."""
 
     def __init__(self) -> None:
@@ -97,14 +97,14 @@ class ClockWatch:
         self._count += len(seq)
         if len(self._pieces) > MOST_PIECES:  # an array of one sample takes ten times what is in it
             self._pieces = [np.concatenate(self._pieces)]
-        while self._count > LARGEST * 2:
+        while self._count > MAX_STAMPS * 2:
             thinned = _least_delayed(np.concatenate(self._pieces))
             self._pieces, self._count = [thinned], len(thinned)
 
     def stamps(self, rate: float, speed: float = 1.0, *, steady_host: bool = False) -> Stamps:
         """Return what was kept; ``rate`` (Hz) is the declared one."""
         stamps = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._pieces])
-        while len(stamps) > LARGEST:
+        while len(stamps) > MAX_STAMPS:
             stamps = _least_delayed(stamps)
         return Stamps(stamps[:, 2], stamps[:, 1], stamps[:, 0], rate, speed, steady_host)
 
@@ -149,7 +149,7 @@ def device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | N
     )
 
 
-def offsets_between(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], ClockOffset]:
+def pairwise_offsets(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], ClockOffset]:
     """Return by how much each device's clock is ahead of each later one's of the same speed."""
     offsets = {}
     for (first, a), (second, b) in combinations(clocks.items(), 2):
@@ -166,7 +166,7 @@ def clocks_to_metadata(clocks: Mapping[str, DeviceClock]) -> dict[str, dict[str,
     tables = {CLOCKS: {device: json.dumps(asdict(clock)) for device, clock in clocks.items()}}
     tables[OFFSETS] = {
         f"{first} - {second}": json.dumps(asdict(offset))
-        for (first, second), offset in offsets_between(clocks).items()
+        for (first, second), offset in pairwise_offsets(clocks).items()
     }
     return {name: table for name, table in tables.items() if table}
 

@@ -12,7 +12,7 @@ from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
-from labhil.recording.mapped import ROWS, let_go_of
+from labhil.recording.memory_maps import BLOCK_ROWS, release_array
 from labhil.recording.recording import Recording, StreamData
 from labhil.signals import FloatArray, Stream
 from labhil.whole import whole, write_error
@@ -25,11 +25,11 @@ def write_csv(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
     """Write a header line, the column ``t`` (s), then the signals, as digits that give the same doubles."""
     with out.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(("t", *stream.columns())) + "\n")
-        for start in range(0, len(t), ROWS):
-            block = slice(start, start + ROWS)
+        for start in range(0, len(t), BLOCK_ROWS):
+            block = slice(start, start + BLOCK_ROWS)
             rows = np.column_stack([t[block], values[block]]).tolist()
             file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
-            let_go_of(values)
+            release_array(values)
 
 
 WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = {
@@ -57,7 +57,9 @@ def choose_stream(recording: Recording, name: str | None = None) -> StreamData:
     chosen = {key: data for key, data in filled.items() if data.stream.name == "state"} or filled
     if len(chosen) == 1:
         return next(iter(chosen.values()))
-    nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
+    nothing = (
+        "found none with samples" if recording.streams else f"found {recording.describe_missing_streams()}"
+    )
     actual = f"found {', '.join(chosen)}; choose with --stream or --device" if chosen else nothing
     raise RecordingError(f"{recording.path}: expected one stream to export, {actual}")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.documents import LARGEST, parse_json
 from labhil.errors import LabhilError, UsageError
-from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
+from labhil.recording.contents import FREE_TEXT, recording_status, start_time, tags_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
@@ -122,8 +122,8 @@ def _recording(path: Path) -> Entry:
     return Entry(
         path,
         "recording",
-        started_at(recording) or written,
-        how_it_ended(recording),
+        start_time(recording) or written,
+        recording_status(recording),
         recording.rig.kind.name if recording.rig is not None else None,
         recording.duration,
         tags,
@@ -169,7 +169,7 @@ def _modified_at(path: Path) -> datetime:
         return datetime.fromtimestamp(0, UTC)
 
 
-def list_in_words(entries: Sequence[Entry]) -> Iterator[str]:
+def format_list(entries: Sequence[Entry]) -> Iterator[str]:
     """Yield a line for each file."""
     rows = [
         (

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, overload
 
-from labhil.recording.mapped import let_go, temporary_file, write_all
+from labhil.recording.memory_maps import release_pages, temporary_file, write_all
 
-IN_MEMORY = 1 << 28
+MAX_BYTES_IN_MEMORY = 1 << 28
 """Bytes of messages (256 MiB) that are kept in memory; what comes after them goes to a temporary file."""
 
 READS = 1 << 16
@@ -52,7 +52,7 @@ class MessageStore(Sequence[Message]):
             message.channel, message.sequence, message.log_time, message.publish_time, len(message.data)
         )
         self._places.append(len(self._memory) + self._written)
-        if len(self._memory) < IN_MEMORY:
+        if len(self._memory) < MAX_BYTES_IN_MEMORY:
             self._memory += head + message.data
             return
         if self._file is None:
@@ -89,7 +89,7 @@ class MessageStore(Sequence[Message]):
             held, position = self._on_disk(), position - len(self._memory)
             self._looked_at += 1
             if self._looked_at % READS == 0:
-                let_go(held, len(held))
+                release_pages(held, len(held))
         channel, sequence, log_time, publish_time, length = _HEAD.unpack_from(held, position)
         start = position + _HEAD.size
         return Message(channel, sequence, log_time, publish_time, bytes(held[start : start + length]))

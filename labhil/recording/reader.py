@@ -18,7 +18,7 @@ from labhil.recording.chunks import Contents, is_mcap, scan
 from labhil.recording.clock import ClockFit, fit_clock
 from labhil.recording.clock_faults import clock_faults
 from labhil.recording.event_schemas import without_timestamp
-from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
+from labhil.recording.memory_maps import FileBytes, bytes_of, sha256_of
 from labhil.recording.recording import Event, Recording, StreamData, topic_of, unambiguous
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of

@@ -14,7 +14,7 @@ from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
     device_clock,
-    offsets_between,
+    pairwise_offsets,
 )
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.stamps import HOST_CLOCK, Stamps
@@ -171,9 +171,11 @@ class Recording:
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         available = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, available) for name in names if name not in available)
-        raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
+        raise RecordingError(
+            f"{self.path}: expected a stream with {wanted}{near}; found: {self.describe_streams()}"
+        )
 
-    def no_streams(self) -> str:
+    def describe_missing_streams(self) -> str:
         """What is found where no stream of ours is, and what was expected, for messages."""
         expected = "a topic /<device>/<stream> as `labhil run` and `labhil import` write it"
         if not self.foreign:
@@ -185,17 +187,17 @@ class Recording:
             f"expected {expected}{hint}"
         )
 
-    def described(self) -> str:
+    def describe_streams(self) -> str:
         """Which streams there are with which signals, and which channels of other programs, for messages."""
         if not self.streams:
-            return self.no_streams()
+            return self.describe_missing_streams()
         descriptions = [
             f"{topic_of(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
         ]
         others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
         return "; ".join(descriptions + others)
 
-    def losses(self) -> list[str]:
+    def warnings(self) -> list[str]:
         """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
         if self.ambiguous:
@@ -226,7 +228,7 @@ class Recording:
     @property
     def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
         """By how much one device's clock was ahead of another's, for each pair of devices of one speed."""
-        return offsets_between(self.clocks)
+        return pairwise_offsets(self.clocks)
 
     @property
     def duration(self) -> float:

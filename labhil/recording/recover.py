@@ -17,11 +17,11 @@ from mcap.writer import CompressionType, Writer
 
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording.chunks import is_mcap, scan
-from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
+from labhil.recording.memory_maps import FileBytes, bytes_of, sha256_of
 from labhil.recording.message_store import Message
 from labhil.recording.reorder import Ordered, reorder
 from labhil.recording.salvage import Loss, Salvage, salvage
-from labhil.recording.saved_streams import StreamRecovery, Tally, lines_of
+from labhil.recording.stream_recovery import StreamRecovery, Tally, lines_of
 from labhil.recording.writer import CHUNK_SIZE
 from labhil.version import __version__
 

@@ -12,7 +12,7 @@ from mcap.records import Channel
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
 from labhil.recording.message_store import Message
-from labhil.recording.runs import MixedRunsError, late, order_of
+from labhil.recording.runs import MixedRunsError, late, order_samples
 
 BLOCK = 1 << 14
 """Messages that are looked at together."""
@@ -50,7 +50,7 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
         topic, single = channels[number].topic, list(dict.fromkeys(messages[place] for place in places))
         try:
             stamps = stamps_of([message.data for message in single])
-            runs = order_of(*stamps.T)
+            runs = order_samples(*stamps.T)
         except (ProtocolError, MixedRunsError) as error:
             notes.append(f"{topic}: left as it stood: {error}")
             continue

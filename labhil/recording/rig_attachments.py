@@ -25,7 +25,7 @@ def rig_attachments(rig: RigFile, device: str | None = None) -> dict[str, bytes]
     Raises:
         RigFileError: A file that the rig file names cannot be read.
     """
-    name = rig_name(device)
+    name = rig_attachment_name(device)
     files = {
         _file_name(name, key, str(rig.known[key])): file.content
         for key, what in rig.kind.known.items()
@@ -34,7 +34,7 @@ def rig_attachments(rig: RigFile, device: str | None = None) -> dict[str, bytes]
     return {name: rig.text.encode(), **files}
 
 
-def rig_name(device: str | None = None) -> str:
+def rig_attachment_name(device: str | None = None) -> str:
     """What the rig file of a device is called among the attachments; the first device's for None."""
     return RIG_ATTACHMENT if device is None else f"rig.{device}.toml"
 
@@ -48,7 +48,7 @@ def attached_rig(path: Path, attachments: Mapping[str, bytes], device: str | Non
     Raises:
         RecordingError: It carries one that cannot be used.
     """
-    name = rig_name(device)
+    name = rig_attachment_name(device)
     if name not in attachments:
         return None
     try:

@@ -65,7 +65,7 @@ def runs_of(channels: Sequence[Batch]) -> list[Run]:
     return sorted(runs, key=lambda run: int(run.batch.t_acq_ns.min(initial=np.iinfo(np.int64).max)))
 
 
-def order_of(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntArray]:
+def order_samples(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[IntArray]:
     """Return the places of the samples of each run, in order; no sample stands twice.
 
     Samples that count up as they stand are one run. So are those that count up by the host's time, and those
@@ -107,7 +107,7 @@ def _order_runs(batch: Batch) -> list[Run]:
     if _rises(batch.seq):
         return [Run(batch)]
     single = _take(batch, _first_of_each(batch))
-    places = order_of(single.seq, single.t_acq_ns, single.t_hw_ns)
+    places = order_samples(single.seq, single.t_acq_ns, single.t_hw_ns)
     runs = [Run(_take(single, place), moved=late(single.seq[np.sort(place)])) for place in places]
     return [Run(runs[0].batch, len(batch) - len(single), runs[0].moved), *runs[1:]]
 
@@ -127,7 +127,7 @@ def _continues(group: Batch, batch: Batch, joined: Batch) -> bool:
         return False
     single = _take(joined, _first_of_each(joined))
     try:
-        return len(order_of(single.seq, single.t_acq_ns, single.t_hw_ns)) == 1
+        return len(order_samples(single.seq, single.t_acq_ns, single.t_hw_ns)) == 1
     except MixedRunsError:
         return False
 

@@ -21,11 +21,11 @@ from mcap.writer import MCAP0_MAGIC
 
 from labhil.bounds import FREE, LARGEST_CHUNK, RATIO, Budget, ImplausibleError
 from labhil.recording.chunks import is_mcap
+from labhil.recording.compression import unpack, unpack_prefix
 from labhil.recording.definitions import Definitions
-from labhil.recording.mapped import STRIDE, FileBytes, let_go
+from labhil.recording.memory_maps import RELEASE_INTERVAL, FileBytes, release_pages
 from labhil.recording.message_store import Message, MessageStore
-from labhil.recording.packing import unpack, unpack_prefix
-from labhil.recording.whole_records import (
+from labhil.recording.record_bounds import (
     CHUNK,
     COMPRESSIONS,
     INDEX,
@@ -33,10 +33,10 @@ from labhil.recording.whole_records import (
     PLACE,
     RECORD,
     ChunkHeader,
-    chunk_header,
+    checksum_matches,
     is_end,
     next_record,
-    sound_checksum,
+    parse_chunk_header,
     whole_record,
 )
 
@@ -133,8 +133,8 @@ class _Walk:
             else:
                 self._take(opcode, body)
             position, previous_opcode = end, opcode
-            if end - let_go_at > STRIDE:
-                let_go(data, end)
+            if end - let_go_at > RELEASE_INTERVAL:
+                release_pages(data, end)
                 let_go_at = end
         self._judge_stray()
         names = self._names
@@ -146,7 +146,7 @@ class _Walk:
         """Note what is broken at ``position`` and return where the next whole record begins."""
         data = self._data
         after = next_record(data, position + 1)
-        chunk = chunk_header(data, position)
+        chunk = parse_chunk_header(data, position)
         # in content that is not packed whole records follow, those of the chunk itself
         last = after == len(data) or (chunk is not None and not chunk.compression)
         if chunk is not None and chunk.end > len(data) and last:
@@ -222,7 +222,7 @@ class _Walk:
         counts[channel] = counts.get(channel, 0) + size // PLACE.size
 
     def _take_chunk(self, position: int, end: int) -> None:
-        chunk = chunk_header(self._data, position)
+        chunk = parse_chunk_header(self._data, position)
         assert chunk is not None, "whole_record has looked at it"
         self._hit = None
         try:
@@ -230,7 +230,7 @@ class _Walk:
         except Exception as error:  # noqa: BLE001 - lz4 and zstd each raise their own
             self._lose(Loss(position, end, f"a chunk that cannot be unpacked: {error}", chunk=True))
             return
-        sound = sound_checksum(chunk.crc, zlib.crc32(raw), whole_size=len(raw) == chunk.size)
+        sound = checksum_matches(chunk.crc, zlib.crc32(raw), whole_size=len(raw) == chunk.size)
         if not sound and not self._keep_doubtful:
             what = "a chunk whose checksum is wrong"
             self._lose(Loss(position, end, what, chunk=True))

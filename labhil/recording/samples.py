@@ -10,10 +10,10 @@ from mcap.records import Channel
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError
 from labhil.recording.chunks import Messages
-from labhil.recording.mapped import Spool
+from labhil.recording.memory_maps import Spool
 from labhil.signals import Batch, FloatArray, IntArray
 
-IN_MEMORY = 1 << 28
+MAX_BYTES_IN_MEMORY = 1 << 28
 """Bytes of values (256 MiB) of one channel that are kept in memory; more go to a temporary file."""
 
 
@@ -31,7 +31,7 @@ class _Blocks:
         self.stamps.append((batch.seq, batch.t_acq_ns, batch.t_hw_ns))
         self.values.append(batch.values)
         self.size += batch.values.nbytes
-        if self.size > IN_MEMORY:
+        if self.size > MAX_BYTES_IN_MEMORY:
             self.spool = Spool(batch.values.shape[1]) if self.spool is None else self.spool
             for values in self.values:
                 self.spool.add(values)

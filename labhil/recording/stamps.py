@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.recording.clock import ClockFit, keeps_its_rate
-from labhil.recording.timeline import stretches
+from labhil.recording.clock import ClockFit, keeps_declared_rate
+from labhil.recording.timeline import increasing_stretches
 from labhil.signals import IntArray
 
 HOST_CLOCK = "host_clock_offset_ns"
@@ -38,7 +38,7 @@ class Stamps:
     @property
     def keep_rate(self) -> bool:
         """Whether the device's clock keeps its declared rate."""
-        return keeps_its_rate(self.t_hw_ns, self.seq, self.rate)
+        return keeps_declared_rate(self.t_hw_ns, self.seq, self.rate)
 
     @property
     def are_one(self) -> bool:
@@ -61,7 +61,7 @@ def in_time_of(stamps: Stamps, own_clock: ClockFit, main: ClockFit | None, *, me
     x = main.map.elapsed(stamps.t_hw_ns)
     if not measured:
         # where the newest sample was late or the host was set, these go astray
-        rows = max(stretches(x), key=len)
+        rows = max(increasing_stretches(x), key=len)
         x = np.interp(np.arange(len(x)), rows, x[rows])
     elif (
         not (np.diff(stamps.t_hw_ns) > 0).all() or abs(float(np.median(host - main.map.host(x)))) > SAME_CLOCK

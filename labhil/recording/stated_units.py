@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.units import OURS, ROTARY, Unit, unit_in_name, unit_of
+from labhil.recording.units import OURS, ROTARY, Unit, parse_unit, unit_in_name
 
 
 def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
 def _stated_unit(sheet: Sheet, column: int) -> tuple[str, str, Unit] | None:
     """Where a unit of a column stands, how it is written, and what it is."""
     units = sheet.columns.units
-    if column < len(units) and (unit := unit_of(units[column])) is not None:
+    if column < len(units) and (unit := parse_unit(units[column])) is not None:
         return "the line of units below the header", units[column].strip().strip("[]()\"' "), unit
     names = sheet.columns.names
     in_name = unit_in_name(names[column]) if names is not None else None

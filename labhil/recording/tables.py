@@ -15,7 +15,7 @@ from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
 from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
 from labhil.recording.channel_keys import with_channel_keys, with_stated_hold
-from labhil.recording.columns import read_columns
+from labhil.recording.format_detection import read_columns
 from labhil.recording.formats.time_text import TimeKind
 from labhil.recording.recording import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments

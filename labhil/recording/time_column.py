@@ -138,7 +138,7 @@ def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
     if len(repeated) > max(1.0, MOST_DROPPED * len(rows)):
         rows, times, note = _resolve_repeats(sheet, clock, rows, times, bool(copied[rows[repeated]].all()))
         notes.append(note)
-    runs = timeline.stretches(times)
+    runs = timeline.increasing_stretches(times)
     chosen, elsewhere = _choose_stretch(sheet, clock, rows, times, runs, notes)
     t = np.full(len(clock.seconds), np.nan)
     t[rows[chosen]] = times[chosen]

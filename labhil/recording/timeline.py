@@ -78,7 +78,7 @@ def unwrap(times: FloatArray, wrap: Wrap) -> FloatArray:
     return np.asarray(times + wrap.period * np.cumsum(turns), dtype=np.float64)
 
 
-def stretches(times: FloatArray) -> list[IntArray]:
+def increasing_stretches(times: FloatArray) -> list[IntArray]:
     """Divide the rows into stretches of increasing times, in the order of the rows.
 
     Each is given by the indices of its rows. A hole in increasing times begins no stretch. Up to

@@ -74,7 +74,7 @@ SURE_BEHIND = {"ms", "us", "µs", "μs", "ns", "mm", "cm", "rpm", "deg", "mA", "
 """Units that count without brackets at the end of a name; ``_s``, ``_a``, ``_min`` may mean other things."""
 
 
-def unit_of(text: str) -> Unit | None:
+def parse_unit(text: str) -> Unit | None:
     """The unit that a text names, with or without brackets, or None."""
     plain = text.strip().strip("\"'").strip().strip("[](){}").strip()
     if plain in UNITS:
@@ -89,11 +89,15 @@ def unit_in_name(name: str) -> tuple[str, Unit] | None:
     """The unit that a column's name states (``time [ms]``, ``speed (rpm)``, ``pot_mm``), as text and unit."""
     name = name.strip()
     if match := _IN_BRACKETS.match(name):
-        unit = unit_of(match["unit"])
+        unit = parse_unit(match["unit"])
         return (match["unit"].strip(), unit) if unit else None
-    if name in SURE_BEHIND and (unit := unit_of(name)):
+    if name in SURE_BEHIND and (unit := parse_unit(name)):
         return name, unit
-    if (match := _BEHIND.match(name)) and match["unit"] in SURE_BEHIND and (unit := unit_of(match["unit"])):
+    if (
+        (match := _BEHIND.match(name))
+        and match["unit"] in SURE_BEHIND
+        and (unit := parse_unit(match["unit"]))
+    ):
         return match["unit"], unit
     return None
 
@@ -113,6 +117,6 @@ def is_units_line(texts: Sequence[str]) -> bool:
     filled = [text.strip().strip("\"'").strip() for text in texts]
     filled = [text for text in filled if text and text not in {"-", "1", "%"}]
     bracketed = [text[:1] in "[(" and text[-1:] in "])" for text in filled]
-    known = [unit_of(text) is not None for text in filled]
+    known = [parse_unit(text) is not None for text in filled]
     numbers = [bool(re.fullmatch(r"[\[(]?[\d.,+-]+[\])]?", text)) for text in filled]
     return any(known) and not any(numbers) and all(a or b for a, b in zip(bracketed, known, strict=True))

@@ -30,7 +30,7 @@ from labhil.version import __version__
 FLUSH_INTERVAL = 0.2
 """Seconds between two flushes; a killed process loses what came since, and what was not yet handed over."""
 
-SMALLEST_FREE_SPACE = 16 * 1024 * 1024
+MIN_FREE_SPACE = 16 * 1024 * 1024
 """Bytes; with less than that left on the disk the recording ends while it still can."""
 
 CHUNK_SIZE = 256 * 1024
@@ -156,7 +156,7 @@ class RecordingWriter:
             os.fdatasync(self._file.fileno())
             free = shutil.disk_usage(self.part.parent).free
         self._flushed_at = time.monotonic()
-        if free < SMALLEST_FREE_SPACE:
+        if free < MIN_FREE_SPACE:
             self.finish("failed", "disk nearly full")
             self.failure = (
                 f"{self.path}: the recording ended early, because only {free / 1e6:.0f} MB are left on the "

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from labhil.codec import stamps_of
 from labhil.recording.clock import fit_clock
 from labhil.recording.clock_faults import ClockFault, clock_faults
-from labhil.recording.device_clocks import ClockWatch
+from labhil.recording.device_clocks import StampCollector
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class RecordedStream:
     steady_host: bool = False
     second: int = 1
     """Samples in one second of the host's clock."""
-    clock: ClockWatch | None = None
+    clock: StampCollector | None = None
     """Where the device's own clock stamps the samples."""
 
     def count(self, payloads: list[bytes]) -> None:

@@ -286,7 +286,7 @@ def test_a_disk_nearly_full_ends_the_recording_with_its_name(tmp_path, monkeypat
     writer = RecordingWriter(path)
     channel = writer.add_stream("bench", STATE)
     writer.write(channel, batch(0, 100))
-    monkeypatch.setattr("labhil.recording.writer.SMALLEST_FREE_SPACE", shutil.disk_usage(tmp_path).total)
+    monkeypatch.setattr("labhil.recording.writer.MIN_FREE_SPACE", shutil.disk_usage(tmp_path).total)
     with pytest.raises(RecordingFailedError, match="left on the disk"):
         writer.flush()
     with pytest.raises(RecordingFailedError, match="left on the disk"):

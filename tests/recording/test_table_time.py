@@ -11,7 +11,7 @@ import pytest
 
 from labhil.errors import TableError
 from labhil.recording import describe_import, import_table
-from labhil.recording.timeline import stretches
+from labhil.recording.timeline import increasing_stretches
 from labhil.rig import parse_rig
 
 N = 600
@@ -82,7 +82,7 @@ def test_a_wrong_stamp_beside_a_hole_is_dropped_alone(tmp_path):
 def test_a_damaged_block_is_dropped_and_what_comes_before_it_stays():
     garbage = [-0.1, 0.8, 0.0, 2.7e154, -0.03, 47.6, 0.0, 0.0, 0.0]
     times = np.concatenate(([3047.7], garbage, 3048.05 + K * STEP))
-    (run,) = stretches(times)
+    (run,) = increasing_stretches(times)
     assert run.tolist() == [0, *range(10, 10 + N)]
 
 

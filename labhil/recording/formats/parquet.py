@@ -11,7 +11,7 @@ from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
 from labhil.recording.formats.columns import NumberColumns, number_columns, number_of
-from labhil.recording.mapped import let_go_of
+from labhil.recording.memory_maps import release_array
 from labhil.signals import FloatArray, Stream
 
 ROW_GROUP = 1 << 18
@@ -71,7 +71,7 @@ def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) 
             block = slice(start, start + ROW_GROUP)
             columns = [arrow.array(column) for column in (t[block], *values[block].T)]
             writer.write_table(arrow.table(columns, schema=schema))
-            let_go_of(values)
+            release_array(values)
 
 
 def _numbers(arrow: Any, column: Any) -> list[tuple[str, FloatArray]]:

@@ -1,6 +1,6 @@
 """The process that reads others' formats: a request a line on stdin, answers as bytes on stdout.
 
-Started by :mod:`labhil.recording.formats.apart`. Each request sets bounds on memory and processor time.
+Started by :mod:`labhil.recording.formats.isolated`. Each request sets bounds on memory and processor time.
 """
 
 from __future__ import annotations

@@ -20,13 +20,13 @@ from labhil.bounds import read_file
 from labhil.errors import DiskFailedError
 from labhil.signals import FloatArray
 
-LARGE = 1 << 26
+MIN_MAPPED_SIZE = 1 << 26
 """Bytes (64 MiB) from which on a file is mapped."""
 
-STRIDE = 1 << 24
+RELEASE_INTERVAL = 1 << 24
 """Bytes that are looked at before their pages are let go."""
 
-ROWS = 1 << 16
+BLOCK_ROWS = 1 << 16
 """Rows that are turned into columns at a time."""
 
 FileBytes = bytes | mmap.mmap
@@ -34,13 +34,13 @@ FileBytes = bytes | mmap.mmap
 
 def bytes_of(path: Path) -> FileBytes:
     """Return the bytes of a file or a pipe, a large file's mapped; OSError as ``bounds.read_file``."""
-    if not path.is_file() or path.stat().st_size < LARGE:
+    if not path.is_file() or path.stat().st_size < MIN_MAPPED_SIZE:
         return read_file(path)
     with path.open("rb") as file:
         return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
 
-def let_go(data: FileBytes, end: int) -> None:
+def release_pages(data: FileBytes, end: int) -> None:
     """Give back the memory of what was read before ``end``; it can be read again."""
     if isinstance(data, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
         whole_pages = end - end % mmap.PAGESIZE
@@ -48,22 +48,22 @@ def let_go(data: FileBytes, end: int) -> None:
             data.madvise(mmap.MADV_DONTNEED, 0, whole_pages)
 
 
-def let_go_of(values: FloatArray) -> None:
+def release_array(values: FloatArray) -> None:
     """Give back the memory of numbers that a :class:`Spool` holds; they can be read again."""
     base: object = values
     while isinstance(base, np.ndarray):
         base = base.base
     held = base.obj if isinstance(base, memoryview) else base
     if isinstance(held, mmap.mmap):
-        let_go(held, len(held))
+        release_pages(held, len(held))
 
 
 def sha256_of(data: FileBytes) -> str:
     """Return the SHA-256 of the bytes, in hexadecimal digits."""
     digest = hashlib.sha256()
-    for start in range(0, len(data), STRIDE):
-        digest.update(data[start : start + STRIDE])
-        let_go(data, start)
+    for start in range(0, len(data), RELEASE_INTERVAL):
+        digest.update(data[start : start + RELEASE_INTERVAL])
+        release_pages(data, start)
     return digest.hexdigest()
 
 
@@ -91,7 +91,7 @@ class Spool:
             try:
                 turned.truncate(size)
                 rows = mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)
-                for start in range(0, self._count, ROWS):
+                for start in range(0, self._count, BLOCK_ROWS):
                     self._turn(rows, turned, start)
             except OSError as error:
                 raise _no_room(error) from error
@@ -99,12 +99,12 @@ class Spool:
         return np.frombuffer(mapped, dtype=np.float64).reshape(self._width, self._count).T
 
     def _turn(self, rows: mmap.mmap, turned: BinaryIO, start: int) -> None:
-        count = min(ROWS, self._count - start)
+        count = min(BLOCK_ROWS, self._count - start)
         offset = 8 * self._width * start
         block = np.frombuffer(rows[offset : offset + 8 * self._width * count], dtype=np.float64)
         for column, values in enumerate(np.ascontiguousarray(block.reshape(count, self._width).T)):
             os.pwrite(turned.fileno(), values.data, 8 * (column * self._count + start))
-        let_go(rows, offset)
+        release_pages(rows, offset)
 
 
 def temporary_file() -> BinaryIO:

@@ -9,8 +9,8 @@ from pathlib import Path
 from labhil.bounds import ImplausibleError
 from labhil.errors import TableError
 from labhil.recording.chunks import is_mcap, scan
-from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.isolated import read_isolated
 from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
 from labhil.terminal import printable_name
@@ -40,12 +40,12 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     if not data.strip():
         raise TableError(f"{path}: expected a table, found an empty file")
     if data.startswith(b"PK\x03\x04") and _is_workbook(path):
-        return read_apart("workbook", path, table, wanted)
+        return read_isolated("workbook", path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, table, wanted)
     kind = _kind_of_numbers(path, data)
     if kind is not None:
-        return read_apart(kind, path, table, wanted)
+        return read_isolated(kind, path, table, wanted)
     unreadable = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
     if unreadable:
         raise TableError(f"{path}: expected one of {READ}, found {unreadable}")
@@ -68,7 +68,7 @@ def _read_folder(path: Path, table: Table, wanted: Sequence[str]) -> Columns:
             f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, "
             f"found a folder with {content}"
         )
-    return read_apart("bag", path, table, wanted)
+    return read_isolated("bag", path, table, wanted)
 
 
 def _is_workbook(path: Path) -> bool:
@@ -93,9 +93,9 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
             raise TableError(
                 f"{path}: expected a ROS 2 bag's SQLite file to end in .db3, found {path.suffix!r}"
             )
-        return read_apart("bag", path, table, wanted)
+        return read_isolated("bag", path, table, wanted)
     if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2":
-        return read_apart("bag", path, table, wanted)
+        return read_isolated("bag", path, table, wanted)
     try:
         channels = scan(data).channels.values()
     except ImplausibleError as error:

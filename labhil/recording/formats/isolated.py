@@ -51,7 +51,7 @@ PACKAGES = {
 """What reads a kind of file and need not be installed, and how a message names such a file."""
 
 
-def read_apart(kind: str, path: Path, table: Table, wanted: Sequence[str]) -> Columns:
+def read_isolated(kind: str, path: Path, table: Table, wanted: Sequence[str]) -> Columns:
     """Read a file of others in a process of its own.
 
     Args:

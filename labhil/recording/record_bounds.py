@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
 from labhil.bounds import LARGEST_CHUNK, Work
-from labhil.recording.mapped import FileBytes
+from labhil.recording.memory_maps import FileBytes
 
 RECORD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")  # start and end time, size and CRC of the content, length of the name
@@ -47,7 +47,7 @@ class ChunkHeader:
     crc: int
 
 
-def chunk_header(data: FileBytes, position: int) -> ChunkHeader | None:
+def parse_chunk_header(data: FileBytes, position: int) -> ChunkHeader | None:
     """Read the head of a chunk at ``position``; None when its lengths contradict each other."""
     if len(data) < position + RECORD.size + CHUNK.size + 8 or data[position] != Opcode.CHUNK:
         return None
@@ -79,7 +79,7 @@ def whole_record(data: FileBytes, position: int, work: Work | None = None) -> in
     if opcode == Opcode.MESSAGE:
         return end if length >= MESSAGE.size else None
     if opcode == Opcode.CHUNK:
-        return end if chunk_header(data, position) is not None else None
+        return end if parse_chunk_header(data, position) is not None else None
     try:
         if work is not None:
             work.take(length)
@@ -104,7 +104,7 @@ def next_record(data: FileBytes, position: int) -> int:
     return len(data)
 
 
-def sound_checksum(stored: int, calculated: int, *, whole_size: bool) -> bool:
+def checksum_matches(stored: int, calculated: int, *, whole_size: bool) -> bool:
     """Whether content is whole: the checksums agree, or only the stored one can have been damaged.
 
     0 stands for none. Content that is damaged changes all four bytes of its CRC: one that differs in a
@@ -122,7 +122,7 @@ def _begins(data: FileBytes, position: int) -> bool:
     opcode, length = RECORD.unpack_from(data, position)
     if opcode not in _OPCODES:
         return False
-    return position + length <= len(data) or chunk_header(data, position) is not None
+    return position + length <= len(data) or parse_chunk_header(data, position) is not None
 
 
 def _fits(opcode: int, body: bytes) -> bool:
