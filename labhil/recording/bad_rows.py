@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from labhil.errors import TableError
 from labhil.recording.formats.notation import Notation, other_notations
 from labhil.recording.formats.time_text import is_time
-from labhil.recording.sheet import Mapped, Sheet
+from labhil.recording.sheet import MappedSignal, Sheet
 from labhil.signals import FloatArray
 
 FIELD_COUNT = "field_count"
 NOT_FINITE = "not_finite"
 TIME = "time"
 
-WHY = {
+REASONS = {
     FIELD_COUNT: "with a wrong number of fields",
     NOT_FINITE: "with text, NaN or nothing in a mapped column",
     TIME: "with a time that does not follow the others",
@@ -50,11 +50,11 @@ class BadRows:
         return {reason: self.count(reason) for reason in self.masks}
 
 
-Taken = Sequence[tuple[Mapped, FloatArray]]
+SignalValues = Sequence[tuple[MappedSignal, FloatArray]]
 """Mapped columns with their values (rows, columns), the time first where a column holds it."""
 
 
-def finite_rows(sheet: Sheet, taken: Taken) -> Mask:
+def finite_rows(sheet: Sheet, taken: SignalValues) -> Mask:
     """Which rows have the right number of fields and a finite number in every mapped column.
 
     TableError where none has.
@@ -66,7 +66,7 @@ def finite_rows(sheet: Sheet, taken: Taken) -> Mask:
     return finite
 
 
-def bad_rows(sheet: Sheet, taken: Taken, finite: Mask, followed: Mask, excused: Mask) -> BadRows:
+def find_bad_rows(sheet: Sheet, taken: SignalValues, finite: Mask, followed: Mask, excused: Mask) -> BadRows:
     """Name the bad rows: those that are not ``finite`` or do not follow in time, unless they are ``excused``.
 
     TableError with the first of them under ``bad_rows = "fail"``, and where more than ``MOST_DROPPED`` of the
@@ -96,7 +96,8 @@ def bad_rows(sheet: Sheet, taken: Taken, finite: Mask, followed: Mask, excused: 
 
 def _too_many(sheet: Sheet, bad: BadRows, total: int) -> str:
     parts = [
-        f"{bad.count(reason)} {WHY[reason]}, the first in {quoted}" for reason, quoted in bad.first.items()
+        f"{bad.count(reason)} {REASONS[reason]}, the first in {quoted}"
+        for reason, quoted in bad.first.items()
     ]
     return (
         f"{sheet.path}: expected rows that can be read, found {total} of {bad.rows} "
@@ -105,7 +106,7 @@ def _too_many(sheet: Sheet, bad: BadRows, total: int) -> str:
     )
 
 
-def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
+def _blame(sheet: Sheet, taken: SignalValues, row: int) -> str:
     """What is wrong with one row, with its place."""
     if not sheet.columns.complete[row]:
         return f"{sheet.place(row)}: expected {sheet.columns.width} fields, found {sheet.columns.counts[row]}"
@@ -118,7 +119,7 @@ def _blame(sheet: Sheet, taken: Taken, row: int) -> str:
     return f"{sheet.place(row)}: expected a time that follows the others, found {text} ({values[row, 0]:g} s)"
 
 
-def _no_number(sheet: Sheet, taken: Taken, mapped: Mapped, column: int, row: int) -> str:
+def _no_number(sheet: Sheet, taken: SignalValues, mapped: MappedSignal, column: int, row: int) -> str:
     """That a number is missing where it should be, what stands there, and what would make a number of it."""
     text, name = sheet.columns.text(column, row), mapped.signal.name
     hint = _hint(sheet, taken, name, _as_written(text))
@@ -137,7 +138,7 @@ def _as_written(quoted: str) -> str:
     return text if isinstance(text, str) else quoted
 
 
-def _hint(sheet: Sheet, taken: Taken, name: str, text: str) -> str:
+def _hint(sheet: Sheet, taken: SignalValues, name: str, text: str) -> str:
     """Which keys of ``[table]`` would make a number of a text, if they make the table better as a whole."""
     if is_time(text):
         return "" if name == "t" else " (a date or a time of day, which counts only as t)"
@@ -151,7 +152,7 @@ def _hint(sheet: Sheet, taken: Taken, name: str, text: str) -> str:
     return f" ({'; '.join(hints)})" if hints else ""
 
 
-def _no_good_row(sheet: Sheet, taken: Taken) -> str:
+def _no_good_row(sheet: Sheet, taken: SignalValues) -> str:
     complete = np.flatnonzero(sheet.columns.complete)
     for mapped, values in taken:
         for column, scaled in zip(mapped.columns, values.T, strict=True):

@@ -11,12 +11,12 @@ from labhil.rig_sections import Channel
 from labhil.signals import FloatArray, Hold, Signal, Stream
 
 
-def with_stated_hold(signal: Signal, channel: Channel | None) -> Signal:
+def with_declared_hold(signal: Signal, channel: Channel | None) -> Signal:
     """The signal with the hold that its channel states."""
     return signal if channel is None or channel.hold is None else replace(signal, hold=channel.hold)
 
 
-def with_channel_keys(
+def apply_channel_keys(
     stream: Stream, channels: Mapping[str, Channel], t: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, tuple[str, ...]]:
     """Unwrap and shift the columns of a stream as its channels state.

@@ -23,7 +23,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.bounds import Budget, ImplausibleError
 from labhil.codec import ByteRows
-from labhil.recording.compression import unpack
+from labhil.recording.compression import decompress
 from labhil.recording.memory_maps import RELEASE_INTERVAL, FileBytes, release_pages
 from labhil.signals import IntArray
 from labhil.terminal import printable_name
@@ -93,7 +93,7 @@ def is_mcap(data: FileBytes) -> bool:
     return data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC
 
 
-class RedescribedError(ValueError):
+class ChannelConflictError(ValueError):
     """The number of a channel has another meaning from here on: what follows is of another file."""
 
 
@@ -101,7 +101,7 @@ OnBlock = Callable[[Channel, Messages], None]
 """Is given a channel and what has been read of it, when that is much; what it takes away is kept no more."""
 
 
-def scan(data: FileBytes, on_block: OnBlock | None = None) -> Contents:
+def scan_mcap(data: FileBytes, on_block: OnBlock | None = None) -> Contents:
     """Read all that can be read of an MCAP file, with or without its end.
 
     ``on_block`` keeps what is read small. ImplausibleError when it claims to hold more than a file of its
@@ -121,7 +121,7 @@ def scan(data: FileBytes, on_block: OnBlock | None = None) -> Contents:
             _take(contents, opcode, data[start:end], budget)
         except ImplausibleError:
             raise
-        except RedescribedError as error:
+        except ChannelConflictError as error:
             contents.damage = f"byte {position}: {error}"
             return contents
         except Exception as error:  # noqa: BLE001 - lz4, zstd, struct and mcap each raise their own
@@ -168,7 +168,7 @@ def _take(contents: Contents, opcode: int, body: bytes, budget: Budget) -> None:
 
 def _unpack(chunk: Chunk, budget: Budget) -> bytes:
     budget.take_content(chunk.uncompressed_size)
-    raw = unpack(chunk.compression, chunk.data, chunk.uncompressed_size)
+    raw = decompress(chunk.compression, chunk.data, chunk.uncompressed_size)
     if chunk.uncompressed_crc not in (0, zlib.crc32(raw)):
         raise ValueError("its checksum is wrong")
     return raw
@@ -177,7 +177,7 @@ def _unpack(chunk: Chunk, budget: Budget) -> bytes:
 def _take_channel(contents: Contents, channel: Channel) -> None:
     known = contents.channels.setdefault(channel.id, channel)
     if (known.topic, known.message_encoding) != (channel.topic, channel.message_encoding):
-        raise RedescribedError(
+        raise ChannelConflictError(
             f"channel {channel.id} is {printable_name(known.topic)}, and from here on "
             f"{printable_name(channel.topic)}: the file is pieced together from several"
         )

@@ -8,7 +8,7 @@ import lz4.frame
 import zstandard
 
 
-def unpack(compression: str, content: bytes, size: int) -> bytes:
+def decompress(compression: str, content: bytes, size: int) -> bytes:
     """Return the content of a chunk; at most ``size`` bytes and one more are ever made.
 
     Args:
@@ -33,7 +33,7 @@ def unpack(compression: str, content: bytes, size: int) -> bytes:
     raise ValueError(f"expected the compression lz4, zstd or none, found {compression!r:.40}")
 
 
-def unpack_prefix(compression: str, content: bytes, size: int) -> bytes:
+def decompress_prefix(compression: str, content: bytes, size: int) -> bytes:
     """As much as can be had of content that is cut off, at most ``size`` bytes; empty when it is damaged."""
     if compression == "":
         return content[:size]

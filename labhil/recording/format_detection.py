@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labhil.bounds import ImplausibleError
 from labhil.errors import TableError
-from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.chunks import is_mcap, scan_mcap
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.isolated import read_isolated
 from labhil.recording.formats.text import read_text
@@ -28,7 +28,7 @@ MCAP_PROFILE = slice(17, 25)
 """Where the first record of an MCAP file names its profile: a length (u32), then the text."""
 
 
-def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
+def read_foreign_table(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
     """Read a file of others as columns; ``data`` is its content, empty for the folder of a bag.
 
     ``wanted`` are the column names that the rig file asks for, outputs first: they help to tell a header
@@ -97,7 +97,7 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2":
         return read_isolated("bag", path, table, wanted)
     try:
-        channels = scan(data).channels.values()
+        channels = scan_mcap(data).channels.values()
     except ImplausibleError as error:
         raise TableError(f"{path}: {error}") from error
     if any("labhil.stream" in channel.metadata for channel in channels):

@@ -66,7 +66,7 @@ class Filter:
     until: datetime | None = None
     text: str | None = None
 
-    def takes(self, entry: Entry) -> bool:
+    def matches(self, entry: Entry) -> bool:
         """Whether this file is wanted; cases of letters do not count."""
         own = {tag.casefold() for tag in entry.tags}
         return (
@@ -90,7 +90,7 @@ def list_folder(folders: Sequence[Path], wanted: Filter | None = None) -> list[E
             raise UsageError(f"{folder}: expected a folder with recordings, found none")
         for entry in _entries(folder):
             entries.setdefault(entry.path.resolve(), entry)
-    return sorted((entry for entry in entries.values() if wanted.takes(entry)), key=_newest_first)
+    return sorted((entry for entry in entries.values() if wanted.matches(entry)), key=_newest_first)
 
 
 def _newest_first(entry: Entry) -> tuple[float, str]:

@@ -14,16 +14,16 @@ from labhil.bounds import ImplausibleError
 from labhil.codec import stream_from_json
 from labhil.documents import parse_json
 from labhil.errors import ProtocolError, RecordingError
-from labhil.recording.chunks import Contents, is_mcap, scan
+from labhil.recording.chunks import Contents, is_mcap, scan_mcap
 from labhil.recording.clock import ClockFit, fit_clock
-from labhil.recording.clock_faults import clock_faults
+from labhil.recording.clock_faults import find_clock_faults
 from labhil.recording.event_schemas import without_timestamp
 from labhil.recording.memory_maps import FileBytes, bytes_of, sha256_of
 from labhil.recording.recording import Event, Recording, StreamData, topic_of, unambiguous
 from labhil.recording.rig_attachments import attached_rig
-from labhil.recording.runs import MixedRunsError, Run, choose_run, runs_of
+from labhil.recording.runs import MixedRunsError, Run, choose_run, separate_runs
 from labhil.recording.samples import Samples
-from labhil.recording.stamps import in_time_of
+from labhil.recording.stamps import with_device_time
 from labhil.signals import Batch, IntArray, Stream
 from labhil.terminal import printable_name
 
@@ -65,7 +65,7 @@ def read_recording(path: Path, run: int | None = None) -> Recording:
 def _read(path: Path, run: int | None) -> Recording:
     data, samples = _bytes_of(path), Samples()
     try:
-        contents = scan(data, samples.take)
+        contents = scan_mcap(data, samples.take)
     except ImplausibleError as error:
         raise RecordingError(f"{path}: {error}; `labhil recover` saves what is plausible of it") from error
     topics = _topics(path, contents, samples)
@@ -132,7 +132,7 @@ def _topics(path: Path, contents: Contents, samples: Samples) -> list[list[Strea
     for (device, stream), parts in channels.items():
         filled = [part for part in parts if len(part[1])] or parts[:1]
         try:
-            runs = runs_of([batch for _, batch in filled])
+            runs = separate_runs([batch for _, batch in filled])
         except MixedRunsError as error:
             raise RecordingError(f"{path}: {topic_of(device, stream)}: {error}") from error
         metadata = filled[0][0]
@@ -153,7 +153,7 @@ def _without_times(device: str, stream: Stream, metadata: Mapping[str, str], run
         t_hw_ns=batch.t_hw_ns,
         values=batch.values,
         t=untimed.t,
-        lost=holes(batch.seq),
+        lost=count_lost(batch.seq),
         speed=_speed(metadata),
         metadata={key: value for key, value in metadata.items() if not key.startswith("labhil.")},
         clock=untimed,
@@ -191,7 +191,7 @@ def _check_stamps(batch: Batch) -> None:
             )
 
 
-def holes(seq: IntArray) -> int:
+def count_lost(seq: IntArray) -> int:
     """How many numbers are missing in a sequence that should count up by one."""
     return int(np.maximum(np.diff(seq) - 1, 0).sum())
 
@@ -201,7 +201,7 @@ def _set_times(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, .
     clocks = {id(data): _fit(data, origin_ns) for data in streams}
     mains = _mains(streams, clocks)
     fits = [
-        in_time_of(data.stamps, clocks[id(data)], mains.get(data.device), measured=data.is_measured)
+        with_device_time(data.stamps, clocks[id(data)], mains.get(data.device), measured=data.is_measured)
         for data in streams
     ]
     pairs = list(zip(streams, fits, strict=True))
@@ -211,13 +211,13 @@ def _set_times(streams: list[StreamData], origin_ns: int) -> tuple[StreamData, .
         t = clock.t - start * data.speed
         # a stream that borrows a device's clock borrows its faults, which are reported once
         has_own_clock = len(data) and (mains.get(data.device) is None or clock is clocks[id(data)])
-        faults = clock_faults(data.stamps, clock, t) if has_own_clock and data.is_measured else ()
+        faults = find_clock_faults(data.stamps, clock, t) if has_own_clock and data.is_measured else ()
         timed.append(replace(data, t=t, clock=clock, clock_faults=faults, clock_start=start))
     return tuple(timed)
 
 
 def _fit(data: StreamData, origin_ns: int) -> ClockFit:
-    return fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed, steady=data.stamps.keep_rate)
+    return fit_clock(data.t_hw_ns, data.t_acq_ns, origin_ns, data.speed, steady=data.stamps.keeps_rate)
 
 
 def _mains(streams: list[StreamData], clocks: Mapping[int, ClockFit]) -> dict[str, ClockFit]:

@@ -65,7 +65,7 @@ def parse_chunk_header(data: FileBytes, position: int) -> ChunkHeader | None:
     return ChunkHeader(content, content + packed, compression, size, crc)
 
 
-def whole_record(data: FileBytes, position: int, work: Work | None = None) -> int | None:
+def record_end(data: FileBytes, position: int, work: Work | None = None) -> int | None:
     """Where the record at ``position`` ends, or None when it is not whole in itself.
 
     Looking into a record takes its length from ``work``; what it no longer suffices for is not whole.
@@ -93,12 +93,12 @@ def is_end(data: FileBytes, position: int) -> bool:
     return len(data) - position == len(MCAP0_MAGIC) and data[position:] == MCAP0_MAGIC
 
 
-def next_record(data: FileBytes, position: int) -> int:
+def find_next_record(data: FileBytes, position: int) -> int:
     """Where the next whole record begins that another one, or the end, follows; else the file's length."""
     work = Work.of(len(data))  # records that claim to reach far would be looked through again and again
     for candidate in _CANDIDATE.finditer(data, position):
         start = candidate.start()
-        end = whole_record(data, start, work)
+        end = record_end(data, start, work)
         if end is not None and (end >= len(data) or is_end(data, end) or _begins(data, end)):
             return start
     return len(data)

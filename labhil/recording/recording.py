@@ -13,7 +13,7 @@ from labhil.recording.clock_faults import ClockFault
 from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
-    device_clock,
+    estimate_device_clock,
     pairwise_offsets,
 )
 from labhil.recording.rig_attachments import attached_rig
@@ -220,7 +220,7 @@ class Recording:
         clocks: dict[str, DeviceClock] = {}
         for data in self.streams:
             if data.device not in clocks and data.is_measured:
-                clock = device_clock(data.stamps, data.clock)
+                clock = estimate_device_clock(data.stamps, data.clock)
                 if clock is not None:
                     clocks[data.device] = clock
         return clocks

@@ -16,12 +16,12 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from labhil.errors import RecordingError, RecordingFailedError
-from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.chunks import is_mcap, scan_mcap
 from labhil.recording.memory_maps import FileBytes, bytes_of, sha256_of
 from labhil.recording.message_store import Message
-from labhil.recording.reorder import Ordered, reorder
+from labhil.recording.reorder import OrderedMessages, reorder
 from labhil.recording.salvage import Loss, Salvage, salvage
-from labhil.recording.stream_recovery import StreamRecovery, Tally, lines_of
+from labhil.recording.stream_recovery import StreamRecovery, Tally, format_stream
 from labhil.recording.writer import CHUNK_SIZE
 from labhil.version import __version__
 
@@ -98,7 +98,7 @@ class Recovery:
         if self.moved:
             lines.append(f"mended: {self.moved} messages stood behind later ones, and were put in order")
         lines += self.notes
-        lines += [line for stream in self.streams for line in lines_of(stream)]
+        lines += [line for stream in self.streams for line in format_stream(stream)]
         if not self.losses and self.ended:
             lines.append("nothing was lost")
         return lines
@@ -188,7 +188,7 @@ def _bytes_of(source: Path) -> FileBytes:
 
 
 def _account(
-    source: Path, data: FileBytes, out: Path, salvaged: Salvage, ordered: Ordered, nameless: int
+    source: Path, data: FileBytes, out: Path, salvaged: Salvage, ordered: OrderedMessages, nameless: int
 ) -> Recovery:
     tallies: defaultdict[int, Tally] = defaultdict(Tally)
     for message in ordered.messages:
@@ -335,7 +335,7 @@ def _verify(path: Path, salvaged: Salvage, messages: Sequence[Message]) -> None:
 
 def _damage(path: Path) -> str:
     """What our own reader finds wrong with a file."""
-    return scan(bytes_of(path), lambda _channel, messages: messages.forget()).damage
+    return scan_mcap(bytes_of(path), lambda _channel, messages: messages.forget()).damage
 
 
 def _compare(

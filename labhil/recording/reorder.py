@@ -12,14 +12,14 @@ from mcap.records import Channel
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
 from labhil.recording.message_store import Message
-from labhil.recording.runs import MixedRunsError, late, order_samples
+from labhil.recording.runs import MixedRunsError, count_late, order_samples
 
 BLOCK = 1 << 14
 """Messages that are looked at together."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ordered:
+class OrderedMessages:
     """Messages in order; ``copies`` were dropped, by channel; ``moved`` ones stood behind later ones.
 
     ``notes`` say which channels could not be put in order, and which hold several runs.
@@ -31,7 +31,7 @@ class Ordered:
     notes: tuple[str, ...]
 
 
-def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ordered:
+def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> OrderedMessages:
     """Put the messages of every stream of ours in order and drop exact copies.
 
     The messages of a channel take the places that the channel has in the file. Channels of other programs
@@ -57,14 +57,16 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
         if len(runs) > 1:
             notes.append(f"{topic}: {len(runs)} runs in one channel; --run N of other commands chooses one")
         copies[number] = len(places) - len(single)
-        moved += sum(late(stamps[np.sort(run), 0]) for run in runs)
+        moved += sum(count_late(stamps[np.sort(run), 0]) for run in runs)
         ordered = [single[place] for place in np.concatenate(runs).tolist()]
         result = list(messages) if result is None else result
         for place, message in zip(places, [*ordered, *[None] * copies[number]], strict=True):
             result[place] = message
     if result is None:
-        return Ordered(messages, copies, moved, tuple(notes))
-    return Ordered(tuple(message for message in result if message is not None), copies, moved, tuple(notes))
+        return OrderedMessages(messages, copies, moved, tuple(notes))
+    return OrderedMessages(
+        tuple(message for message in result if message is not None), copies, moved, tuple(notes)
+    )
 
 
 def _places(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dict[int, array[int]]:

@@ -39,7 +39,7 @@ class Run:
     moved: int = 0
 
 
-def runs_of(channels: Sequence[Batch]) -> list[Run]:
+def separate_runs(channels: Sequence[Batch]) -> list[Run]:
     """Return the runs that the samples of one topic belong to, by their first times.
 
     Two channels are two runs, unless they share samples and make one sequence: then one is a copy of the
@@ -80,7 +80,7 @@ def order_samples(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[
     Raises:
         MixedRunsError: Runs are shuffled into one another.
     """
-    if _rises(seq):
+    if _is_increasing(seq):
         return [np.arange(len(seq))]
     by_time = np.lexsort((seq, t_acq_ns))
     begins = np.flatnonzero(np.diff(seq[by_time]) <= 0) + 1
@@ -88,7 +88,7 @@ def order_samples(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[
         return [by_time]
     pieces = list(np.split(by_time, begins))
     by_number = np.argsort(seq, kind="stable")
-    if _rises(seq[by_number]) and _rises(t_hw_ns[by_number]):
+    if _is_increasing(seq[by_number]) and _is_increasing(t_hw_ns[by_number]):
         # no number twice: the host's clock was set in one run, unless the pieces are long enough to be runs
         return pieces if min(map(len, pieces)) >= FEWEST else [by_number]
     as_they_stand = np.split(np.arange(len(seq)), np.flatnonzero(np.diff(seq) <= 0) + 1)
@@ -104,20 +104,20 @@ def order_samples(seq: IntArray, t_acq_ns: IntArray, t_hw_ns: IntArray) -> list[
 
 
 def _order_runs(batch: Batch) -> list[Run]:
-    if _rises(batch.seq):
+    if _is_increasing(batch.seq):
         return [Run(batch)]
     single = _take(batch, _first_of_each(batch))
     places = order_samples(single.seq, single.t_acq_ns, single.t_hw_ns)
-    runs = [Run(_take(single, place), moved=late(single.seq[np.sort(place)])) for place in places]
+    runs = [Run(_take(single, place), moved=count_late(single.seq[np.sort(place)])) for place in places]
     return [Run(runs[0].batch, len(batch) - len(single), runs[0].moved), *runs[1:]]
 
 
-def late(seq: IntArray) -> int:
+def count_late(seq: IntArray) -> int:
     """How many samples stand behind one with a larger number."""
     return int(np.count_nonzero(seq < np.maximum.accumulate(seq)))
 
 
-def _rises(numbers: IntArray) -> bool:
+def _is_increasing(numbers: IntArray) -> bool:
     return bool((np.diff(numbers) > 0).all())
 
 

@@ -21,7 +21,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from labhil.bounds import FREE, LARGEST_CHUNK, RATIO, Budget, ImplausibleError
 from labhil.recording.chunks import is_mcap
-from labhil.recording.compression import unpack, unpack_prefix
+from labhil.recording.compression import decompress, decompress_prefix
 from labhil.recording.definitions import Definitions
 from labhil.recording.memory_maps import RELEASE_INTERVAL, FileBytes, release_pages
 from labhil.recording.message_store import Message, MessageStore
@@ -34,10 +34,10 @@ from labhil.recording.record_bounds import (
     RECORD,
     ChunkHeader,
     checksum_matches,
+    find_next_record,
     is_end,
-    next_record,
     parse_chunk_header,
-    whole_record,
+    record_end,
 )
 
 _DESCRIPTIONS: dict[int, Any] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
@@ -97,10 +97,10 @@ def salvage(data: FileBytes, *, keep_doubtful: bool = False) -> Salvage:
     ``keep_doubtful`` takes the messages of chunks whose checksum is wrong, as far as they can be
     separated; their values may be wrong.
     """
-    return _Walk(data, keep_doubtful).walk()
+    return _Salvager(data, keep_doubtful).walk()
 
 
-class _Walk:
+class _Salvager:
     def __init__(self, data: FileBytes, keep_doubtful: bool) -> None:
         self._data = data
         self._keep_doubtful = keep_doubtful
@@ -119,7 +119,7 @@ class _Walk:
         while position < len(data):
             if result.ended and is_end(data, position):
                 break
-            end = whole_record(data, position)
+            end = record_end(data, position)
             if end is None:
                 position = self._step_over(position)
                 self._resumed = True
@@ -145,7 +145,7 @@ class _Walk:
     def _step_over(self, position: int) -> int:
         """Note what is broken at ``position`` and return where the next whole record begins."""
         data = self._data
-        after = next_record(data, position + 1)
+        after = find_next_record(data, position + 1)
         chunk = parse_chunk_header(data, position)
         # in content that is not packed whole records follow, those of the chunk itself
         last = after == len(data) or (chunk is not None and not chunk.compression)
@@ -246,7 +246,7 @@ class _Walk:
     def _take_cut_chunk(self, position: int, chunk: ChunkHeader) -> None:
         """Of a chunk that the end of the file cuts off, take the messages before the cut."""
         data, count_before = self._data, len(self._result.messages)
-        raw = unpack_prefix(
+        raw = decompress_prefix(
             chunk.compression.decode(), data[chunk.content :], min(chunk.size, self._budget.content)
         )
         self._take_content(raw, sound=False)
@@ -317,7 +317,7 @@ class _Walk:
             most = min(most, FREE + RATIO * len(content))
         elif compression == b"zstd":
             most = min(most, max(size, zstandard.frame_content_size(content)))
-        raw = unpack(compression.decode(), content, most)
+        raw = decompress(compression.decode(), content, most)
         self._budget.take_content(len(raw))
         return raw
 

@@ -17,7 +17,7 @@ MOST_NAMES = 40
 """Columns that a message lists."""
 
 
-class Mapped(NamedTuple):
+class MappedSignal(NamedTuple):
     """A signal and the columns it is made of, each with its scale and offset."""
 
     signal: Signal
@@ -25,7 +25,7 @@ class Mapped(NamedTuple):
     scale: FloatArray
     offset: FloatArray
 
-    def in_ours(self, raw: FloatArray) -> FloatArray:
+    def to_signal_unit(self, raw: FloatArray) -> FloatArray:
         """Raw values (rows, columns) in the signal's unit."""
         with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
             return np.asarray(raw * self.scale + self.offset, dtype=np.float64)

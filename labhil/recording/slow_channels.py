@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from labhil.errors import TableError
 from labhil.recording.bad_rows import MOST_DROPPED
-from labhil.recording.sheet import Mapped, Sheet
+from labhil.recording.sheet import MappedSignal, Sheet
 from labhil.signals import Direction, FloatArray, Hold, IntArray
 
 SLOWER = 1 / 3
@@ -24,15 +24,17 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Filled:
+class FilledSignals:
     """Values of the channels with what was filled; ``edge`` (rows,) are beyond a slow channel's samples."""
 
-    taken: list[tuple[Mapped, FloatArray]]
+    taken: list[tuple[MappedSignal, FloatArray]]
     edge: Mask
     notes: tuple[str, ...]
 
 
-def fill_slow(sheet: Sheet, taken: Sequence[tuple[Mapped, FloatArray]], t: FloatArray) -> Filled:
+def fill_slow_channels(
+    sheet: Sheet, taken: Sequence[tuple[MappedSignal, FloatArray]], t: FloatArray
+) -> FilledSignals:
     """Fill the empty cells of slower channels by what the signal does between its samples.
 
     Inputs and states are held or joined by straight lines, as their signal declares. An output is measured:
@@ -64,10 +66,10 @@ def fill_slow(sheet: Sheet, taken: Sequence[tuple[Mapped, FloatArray]], t: Float
             f"samples {way}"
         )
     finite = np.all([np.isfinite(values).all(axis=1) for _, values in result], axis=0)
-    return Filled(result, edge & ~finite, tuple(notes))
+    return FilledSignals(result, edge & ~finite, tuple(notes))
 
 
-def _missing(sheet: Sheet, one: Mapped) -> Mask:
+def _missing(sheet: Sheet, one: MappedSignal) -> Mask:
     return np.any([sheet.columns.missing(column) for column in one.columns], axis=0)
 
 
@@ -80,7 +82,7 @@ def _is_slow(sheet: Sheet, missing: Mask, present: IntArray) -> bool:
 
 
 def _fill(
-    mapped: Mapped,
+    mapped: MappedSignal,
     values: FloatArray,
     t: FloatArray,
     rows: IntArray,
@@ -102,7 +104,7 @@ def _fill(
     return values
 
 
-def _choices(sheet: Sheet, mapped: Mapped, rows: IntArray, present: IntArray) -> str:
+def _choices(sheet: Sheet, mapped: MappedSignal, rows: IntArray, present: IntArray) -> str:
     name = mapped.signal.name
     blank = int(rows[np.setdiff1d(np.arange(len(rows)), present)[0]])
     return (

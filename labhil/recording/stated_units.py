@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from labhil.errors import TableError
-from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.units import OURS, ROTARY, Unit, parse_unit, unit_in_name
+from labhil.recording.sheet import MappedSignal, Sheet
+from labhil.recording.units import INTERNAL_UNITS, ROTARY_EQUIVALENTS, Unit, parse_unit, unit_in_name
 
 
-def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
+def check_units(sheet: Sheet, taken: Sequence[MappedSignal]) -> tuple[str, ...]:
     """Compare the units that a file states with those of the signals, where the rig file gives no scale.
 
     Returns a line for each unit that cannot be that of its signal. TableError where one differs by a known
@@ -21,7 +21,11 @@ def check_units(sheet: Sheet, taken: Sequence[Mapped]) -> tuple[str, ...]:
     odd = []
     for mapped in taken:
         stated = _stated_unit(sheet, mapped.columns[0])
-        if stated is None or mapped.signal.unit not in OURS or _is_scaled(sheet, mapped.signal.name):
+        if (
+            stated is None
+            or mapped.signal.unit not in INTERNAL_UNITS
+            or _is_scaled(sheet, mapped.signal.name)
+        ):
             continue
         where, text, unit = stated
         if unit.quantity in (mapped.signal.unit, _rotary(sheet, mapped.signal.unit)):
@@ -53,10 +57,10 @@ def _is_scaled(sheet: Sheet, name: str) -> bool:
 
 
 def _rotary(sheet: Sheet, unit: str) -> str | None:
-    return ROTARY.get(unit) if sheet.rig.kind.name == "axis" else None
+    return ROTARY_EQUIVALENTS.get(unit) if sheet.rig.kind.name == "axis" else None
 
 
-def _proposal(sheet: Sheet, taken: Sequence[Mapped], wrong: dict[str, tuple[str, Unit]]) -> str:
+def _proposal(sheet: Sheet, taken: Sequence[MappedSignal], wrong: dict[str, tuple[str, Unit]]) -> str:
     expected = [
         f"{mapped.signal.name} in {mapped.signal.unit}" for mapped in taken if mapped.signal.name in wrong
     ]
@@ -67,12 +71,12 @@ def _proposal(sheet: Sheet, taken: Sequence[Mapped], wrong: dict[str, tuple[str,
             f"{sheet.path}: expected {', '.join(expected)}, found {', '.join(texts)}; write into "
             f"{sheet.rig.path} (scale = 1.0 for what is in our unit all the same):",
             "[channels]",
-            *(channel_line(sheet, mapped, units.get(mapped.signal.name)) for mapped in taken),
+            *(format_channel(sheet, mapped, units.get(mapped.signal.name)) for mapped in taken),
         ]
     )
 
 
-def channel_line(sheet: Sheet, mapped: Mapped, unit: Unit | None = None) -> str:
+def format_channel(sheet: Sheet, mapped: MappedSignal, unit: Unit | None = None) -> str:
     """A line of ``[channels]`` for a signal, with the scale and offset of a unit."""
     sources = [sheet.source(column) for column in mapped.columns]
     parts = [f"column = {sources[0]}" if len(sources) == 1 else f"columns = [{', '.join(sources)}]"]

@@ -68,7 +68,7 @@ class Tally:
         return StreamRecovery(topic, self.count, expected, indexed, start * 1e-9, end * 1e-9, spans)
 
 
-def lines_of(stream: StreamRecovery) -> Iterator[str]:
+def format_stream(stream: StreamRecovery) -> Iterator[str]:
     """Yield what a person wants to know of a channel, a line each."""
     line = f"{printable_name(stream.topic)}: {stream.saved} messages saved"
     if stream.saved:

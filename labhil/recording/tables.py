@@ -13,16 +13,23 @@ from numpy.typing import NDArray
 
 from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
-from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
-from labhil.recording.channel_keys import with_channel_keys, with_stated_hold
-from labhil.recording.format_detection import read_columns
+from labhil.recording.bad_rows import REASONS, find_bad_rows, finite_rows
+from labhil.recording.channel_keys import apply_channel_keys, with_declared_hold
+from labhil.recording.format_detection import read_foreign_table
 from labhil.recording.formats.time_text import TimeKind
 from labhil.recording.recording import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments
-from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.slow_channels import fill_slow
+from labhil.recording.sheet import MappedSignal, Sheet
+from labhil.recording.slow_channels import fill_slow_channels
 from labhil.recording.stated_units import check_units
-from labhil.recording.time_column import Clock, Ordered, best_clock, order_rows, read_clock, time_notes
+from labhil.recording.time_column import (
+    RowTimes,
+    TimeColumn,
+    choose_time_column,
+    order_rows,
+    read_time_column,
+    time_notes,
+)
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import RigFile
 from labhil.rig_sections import Channel, Column
@@ -85,25 +92,25 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     ``bad_rows = "fail"``, and for many of them unless it says ``"drop"``.
     """
     content, sha256 = _content(data)
-    sheet = Sheet(data, read_columns(data, content, rig.table, _wanted_columns(rig)), rig)
+    sheet = Sheet(data, read_foreign_table(data, content, rig.table, _wanted_columns(rig)), rig)
     mapped, clock = _signals(sheet), _clock(sheet)
     timed = [clock.mapped] if clock is not None and clock.kind is TimeKind.NUMBER else []
     units = check_units(sheet, [*timed, *mapped])
     taken = [(column, _scale(sheet, column)) for column in mapped]
     ordered = _order_in_time(sheet, clock, taken)
-    filled = fill_slow(sheet, taken, ordered.t)
+    filled = fill_slow_channels(sheet, taken, ordered.t)
     time = [] if clock is None else [(clock.mapped, clock.seconds[:, None])]
     finite = finite_rows(sheet, [*time, *filled.taken])
     followed = np.isfinite(ordered.t)
     row = np.flatnonzero(finite & followed)
     excused = filled.edge | ordered.elsewhere
-    bad = bad_rows(sheet, [*time, *filled.taken], finite, followed, excused)
+    bad = find_bad_rows(sheet, [*time, *filled.taken], finite, followed, excused)
     t = _seconds(sheet, row, ordered.t)
     notes = [*sheet.columns.notes, *units, *ordered.notes, *filled.notes]
     notes += [_rate_note(sheet)] if clock is None else time_notes(sheet, clock, t, row)
     stream = Stream("state", tuple(column.signal for column in mapped), float(1.0 / np.median(np.diff(t))))
     values = np.hstack([scaled for _, scaled in filled.taken])[row]
-    values, applied = with_channel_keys(stream, rig.channels, t, values)
+    values, applied = apply_channel_keys(stream, rig.channels, t, values)
     outside, flagged = _outside(stream, values, rig)
     also = {EDGE: filled.edge & ~ordered.elsewhere, PART: ordered.elsewhere & sheet.columns.complete}
     return ImportedTable(
@@ -173,7 +180,7 @@ def describe_import(table: ImportedTable) -> list[str]:
     lines = [f"{table.source}: {len(table)} of {table.rows} rows, {extent}", f"signals: {signals}"]
     lines += table.notes
     why = {
-        **WHY,
+        **REASONS,
         EDGE: "before the first or after the last sample of a slower channel",
         PART: "in other parts",
     }
@@ -218,10 +225,10 @@ def _wanted_columns(rig: RigFile) -> tuple[str, ...]:
     return tuple(source for source in sources if isinstance(source, str))
 
 
-def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
+def _signals(sheet: Sheet) -> tuple[MappedSignal, ...]:
     """The signals that are in the file, with their columns."""
     mapped = tuple(
-        _map_signal(sheet, with_stated_hold(signal, channel), channel)
+        _map_signal(sheet, with_declared_hold(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )
@@ -253,14 +260,14 @@ def _missing(sheet: Sheet, what: str, names: list[str]) -> str:
     )
 
 
-def _clock(sheet: Sheet) -> Clock | None:
+def _clock(sheet: Sheet) -> TimeColumn | None:
     """The column of the time, or None where the rows come at a rate."""
     time = Signal("t", "s", Direction.STATUS)
     if "t" in sheet.rig.channels:
-        return read_clock(sheet, _map_signal(sheet, time, sheet.rig.channels["t"]))
+        return read_time_column(sheet, _map_signal(sheet, time, sheet.rig.channels["t"]))
     names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
     if names:
-        return best_clock(sheet, [_map_signal(sheet, time, Channel(column=name)) for name in names])
+        return choose_time_column(sheet, [_map_signal(sheet, time, Channel(column=name)) for name in names])
     if sheet.rig.table.rate is None:
         raise TableError(
             f"{sheet.path}: no time: expected a column {' or '.join(TIME_COLUMNS)} (s), a [channels] entry "
@@ -269,16 +276,18 @@ def _clock(sheet: Sheet) -> Clock | None:
     return None
 
 
-def _name_of(sheet: Sheet, clock: Clock | None) -> str:
+def _name_of(sheet: Sheet, clock: TimeColumn | None) -> str:
     names = sheet.columns.names
     return "" if clock is None or names is None else names[clock.mapped.columns[0]]
 
 
-def _order_in_time(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:
+def _order_in_time(
+    sheet: Sheet, clock: TimeColumn | None, taken: list[tuple[MappedSignal, FloatArray]]
+) -> RowTimes:
     """The rows in time: by the column of the time, or one after another at the rate of ``[table]``."""
     rows = len(sheet.columns.counts)
     if clock is None:
-        return Ordered(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
+        return RowTimes(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
     values = np.hstack([scaled for _, scaled in taken])
     copied = np.zeros(rows, dtype=np.bool_)
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
@@ -290,7 +299,7 @@ def _rate_note(sheet: Sheet) -> str:
     return f"time: no column; rows come at [table] rate = {sheet.rig.table.rate:g} Hz"
 
 
-def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
+def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> MappedSignal:
     sources = channel.sources()
     if len(sources) != signal.width:
         raise TableError(
@@ -298,7 +307,7 @@ def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
         )
     places = tuple(_place(sheet, signal.name, source) for source in sources)
     scale, offset = (np.broadcast_to(factor, len(places)) for factor in (channel.scale, channel.offset))
-    return Mapped(signal, places, np.asarray(scale, float), np.asarray(offset, float))
+    return MappedSignal(signal, places, np.asarray(scale, float), np.asarray(offset, float))
 
 
 def _place(sheet: Sheet, name: str, source: Column) -> int:
@@ -318,10 +327,10 @@ def _place(sheet: Sheet, name: str, source: Column) -> int:
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
 
-def _scale(sheet: Sheet, mapped: Mapped) -> FloatArray:
+def _scale(sheet: Sheet, mapped: MappedSignal) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
-        return mapped.in_ours(raw)
+        return mapped.to_signal_unit(raw)
 
 
 def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:

@@ -12,8 +12,8 @@ from labhil.errors import TableError
 from labhil.recording import timeline
 from labhil.recording.bad_rows import MOST_DROPPED
 from labhil.recording.formats.time_text import DAY, TimeKind
-from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.stated_units import channel_line
+from labhil.recording.sheet import MappedSignal, Sheet
+from labhil.recording.stated_units import format_channel
 from labhil.recording.units import Unit
 from labhil.signals import FloatArray, IntArray
 
@@ -37,13 +37,13 @@ MOST_HOLES = 3
 
 
 @dataclass(frozen=True)
-class Clock:
+class TimeColumn:
     """A column that holds the time: ``seconds`` (rows,), NaN where there is none.
 
     ``passed_over`` says which other columns could have been it, and what speaks against them.
     """
 
-    mapped: Mapped
+    mapped: MappedSignal
     seconds: FloatArray
     raw: FloatArray
     kind: TimeKind
@@ -59,7 +59,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Ordered:
+class RowTimes:
     """The rows in time: ``t`` (rows,) in s from any zero, NaN where a row does not follow the others.
 
     ``elsewhere`` (rows,) are rows of stretches that were not asked for; ``notes`` say what was done.
@@ -70,17 +70,17 @@ class Ordered:
     notes: tuple[str, ...] = ()
 
 
-def read_clock(sheet: Sheet, mapped: Mapped) -> Clock:
+def read_time_column(sheet: Sheet, mapped: MappedSignal) -> TimeColumn:
     """Read one column as a time."""
     stamps = sheet.columns.times(mapped.columns[0])
     raw = stamps.values
-    seconds = mapped.in_ours(raw[:, None])[:, 0] if stamps.kind is TimeKind.NUMBER else raw
-    return Clock(mapped, np.where(sheet.columns.complete, seconds, np.nan), raw, stamps.kind)
+    seconds = mapped.to_signal_unit(raw[:, None])[:, 0] if stamps.kind is TimeKind.NUMBER else raw
+    return TimeColumn(mapped, np.where(sheet.columns.complete, seconds, np.nan), raw, stamps.kind)
 
 
-def best_clock(sheet: Sheet, candidates: Sequence[Mapped]) -> Clock:
+def choose_time_column(sheet: Sheet, candidates: Sequence[MappedSignal]) -> TimeColumn:
     """Choose the column that is complete and increases, a clock rather than a counter of the rows."""
-    clocks = [read_clock(sheet, mapped) for mapped in candidates]
+    clocks = [read_time_column(sheet, mapped) for mapped in candidates]
     if len(clocks) == 1:
         return clocks[0]
     most = max(int(np.count_nonzero(np.isfinite(clock.seconds))) for clock in clocks)
@@ -94,10 +94,10 @@ def best_clock(sheet: Sheet, candidates: Sequence[Mapped]) -> Clock:
             others.append(
                 f"{sheet.column(clock.mapped.columns[0])} is not used{': it ' + worse[0] if worse else ''}"
             )
-    return Clock(chosen.mapped, chosen.seconds, chosen.raw, chosen.kind, "; ".join(others))
+    return TimeColumn(chosen.mapped, chosen.seconds, chosen.raw, chosen.kind, "; ".join(others))
 
 
-def _merits(clock: Clock, most: int) -> dict[str, bool]:
+def _merits(clock: TimeColumn, most: int) -> dict[str, bool]:
     """What speaks for a column, weightiest first, each named by what it says against one without it."""
     known = clock.seconds[np.isfinite(clock.seconds)]
     rising = np.diff(known) > 0
@@ -117,7 +117,7 @@ def _counts(raw: FloatArray) -> bool:
     return len(raw) > 1 and bool(np.mean(np.diff(raw) == 1.0) >= 1.0 - MOST_DROPPED)
 
 
-def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
+def order_rows(sheet: Sheet, clock: TimeColumn, copied: Mask) -> RowTimes:
     """Find the rows that follow one another in time, undo wraps, and spread repeated stamps.
 
     ``copied`` (rows,) marks rows whose values are those of the row before. TableError names the cause and
@@ -127,7 +127,7 @@ def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
     times = clock.seconds[rows] - (clock.mapped.offset[0] if clock.kind is TimeKind.NUMBER else 0.0)
     nowhere = np.zeros(len(clock.seconds), dtype=np.bool_)
     if len(rows) < 2:
-        return Ordered(clock.seconds, nowhere)
+        return RowTimes(clock.seconds, nowhere)
     _refuse_backwards(sheet, clock, rows, times)
     notes = []
     wrap = timeline.find_wrap(times, _periods(clock))
@@ -143,10 +143,10 @@ def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
     t = np.full(len(clock.seconds), np.nan)
     t[rows[chosen]] = times[chosen]
     nowhere[rows[elsewhere]] = True
-    return Ordered(t, nowhere, tuple(notes))
+    return RowTimes(t, nowhere, tuple(notes))
 
 
-def _refuse_backwards(sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray) -> None:
+def _refuse_backwards(sheet: Sheet, clock: TimeColumn, rows: IntArray, times: FloatArray) -> None:
     steps = np.diff(times)
     if len(steps) > 1 and np.mean(steps < 0) > 0.9:
         raise TableError(
@@ -155,7 +155,7 @@ def _refuse_backwards(sheet: Sheet, clock: Clock, rows: IntArray, times: FloatAr
         )
 
 
-def _periods(clock: Clock) -> list[tuple[float, float | None]]:
+def _periods(clock: TimeColumn) -> list[tuple[float, float | None]]:
     """The clocks that begin anew, as (period, reading at which they do), in s."""
     day: list[tuple[float, float | None]] = [(DAY, DAY)]
     if clock.kind is TimeKind.DATE:
@@ -171,7 +171,7 @@ def _periods(clock: Clock) -> list[tuple[float, float | None]]:
     return day + of_counters
 
 
-def _wrap_note(sheet: Sheet, clock: Clock, rows: IntArray, wrap: timeline.Wrap) -> str:
+def _wrap_note(sheet: Sheet, clock: TimeColumn, rows: IntArray, wrap: timeline.Wrap) -> str:
     names = {DAY: "the clock of a day passes midnight", DAY / 2: "a clock of twelve hours begins anew"}
     if clock.kind is not TimeKind.NUMBER:
         names[HOUR] = "the hour is set back, as at the end of summer time, or begins anew"
@@ -186,7 +186,7 @@ def _wrap_note(sheet: Sheet, clock: Clock, rows: IntArray, wrap: timeline.Wrap) 
 
 
 def _resolve_repeats(
-    sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, copies: bool
+    sheet: Sheet, clock: TimeColumn, rows: IntArray, times: FloatArray, copies: bool
 ) -> tuple[IntArray, FloatArray, str]:
     """Rows and their times where stamps repeat: at the stated rate, spread, or the first of each stamp."""
     repeats = timeline.find_repeats(times)
@@ -215,7 +215,7 @@ def _resolve_repeats(
 
 
 def _choose_stretch(
-    sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, runs: list[IntArray], notes: list[str]
+    sheet: Sheet, clock: TimeColumn, rows: IntArray, times: FloatArray, runs: list[IntArray], notes: list[str]
 ) -> tuple[IntArray, IntArray]:
     """The stretch that counts, and the rows of the others."""
     part = sheet.rig.table.part
@@ -268,7 +268,7 @@ def _cause(times: FloatArray, runs: list[IntArray]) -> str:
     return "the clock was set back"
 
 
-def time_notes(sheet: Sheet, clock: Clock, t: FloatArray, row: IntArray) -> list[str]:
+def time_notes(sheet: Sheet, clock: TimeColumn, t: FloatArray, row: IntArray) -> list[str]:
     """Which column served as time, its unit, rate and holes; and a doubt where the rate is an unlikely one.
 
     ``t`` and ``row`` (n,) are the times and numbers of the rows that were kept.
@@ -284,7 +284,7 @@ def time_notes(sheet: Sheet, clock: Clock, t: FloatArray, row: IntArray) -> list
     elif clock.mapped.scale[0] == 1.0 and _counts(raw):
         notes.append(
             "are times in s? They go up by one from row to row, as milliseconds at 1 kHz do, for which "
-            f"[channels] needs {channel_line(sheet, clock.mapped, Unit('s', 1e-3))}, or a counter of rows"
+            f"[channels] needs {format_channel(sheet, clock.mapped, Unit('s', 1e-3))}, or a counter of rows"
         )
     return notes
 
@@ -303,7 +303,7 @@ def _holes(sheet: Sheet, t: FloatArray, row: IntArray) -> str:
     return f"{len(after)} holes, {'the longest ' if len(after) > MOST_HOLES else ''}{shown}"
 
 
-def _likely(sheet: Sheet, clock: Clock, rate: float) -> str:
+def _likely(sheet: Sheet, clock: TimeColumn, rate: float) -> str:
     """Which unit the numbers of a time are likely in, with the line that says so; or nothing."""
     per_unit = rate * float(clock.mapped.scale[0])  # rows per unit of the column
     likely = {
@@ -314,5 +314,5 @@ def _likely(sheet: Sheet, clock: Clock, rate: float) -> str:
     if not likely:
         return ""
     name = min(likely, key=lambda unit: likely[unit])
-    line = channel_line(sheet, clock.mapped, Unit("s", TIME_UNITS[name]))
+    line = format_channel(sheet, clock.mapped, Unit("s", TIME_UNITS[name]))
     return f"; in {name} they would come at {per_unit / TIME_UNITS[name]:.4g} Hz: [channels] {line}"

@@ -20,7 +20,7 @@ TURN = 2.0 * math.pi
 DEGREE = math.pi / 180.0
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
 PREFIXED = {"V": "V", "A": "A", "m": "m", "N": "N", "Nm": "N·m", "s": "s", "rad": "rad", "m/s": "m/s"}
-OURS = {"V", "A", "m", "N", "N·m", "s", "rad", "rad/s", "m/s", "m/s²", "rad/s²", "°C"}
+INTERNAL_UNITS = {"V", "A", "m", "N", "N·m", "s", "rad", "rad/s", "m/s", "m/s²", "rad/s²", "°C"}
 
 
 def _table() -> Mapping[str, Unit]:
@@ -64,13 +64,28 @@ def _table() -> Mapping[str, Unit]:
 
 UNITS = _table()
 
-ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
+ROTARY_EQUIVALENTS = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
 """What stands in place of a length, a velocity and a force on an axis that turns."""
 
 _IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]\s*$")
 _BEHIND = re.compile(r"^(?P<name>.+?)(?:_|-|/| in |\s)(?P<unit>[^_\s/-]+(?:/s)?)$")
 
-SURE_BEHIND = {"ms", "us", "µs", "μs", "ns", "mm", "cm", "rpm", "deg", "mA", "mV", "msec", "deg/s", "rad/s"}
+UNAMBIGUOUS_UNITS = {
+    "ms",
+    "us",
+    "µs",
+    "μs",
+    "ns",
+    "mm",
+    "cm",
+    "rpm",
+    "deg",
+    "mA",
+    "mV",
+    "msec",
+    "deg/s",
+    "rad/s",
+}
 """Units that count without brackets at the end of a name; ``_s``, ``_a``, ``_min`` may mean other things."""
 
 
@@ -91,11 +106,11 @@ def unit_in_name(name: str) -> tuple[str, Unit] | None:
     if match := _IN_BRACKETS.match(name):
         unit = parse_unit(match["unit"])
         return (match["unit"].strip(), unit) if unit else None
-    if name in SURE_BEHIND and (unit := parse_unit(name)):
+    if name in UNAMBIGUOUS_UNITS and (unit := parse_unit(name)):
         return name, unit
     if (
         (match := _BEHIND.match(name))
-        and match["unit"] in SURE_BEHIND
+        and match["unit"] in UNAMBIGUOUS_UNITS
         and (unit := parse_unit(match["unit"]))
     ):
         return match["unit"], unit

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from labhil.link import Unwrapper
 from labhil.recording.clock import fit_clock, keeps_declared_rate
-from labhil.recording.clock_faults import ClockFaultKind, clock_faults
+from labhil.recording.clock_faults import ClockFaultKind, find_clock_faults
 from labhil.recording.clock_map import fit_delay_line
 from labhil.recording.stamps import Stamps
 
@@ -49,7 +49,7 @@ def found_in(t_hw_ns, t_acq_ns, *, seq=None, speed=1.0, rate=RATE, **known):
     seq = np.arange(len(t_hw_ns)) if seq is None else seq
     steady = keeps_declared_rate(t_hw_ns, seq, rate)
     fit = fit_clock(t_hw_ns, t_acq_ns, int(t_acq_ns[0]), speed, steady)
-    return fit, clock_faults(Stamps(seq, t_hw_ns, t_acq_ns, rate, speed, **known), fit, fit.t - fit.t[0])
+    return fit, find_clock_faults(Stamps(seq, t_hw_ns, t_acq_ns, rate, speed, **known), fit, fit.t - fit.t[0])
 
 
 @settings(deadline=None, max_examples=40)

@@ -92,4 +92,4 @@ def test_stamps_that_come_one_by_one_are_kept_as_those_that_come_together():
         one_by_one.add(t_acq_ns[k : k + 1], t_hw_ns[k : k + 1])
     a, b = together.stamps(100.0), one_by_one.stamps(100.0)
     assert np.array_equal(a.t_hw_ns, b.t_hw_ns) and np.array_equal(a.seq, b.seq)
-    assert len(one_by_one._pieces) < 1000
+    assert len(one_by_one._arrays) < 1000

@@ -18,7 +18,13 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.bag_messages import Named, Source, Way, numbers_in, sources_of
+from labhil.recording.formats.bag_messages import (
+    FieldPath,
+    MessageGroup,
+    Named,
+    group_messages,
+    iterate_numbers,
+)
 from labhil.recording.formats.columns import Columns
 from labhil.signals import FloatArray, Hold
 
@@ -44,8 +50,8 @@ class BagColumns(Columns):
     """
 
     path: Path
-    places: tuple[tuple[int | None, Way], ...]
-    sources: tuple[Source, ...]
+    places: tuple[tuple[int | None, FieldPath], ...]
+    sources: tuple[MessageGroup, ...]
     numbered: Mapping[str, int]
     refused: Mapping[str, str]
     used: set[str] = field(default_factory=set)
@@ -53,7 +59,7 @@ class BagColumns(Columns):
     row_word = "message"
 
     @property
-    def base(self) -> Source:
+    def base(self) -> MessageGroup:
         """The messages that give the rows."""
         return self.sources[0]
 
@@ -117,7 +123,7 @@ class BagColumns(Columns):
     def _has_stamps(self) -> bool:
         return self.base.stamps is not None
 
-    def _times(self, source: Source) -> FloatArray:
+    def _times(self, source: MessageGroup) -> FloatArray:
         stamps = source.stamps if self._has_stamps else None
         return source.received if stamps is None else stamps
 
@@ -145,16 +151,16 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
 
 def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
     first = {c.topic: _first(reader, c) for c in reversed(reader.connections) if c.msgcount}
-    listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
+    listed = [(topic, way) for topic, message in first.items() for way, _ in iterate_numbers(message)]
     if not listed:
         raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
     requested = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
     topics = {topic.lstrip("/"): topic for topic in first}
     needed = [topics[name] for name in requested if name in topics] or [listed[0][0]]
-    read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
+    read = [source for topic in needed for source in group_messages(topic, _messages(reader, topic))]
     base = _base(read, [_plain(name) for name in wanted])
     sources = [base, *(source for source in read if source is not base)]
-    places: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
+    places: dict[str, tuple[int | None, FieldPath]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
     for place, source in enumerate(sources):
         for way in source.values:
             places.setdefault(_name(source.topic, way), (place, way))
@@ -187,7 +193,7 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield time_ns, reader.deserialize(raw, connection.msgtype)
 
 
-def _base(sources: Sequence[Source], wanted: Sequence[str]) -> Source:
+def _base(sources: Sequence[MessageGroup], wanted: Sequence[str]) -> MessageGroup:
     """The source that gives the rows: of the first topic, and there of the first name that only one has."""
     candidates = [source for source in sources if source.topic == sources[0].topic]
     for name in wanted:
@@ -201,7 +207,7 @@ def _base(sources: Sequence[Source], wanted: Sequence[str]) -> Source:
     return candidates[0]
 
 
-def _by_place(source: Source) -> Iterator[tuple[str, str]]:
+def _by_place(source: MessageGroup) -> Iterator[tuple[str, str]]:
     """Of every array of named elements the plain name of a place in it, and the column it may mean."""
     for way in source.values:
         index = next((k for k, step in enumerate(way) if isinstance(step, Named)), None)
@@ -214,18 +220,18 @@ def _by_place(source: Source) -> Iterator[tuple[str, str]]:
                 yield _plain(_name(source.topic, place)), _name(source.topic, way)
 
 
-def _orders(sources: Sequence[Source], topic: str) -> dict[tuple[str, ...], int]:
+def _orders(sources: Sequence[MessageGroup], topic: str) -> dict[tuple[str, ...], int]:
     return {labels: n for source in sources if source.topic == topic for labels, n in source.orders.items()}
 
 
-def _numbered_names(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+def _numbered_names(sources: Sequence[MessageGroup]) -> Iterator[tuple[str, str]]:
     """Places in arrays of named elements that mean one column, as the names never change places."""
     for source in sources:
         if len(_orders(sources, source.topic)) == 1:
             yield from _by_place(source)
 
 
-def _refusals(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
+def _refusals(sources: Sequence[MessageGroup]) -> Iterator[tuple[str, str]]:
     """Places in arrays of named elements that mean now one column, now another, and why."""
     for source in sources:
         orders = _orders(sources, source.topic)
@@ -246,11 +252,11 @@ def _list_names(names: Sequence[str]) -> str:
     return f"{', '.join(names[:MOST_NAMES])}{more}"
 
 
-def _with_names(source: Source) -> str:
+def _with_names(source: MessageGroup) -> str:
     return f" with {_list_names(source.names)}" if source.names else ""
 
 
-def _name(topic: str, way: Way) -> str:
+def _name(topic: str, way: FieldPath) -> str:
     steps = (f"[{s}]" if isinstance(s, int) else f".{s.name if isinstance(s, Named) else s}" for s in way)
     return topic + "".join(steps)
 

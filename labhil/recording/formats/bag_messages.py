@@ -30,14 +30,14 @@ class Named:
     name: str
 
 
-Way = tuple[str | int | Named, ...]
+FieldPath = tuple[str | int | Named, ...]
 """How to get from a message to a number: names of fields, places in arrays, names of elements."""
 
-STAMP: Way = ("header", "stamp")
+STAMP: FieldPath = ("header", "stamp")
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class MessageGroup:
     """Messages of one topic that belong together: all of them, or those that name the same joints.
 
     ``rows`` (n,) are their places in the topic, ``received`` (n,) and ``stamps`` (n,, of their headers) are s
@@ -47,7 +47,7 @@ class Source:
     topic: str
     rows: IntArray
     received: FloatArray
-    values: Mapping[Way, FloatArray]
+    values: Mapping[FieldPath, FloatArray]
     orders: Mapping[Labels, int]
 
     @property
@@ -62,24 +62,26 @@ class Source:
         return tuple(dict.fromkeys(name for labels in self.orders for name in labels))
 
 
-def numbers_in(value: Any, way: Way = (), labels: Labels = ()) -> Iterator[tuple[Way, float]]:
+def iterate_numbers(
+    value: Any, path: FieldPath = (), labels: Labels = ()
+) -> Iterator[tuple[FieldPath, float]]:
     """Walk a message: every number (a stamp is one, in s) and the way to it."""
     if isinstance(value, (bool, int, float, np.number, np.bool_)):
-        yield way, float(value)
+        yield path, float(value)
     elif hasattr(value, "sec") and hasattr(value, "nanosec"):
-        yield way, value.sec + 1e-9 * value.nanosec
+        yield path, value.sec + 1e-9 * value.nanosec
     elif isinstance(value, (list, np.ndarray)):
         named = bool(labels) and len(value) == len(labels) and not _parallel_inside(value, len(labels))
         for place in range(len(value) if len(value) <= LONGEST_ARRAY else 0):
             step = Named(labels[place]) if named else place
-            yield from numbers_in(value[place], (*way, step), () if named else labels)
+            yield from iterate_numbers(value[place], (*path, step), () if named else labels)
     elif dataclasses.is_dataclass(value):
-        inner_labels = labels_of(value) or labels
+        inner_labels = element_names(value) or labels
         for part in dataclasses.fields(value):
-            yield from numbers_in(getattr(value, part.name), (*way, part.name), inner_labels)
+            yield from iterate_numbers(getattr(value, part.name), (*path, part.name), inner_labels)
 
 
-def labels_of(message: Any) -> Labels:
+def element_names(message: Any) -> Labels:
     """The names that a message gives the elements of its arrays: its field ``name`` or ``…names``."""
     for part in dataclasses.fields(message):
         value = getattr(message, part.name)
@@ -97,49 +99,49 @@ def labels_of(message: Any) -> Labels:
 def _parallel_inside(value: Any, count: int) -> bool:
     """Whether the elements hold arrays as long as the names (points of a trajectory): those bear them."""
     first = value[0] if len(value) else None
-    if not dataclasses.is_dataclass(first) or labels_of(first):
+    if not dataclasses.is_dataclass(first) or element_names(first):
         return False
     inner = (getattr(first, part.name) for part in dataclasses.fields(first))
     return any(isinstance(values, (list, np.ndarray)) and len(values) == count for values in inner)
 
 
-def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
+def group_messages(topic: str, messages: Iterable[tuple[int, Any]]) -> list[MessageGroup]:
     """Read the messages of a topic, each with the time (ns, Unix) at which it was received.
 
     Messages whose names have none in common come from several publishers, and are several sources.
     """
     received: list[int] = []
     labels: list[Labels] = []
-    columns: dict[Way, array[float]] = {}
+    columns: dict[FieldPath, array[float]] = {}
     for time_ns, message in messages:
         count = len(received)
         width = 0
-        for way, number in numbers_in(message):
-            column = columns.get(way)
+        for path, number in iterate_numbers(message):
+            column = columns.get(path)
             if column is None:
-                column = columns[way] = array("d", [np.nan]) * count
+                column = columns[path] = array("d", [np.nan]) * count
             column.append(number)
             width += 1
         received.append(time_ns)
-        labels.append(labels_of(message))
+        labels.append(element_names(message))
         if width != len(columns):  # an array may be shorter, or its names others, than in another message
             for column in columns.values():
                 column.extend([np.nan] * (count + 1 - len(column)))
-    values = {way: np.array(column) for way, column in columns.items()}
+    values = {path: np.array(column) for path, column in columns.items()}
     seconds = np.array(received, dtype=np.float64) * 1e-9
     sources = []
     for group in _groups(labels):
         rows = np.array([row for row, order in enumerate(labels) if order in group], dtype=np.int64)
         orders = Counter(order for order in labels if order in group)
         names = {name for order in group for name in order}
-        group_columns = {way: column[rows] for way, column in values.items() if _belongs(way, names)}
-        sources.append(Source(topic, rows, seconds[rows], group_columns, orders))
+        group_columns = {path: column[rows] for path, column in values.items() if _belongs(path, names)}
+        sources.append(MessageGroup(topic, rows, seconds[rows], group_columns, orders))
     return sources
 
 
-def _belongs(way: Way, names: set[str]) -> bool:
+def _belongs(path: FieldPath, names: set[str]) -> bool:
     """Whether messages with these names have the number: the first name on the way is the message's own."""
-    named = [step.name for step in way if isinstance(step, Named)]
+    named = [step.name for step in path if isinstance(step, Named)]
     return not named or not names or named[0] in names
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, stamps_of
+from labhil.recording.formats.time_text import TimeValues, parse_times
 from labhil.recording.units import without_unit
 from labhil.signals import FloatArray, Hold, IntArray
 
@@ -64,9 +64,9 @@ class Columns(ABC):
         """The texts of a line of units below the header, one for each column; empty where there is none."""
         return ()
 
-    def times(self, column: int) -> Stamps:
+    def times(self, column: int) -> TimeValues:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
-        return Stamps(self.numbers(column))
+        return TimeValues(self.numbers(column))
 
     def missing(self, column: int) -> NDArray[np.bool_]:
         """Where a column has no value at all (an empty cell, no text that is no number), shape (rows,)."""
@@ -100,9 +100,9 @@ class NumberColumns(Columns):
         """The values of a column, shape (rows,); NaN where there is no number."""
         return self.values[column]
 
-    def times(self, column: int) -> Stamps:
+    def times(self, column: int) -> TimeValues:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
-        return read_stamps(self.values[column], [cell_text(cell) for cell in self.texts.get(column, ())])
+        return times_or_numbers(self.values[column], [cell_text(cell) for cell in self.texts.get(column, ())])
 
     def missing(self, column: int) -> NDArray[np.bool_]:
         """Where a column has no value at all, shape (rows,)."""
@@ -131,13 +131,13 @@ def number_columns(
     return NumberColumns(tuple(names), len(names), np.arange(1, rows + 1), counts, values, texts or {})
 
 
-def read_stamps(numbers: FloatArray, texts: Sequence[str]) -> Stamps:
+def times_or_numbers(numbers: FloatArray, texts: Sequence[str]) -> TimeValues:
     """The times of a column: its numbers, or its texts where more of these are dates or times of day."""
     finite = int(np.count_nonzero(np.isfinite(numbers)))
-    stamps = stamps_of(texts) if finite < len(texts) else None
+    stamps = parse_times(texts) if finite < len(texts) else None
     if stamps is not None and np.count_nonzero(np.isfinite(stamps.values)) > finite:
         return stamps
-    return Stamps(numbers)
+    return TimeValues(numbers)
 
 
 def cell_text(cell: Any) -> str:

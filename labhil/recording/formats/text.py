@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import TableError
-from labhil.recording.formats.columns import Columns, read_stamps
+from labhil.recording.formats.columns import Columns, times_or_numbers
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, is_time
+from labhil.recording.formats.time_text import TimeValues, is_time
 from labhil.recording.units import is_units_line
 from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold, IntArray
@@ -43,10 +43,10 @@ class TextColumns(Columns):
         """The values of a column, shape (rows,); NaN where there is no number."""
         return self.notation.numbers(self._texts(column))
 
-    def times(self, column: int) -> Stamps:
+    def times(self, column: int) -> TimeValues:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
         texts = self._texts(column)
-        return read_stamps(self.notation.numbers(texts), texts)
+        return times_or_numbers(self.notation.numbers(texts), texts)
 
     def missing(self, column: int) -> NDArray[np.bool_]:
         """Where a column has no value at all in a row with the right number of fields, shape (rows,)."""

@@ -51,7 +51,7 @@ class TimeKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Stamps:
+class TimeValues:
     """Times (rows,) of a column: numbers as they stand, or seconds where they are dates or times of day."""
 
     values: FloatArray
@@ -66,7 +66,7 @@ class _Reading(NamedTuple):
     seconds: Callable[[re.Match[str]], float]
 
 
-def stamps_of(texts: Sequence[str]) -> Stamps | None:
+def parse_times(texts: Sequence[str]) -> TimeValues | None:
     """Read the texts of a column as dates (s of Unix time, UTC where no zone is given) or times of day (s).
 
     All texts are read in one way. Of two orders of day and month the one counts in which more of them are
@@ -78,7 +78,7 @@ def stamps_of(texts: Sequence[str]) -> Stamps | None:
         values = np.array([_first(patterns, text, seconds) for text in plain], dtype=np.float64)
         known = values[np.isfinite(values)]
         if len(known) and (rank := (len(known), -float(np.ptp(known)))) > best_rank:
-            best, best_rank = Stamps(values, kind), rank
+            best, best_rank = TimeValues(values, kind), rank
         if len(known) == len(plain) and patterns is _ONE_ORDER:
             break  # one order of day and month only: no other reading can be better
     return best
@@ -86,7 +86,7 @@ def stamps_of(texts: Sequence[str]) -> Stamps | None:
 
 def is_time(text: str) -> bool:
     """Whether a text is a date or a time of day."""
-    return stamps_of([text]) is not None
+    return parse_times([text]) is not None
 
 
 def _first(

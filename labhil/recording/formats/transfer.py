@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.recording.formats.bag import BagColumns
-from labhil.recording.formats.bag_messages import Named, Source
+from labhil.recording.formats.bag_messages import MessageGroup, Named
 from labhil.recording.formats.columns import NumberColumns
 from labhil.recording.formats.notation import Notation
 from labhil.recording.formats.variables import VariableColumns
@@ -28,7 +28,7 @@ HEAD = struct.Struct("<QQ")
 
 _CLASSES = {
     kind.__name__: kind
-    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, Source, Named)
+    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, MessageGroup, Named)
 }
 _DTYPES = ("<f8", "<i8", "|b1")
 _CELLS: dict[str, Callable[[Any], Any]] = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.recording.formats.columns import NumberColumns
-from labhil.recording.formats.time_text import Stamps
+from labhil.recording.formats.time_text import TimeValues
 from labhil.signals import FloatArray, Hold
 
 MOST_PARTS = 64
@@ -95,7 +95,7 @@ class VariableColumns(NumberColumns):
         exact = tuple(place for place, name in enumerate(names) if _plain(name) == wanted)
         return exact or tuple(place for place, labels in enumerate(self.labels) if source in labels)
 
-    def times(self, column: int) -> Stamps:
+    def times(self, column: int) -> TimeValues:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
         self.used.add(column)
         return super().times(column)

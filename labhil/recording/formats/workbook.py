@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError, UsageError, suggestion
 from labhil.extras import load_optional
-from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps
+from labhil.recording.formats.columns import Columns, cell_text, number_of, times_or_numbers
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, TimeKind
+from labhil.recording.formats.time_text import TimeKind, TimeValues
 from labhil.recording.units import is_units_line
 from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold, Stream
@@ -46,15 +46,15 @@ class SheetColumns(Columns):
         """The values of a column, shape (rows,); NaN where there is no number."""
         return np.array([number_of(cell, self.notation) for cell in self._cells(column)], dtype=np.float64)
 
-    def times(self, column: int) -> Stamps:
+    def times(self, column: int) -> TimeValues:
         """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
         cells = self._cells(column)
-        stamps = read_stamps(self.numbers(column), [cell_text(cell) for cell in cells])
+        stamps = times_or_numbers(self.numbers(column), [cell_text(cell) for cell in cells])
         if stamps.kind is not TimeKind.NUMBER:
             return stamps
         kinds = {datetime: TimeKind.DATE, time: TimeKind.OF_DAY}
         first = next((cell for cell in cells if cell is not None), None)
-        return Stamps(stamps.values, kinds.get(type(first), TimeKind.NUMBER))
+        return TimeValues(stamps.values, kinds.get(type(first), TimeKind.NUMBER))
 
     def missing(self, column: int) -> NDArray[np.bool_]:
         """Where a column has no value at all, shape (rows,)."""
