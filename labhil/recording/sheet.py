@@ -13,7 +13,7 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
 from labhil.terminal import printable_name
 
-MOST_NAMES = 40
+MAX_NAMES = 40
 """Columns that a message lists."""
 
 
@@ -44,9 +44,9 @@ class Sheet:
         if self.columns.names is None:
             return f"no header and {self.columns.width} columns, 0 to {self.columns.width - 1}"
         names = self.columns.names
-        more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-        left_out = f"; {self.columns.left_out}" if self.columns.left_out else ""
-        return f"the columns {', '.join(map(printable_name, names[:MOST_NAMES]))}{more}{left_out}"
+        more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+        skipped = f"; {self.columns.skipped}" if self.columns.skipped else ""
+        return f"the columns {', '.join(map(printable_name, names[:MAX_NAMES]))}{more}{skipped}"
 
     def place(self, row: int) -> str:
         """Where a row stands in its file, for messages."""
