@@ -1,4 +1,4 @@
-"""Which reader a file of others belongs to: chosen by its content, else by its extension."""
+"""Choice of the reader of a foreign file, by its content, and otherwise by its extension."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
 from labhil.terminal import printable_name
 
-READ = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
+SUPPORTED = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
 
-NOT_READ = {
+UNSUPPORTED = {
     b"\xd0\xcf\x11\xe0": "an XLS workbook of the old kind: save it as .xlsx",
     b"\x1f\x8b": "a file packed by gzip: unpack it first",
     b"#ROSBAG": "a ROS 1 bag: convert it with `rosbags-convert`",
@@ -25,15 +25,25 @@ NOT_READ = {
 }
 
 MCAP_PROFILE = slice(17, 25)
-"""Where the first record of an MCAP file names its profile: a length (u32), then the text."""
+"""Bytes of an MCAP file with its profile: a length (u32) and a text."""
 
 
 def read_foreign_table(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
-    """Read a file of others as columns; ``data`` is its content, empty for the folder of a bag.
+    """Read a foreign file as columns.
 
-    ``wanted`` are the column names that the rig file asks for, outputs first: they help to tell a header
-    from data, and which topic of a bag gives the rows. TableError when the file is empty or of a kind
-    that is not read, MissingExtraError when what reads it is not installed.
+    Args:
+        path: the file, or the folder of a bag.
+        data: content of the file; empty for a folder.
+        table: section ``[table]`` of the rig file.
+        wanted: names of columns in the rig file, outputs first, which identify a header and the topic of a
+            bag whose messages are the rows.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: The file is empty or of an unsupported kind.
+        MissingExtraError: The package that reads it is not installed.
     """
     if path.is_dir():
         return _read_folder(path, table, wanted)
@@ -43,17 +53,17 @@ def read_foreign_table(path: Path, data: bytes, table: Table, wanted: Sequence[s
         return read_isolated("workbook", path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, table, wanted)
-    kind = _kind_of_numbers(path, data)
+    kind = _binary_kind(path, data)
     if kind is not None:
         return read_isolated(kind, path, table, wanted)
-    unreadable = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
+    unreadable = next((what for magic, what in UNSUPPORTED.items() if data.startswith(magic)), "")
     if unreadable:
-        raise TableError(f"{path}: expected one of {READ}, found {unreadable}")
+        raise TableError(f"{path}: expected one of {SUPPORTED}, found {unreadable}")
     return read_text(path, data, table, wanted)
 
 
-def _kind_of_numbers(path: Path, data: bytes) -> str | None:
-    """Which kind of file whose columns have names and numbers, so that [table] has nothing to say."""
+def _binary_kind(path: Path, data: bytes) -> str | None:
+    """Kind of a file whose columns have names and binary numbers; None for other files."""
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and b"\x00" in data[:20]):
         return "mat"
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -81,7 +91,7 @@ def _is_workbook(path: Path) -> bool:
         ) from error
     if "xl/workbook.xml" not in inside:
         raise TableError(
-            f"{path}: expected one of {READ}, found a zipped file with "
+            f"{path}: expected one of {SUPPORTED}, found a zipped file with "
             f"{', '.join(inside[:3])}: unpack it first"
         )
     return True
@@ -110,6 +120,6 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     cdr = any(channel.message_encoding == "cdr" for channel in channels)
     hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
     raise TableError(
-        f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
+        f"{path}: expected one of {SUPPORTED} (of MCAP files those with the profile ros2 and CDR messages), "
         f"found an MCAP file {description}{hint}"
     )

@@ -1,6 +1,6 @@
-"""Where whole records stand in the bytes of an MCAP file that may be damaged anywhere.
+"""Bounds of complete records in an MCAP file that may be damaged anywhere.
 
-Nothing is taken on trust: a record counts when the lengths inside it add up to its own.
+A record is complete if the lengths inside it add up to its own.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ RECORD = struct.Struct("<BQ")
 CHUNK = struct.Struct("<QQQII")  # start and end time, size and CRC of the content, length of the name
 MESSAGE = struct.Struct("<HIQQ")
 INDEX = struct.Struct("<HI")
-PLACE = struct.Struct("<QQ")
+INDEX_ENTRY = struct.Struct("<QQ")
 
 COMPRESSIONS = (b"lz4", b"zstd", b"")
 
 _CANDIDATE = re.compile(rb"(?=[\x01-\x0f].{5}\x00{3})", re.DOTALL)
-"""Where a record of less than a terabyte may begin."""
+"""Begin of a possible record of less than a terabyte."""
 
 FIXED_LENGTHS = {Opcode.FOOTER: 20, Opcode.DATA_END: 4, Opcode.SUMMARY_OFFSET: 17}
 
@@ -38,7 +38,15 @@ _OPCODES = frozenset(int(opcode) for opcode in Opcode)
 
 @dataclass(frozen=True, slots=True)
 class ChunkHeader:
-    """The head of a chunk: where its content begins and its record ends (bytes), and what it says."""
+    """Head of a chunk.
+
+    Attributes:
+        content: position of its content.
+        end: end of its record.
+        compression: name of the compression.
+        size: decompressed size.
+        crc: CRC-32 of the decompressed content, 0 for none.
+    """
 
     content: int
     end: int
@@ -48,27 +56,33 @@ class ChunkHeader:
 
 
 def parse_chunk_header(data: FileBytes, position: int) -> ChunkHeader | None:
-    """Read the head of a chunk at ``position``; None when its lengths contradict each other."""
+    """Parse the head of a chunk at ``position``; None if its lengths are inconsistent."""
     if len(data) < position + RECORD.size + CHUNK.size + 8 or data[position] != Opcode.CHUNK:
         return None
     length = RECORD.unpack_from(data, position)[1]
-    start, end, size, crc, named = CHUNK.unpack_from(data, position + RECORD.size)
+    start, end, size, crc, name_length = CHUNK.unpack_from(data, position + RECORD.size)
     name = position + RECORD.size + CHUNK.size
-    if named > 4 or name + named + 8 > len(data):
+    if name_length > 4 or name + name_length + 8 > len(data):
         return None
-    compression = data[name : name + named]
-    (packed,) = struct.unpack_from("<Q", data, name + named)
-    fits = length == CHUNK.size + named + 8 + packed and size <= LARGEST_CHUNK and start <= end
+    compression = data[name : name + name_length]
+    (compressed_size,) = struct.unpack_from("<Q", data, name + name_length)
+    fits = length == CHUNK.size + name_length + 8 + compressed_size and size <= LARGEST_CHUNK and start <= end
     if compression not in COMPRESSIONS or not fits:
         return None
-    content = name + named + 8
-    return ChunkHeader(content, content + packed, compression, size, crc)
+    content = name + name_length + 8
+    return ChunkHeader(content, content + compressed_size, compression, size, crc)
 
 
 def record_end(data: FileBytes, position: int, work: Work | None = None) -> int | None:
-    """Where the record at ``position`` ends, or None when it is not whole in itself.
+    """Find the end of the record at a position.
 
-    Looking into a record takes its length from ``work``; what it no longer suffices for is not whole.
+    Args:
+        data: the file.
+        position: begin of the record.
+        work: budget for parsing records, by length; a record beyond it counts as incomplete.
+
+    Returns:
+        The end; None if the record is incomplete.
     """
     if position + RECORD.size > len(data):
         return None
@@ -83,40 +97,47 @@ def record_end(data: FileBytes, position: int, work: Work | None = None) -> int 
     try:
         if work is not None:
             work.take(length)
-        return end if _fits(opcode, data[start:end]) else None
+        return end if _is_consistent(opcode, data[start:end]) else None
     except Exception:  # noqa: BLE001 - mcap's parsers raise almost anything on garbage
         return None
 
 
 def is_end(data: FileBytes, position: int) -> bool:
-    """Whether nothing but the magic bytes of the end stand from ``position`` on."""
+    """Whether only the final magic bytes follow from ``position`` on."""
     return len(data) - position == len(MCAP0_MAGIC) and data[position:] == MCAP0_MAGIC
 
 
 def find_next_record(data: FileBytes, position: int) -> int:
-    """Where the next whole record begins that another one, or the end, follows; else the file's length."""
-    work = Work.of(len(data))  # records that claim to reach far would be looked through again and again
+    """Find the next complete record before another one or the end; the file's length without one."""
+    work = Work.of(len(data))  # many candidates may claim large lengths
     for candidate in _CANDIDATE.finditer(data, position):
         start = candidate.start()
         end = record_end(data, start, work)
-        if end is not None and (end >= len(data) or is_end(data, end) or _begins(data, end)):
+        if end is not None and (end >= len(data) or is_end(data, end) or _may_begin(data, end)):
             return start
     return len(data)
 
 
 def checksum_matches(stored: int, calculated: int, *, whole_size: bool) -> bool:
-    """Whether content is whole: the checksums agree, or only the stored one can have been damaged.
+    """Whether content is sound: its checksum is right, or only the stored checksum is damaged.
 
-    0 stands for none. Content that is damaged changes all four bytes of its CRC: one that differs in a
-    single byte (1 in 4 million by chance) was hit itself. ``whole_size`` is whether the content has the
-    size that it should have.
+    Damage of the content changes all bytes of its CRC. A CRC with one wrong byte (by chance 1 in 4 million)
+    was damaged itself.
+
+    Args:
+        stored: the stored CRC-32; 0 for none.
+        calculated: the CRC-32 of the content.
+        whole_size: whether the content has its stated size.
+
+    Returns:
+        Whether it is sound.
     """
-    differing = sum(byte != 0 for byte in struct.pack("<I", stored ^ calculated))
-    return differing == 0 or (whole_size and (stored == 0 or differing == 1))
+    n_wrong = sum(byte != 0 for byte in struct.pack("<I", stored ^ calculated))
+    return n_wrong == 0 or (whole_size and (stored == 0 or n_wrong == 1))
 
 
-def _begins(data: FileBytes, position: int) -> bool:
-    """Whether a record seems to begin here: one that ends within the file, or a chunk that is cut off."""
+def _may_begin(data: FileBytes, position: int) -> bool:
+    """Whether a record may begin here: it ends within the file, or is a truncated chunk."""
     if position + RECORD.size > len(data):
         return True
     opcode, length = RECORD.unpack_from(data, position)
@@ -125,13 +146,13 @@ def _begins(data: FileBytes, position: int) -> bool:
     return position + length <= len(data) or parse_chunk_header(data, position) is not None
 
 
-def _fits(opcode: int, body: bytes) -> bool:
-    """Whether the lengths inside a record add up to its own."""
+def _is_consistent(opcode: int, body: bytes) -> bool:
+    """Whether the lengths inside a record add up to its own, and an attachment's checksum is right."""
     if opcode in FIXED_LENGTHS:
         return True
     if opcode == Opcode.MESSAGE_INDEX:
         _, size = INDEX.unpack_from(body)
-        return bool(size) and size % PLACE.size == 0 and len(body) == INDEX.size + size
+        return bool(size) and size % INDEX_ENTRY.size == 0 and len(body) == INDEX.size + size
     if opcode == Opcode.ATTACHMENT:
         (stored,) = struct.unpack_from("<I", body, len(body) - 4)
         if stored != 0 and zlib.crc32(body[:-4]) != stored:

@@ -141,8 +141,8 @@ def test_readers_work_under_a_limit_of_memory_set_for_good(tmp_path: Path) -> No
         "from labhil.recording.formats import isolated\n"
         "from labhil.rig_sections import Table\n"
         "from pathlib import Path\n"
-        "apart.MEMORY = 8 << 30\n"
-        "print(len(apart.read_apart('mat', Path('a.mat'), Table(), ()).lines))\n"
+        "limits = isolated.ReaderLimits(memory=8 << 30)\n"
+        "print(len(isolated.read_isolated('mat', Path('a.mat'), Table(), (), limits).lines))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False

@@ -166,7 +166,7 @@ def test_a_data_set_that_was_never_written_is_not_read(tmp_path):
 def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_path):
     pipe = tmp_path / "a.mat"
     os.mkfifo(pipe)  # its reader waits there until it is struck
-    isolated._PROCESS._running_child()
+    isolated._PROCESS._running_child(60.0)
     crash = threading.Timer(0.3, lambda: os.kill(isolated._PROCESS._child.pid, signal.SIGSEGV))
     crash.start()
     with pytest.raises(TableError, match=r"its reader crashed \(SIGSEGV\)"):
@@ -176,25 +176,21 @@ def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_
 
 
 @pytest.mark.extended
-def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path, monkeypatch):
+def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path):
     path = sheet(tmp_path / "a.xlsx")
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["t"] = [0.0, 1.0]
     with pytest.raises(TableError, match="an input is missing"):
         import_table(tmp_path / "a.h5", TABLE_RIG)  # its library is loaded
-    monkeypatch.setattr(isolated, "MEMORY", 1 << 10)
-    monkeypatch.setattr(isolated, "MEMORY_PER_BYTE", 0)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("t", shape=(2 * 10**6,), dtype="f8", chunks=(10**6,))
+    little_memory = isolated.ReaderLimits(memory=1 << 10, memory_per_byte=0)
     with pytest.raises(TableError, match="cannot be read"):
-        import_table(tmp_path / "a.h5", TABLE_RIG)
-    monkeypatch.undo()
+        isolated.read_isolated("hdf5", tmp_path / "a.h5", Table(), (), little_memory)
     pipe = tmp_path / "a.mat"
     os.mkfifo(pipe)
-    monkeypatch.setattr(isolated, "WALL_FACTOR", 0.02)
     with pytest.raises(TableError, match="longer than"):
-        isolated.read_isolated("mat", pipe, Table(), ())
-    monkeypatch.undo()
+        isolated.read_isolated("mat", pipe, Table(), (), isolated.ReaderLimits(wall_factor=0.02))
     assert len(import_table(path, TABLE_RIG)) == ROWS
 
 

@@ -26,7 +26,7 @@ def everything_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory_maps, "MIN_MAPPED_SIZE", 1)
     monkeypatch.setattr(memory_maps, "BLOCK_ROWS", 1000)
     monkeypatch.setattr(chunks, "RELEASE_INTERVAL", 1 << 18)
-    monkeypatch.setattr(chunks, "BLOCK", 1 << 18)
+    monkeypatch.setattr(chunks, "BLOCK_SIZE", 1 << 18)
     monkeypatch.setattr(samples, "MAX_BYTES_IN_MEMORY", 1 << 20)
     monkeypatch.setattr(message_store, "MAX_BYTES_IN_MEMORY", 1 << 20)
 

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +27,6 @@ from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
 from labhil.rig_sections import Table
 
-START_SECONDS = 60.0
-"""Longest start of the process, s: it imports numpy on a machine that may be busy."""
-
-CPU_SECONDS, CPU_SECONDS_PER_BYTE = 4.0, 20e-6
-"""Processor time for a file: a constant, and 20 s/MB. The slowest reader (XLSX) takes 2 s/MB."""
-
-WALL_FACTOR = 4.0
-"""Wall time per processor time, on a machine with other work."""
-
-MEMORY, MEMORY_PER_BYTE = 512 << 20, 64
-"""Memory for a file, bytes: for libraries and 16 MiB of content, and per byte of the file.
-
-A cell of a workbook takes about 8 bytes in the file and 60 as a Python object.
-"""
-
 PACKAGES = {
     "hdf5": ("h5py", "a MAT file of version 7.3 (HDF5)"),
     "parquet": ("pyarrow", "a Parquet file"),
@@ -50,7 +36,31 @@ PACKAGES = {
 """Optional package that reads each kind of file, and the name of such a file in messages."""
 
 
-def read_isolated(kind: str, path: Path, table: Table, wanted: Sequence[str]) -> Columns:
+@dataclass(frozen=True, slots=True)
+class ReaderLimits:
+    """Limits of the reader's process.
+
+    Attributes:
+        start_seconds: longest start of the process, s; it imports numpy on a machine that may be busy.
+        cpu_seconds: processor time for any file, s.
+        cpu_seconds_per_byte: further processor time, s/byte; the slowest reader (XLSX) takes 2e-6.
+        wall_factor: wall time per processor time, on a machine with other work.
+        memory: memory for libraries and 16 MiB of content, bytes.
+        memory_per_byte: further memory per byte of the file; a cell of a workbook takes about 8 bytes in the
+            file and 60 as a Python object.
+    """
+
+    start_seconds: float = 60.0
+    cpu_seconds: float = 4.0
+    cpu_seconds_per_byte: float = 20e-6
+    wall_factor: float = 4.0
+    memory: int = 512 << 20
+    memory_per_byte: int = 64
+
+
+def read_isolated(
+    kind: str, path: Path, table: Table, wanted: Sequence[str], limits: ReaderLimits | None = None
+) -> Columns:
     """Read a foreign file in a separate process.
 
     Args:
@@ -58,6 +68,7 @@ def read_isolated(kind: str, path: Path, table: Table, wanted: Sequence[str]) ->
         path: the file, or the folder of a bag.
         table: section ``[table]`` of the rig file.
         wanted: names of columns in the rig file.
+        limits: limits of time and memory; None for the defaults.
 
     Returns:
         The table.
@@ -67,18 +78,18 @@ def read_isolated(kind: str, path: Path, table: Table, wanted: Sequence[str]) ->
         MissingExtraError: The package that reads it is not installed.
     """
     _require_package(kind, path)
-    size = _size(path)
+    size, limits = _size(path), limits or ReaderLimits()
     request = {
         "kind": kind,
         "path": str(path),
         "folder": str(Path.cwd()),
         "table": table.model_dump(mode="json"),
         "wanted": list(wanted),
-        "cpu_seconds": CPU_SECONDS + CPU_SECONDS_PER_BYTE * size,
-        "memory": MEMORY + MEMORY_PER_BYTE * size,
+        "cpu_seconds": limits.cpu_seconds + limits.cpu_seconds_per_byte * size,
+        "memory": limits.memory + limits.memory_per_byte * size,
     }
     with _LOCK:
-        answer = _PROCESS.ask(request, path)
+        answer = _PROCESS.ask(request, path, limits)
     if "error" in answer:
         raise _restore_error(answer["error"], answer["text"])
     try:
@@ -104,11 +115,11 @@ class _ReaderProcess:
         self._child: subprocess.Popen[bytes] | None = None
         self._owner = 0
 
-    def ask(self, request: dict[str, Any], path: Path) -> dict[str, Any]:
+    def ask(self, request: dict[str, Any], path: Path, limits: ReaderLimits) -> dict[str, Any]:
         """Send a request and return the answer; TableError if the process ends without one."""
-        child = self._running_child()
+        child = self._running_child(limits.start_seconds)
         assert child.stdin is not None
-        wall = WALL_FACTOR * request["cpu_seconds"]
+        wall = limits.wall_factor * request["cpu_seconds"]
         watch = threading.Timer(wall, child.kill)
         watch.start()
         try:
@@ -131,7 +142,7 @@ class _ReaderProcess:
         answer["arrays"] = _read_exactly(child, payload)
         return answer
 
-    def _running_child(self) -> subprocess.Popen[bytes]:
+    def _running_child(self, start_seconds: float) -> subprocess.Popen[bytes]:
         child = self._child
         # a forked process shares the pipes of its parent, and needs its own reader
         if child is not None and self._owner == os.getpid() and child.poll() is None:
@@ -146,7 +157,7 @@ class _ReaderProcess:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             start_new_session=True,  # Ctrl+C reaches only us
         )
-        watch = threading.Timer(START_SECONDS, child.kill)
+        watch = threading.Timer(start_seconds, child.kill)
         watch.start()
         try:
             _read_exactly(child, 1)
@@ -158,7 +169,7 @@ class _ReaderProcess:
         return child
 
     def stop(self) -> None:
-        """End the process, if it is ours."""
+        """End the process unless a parent process owns it."""
         child, self._child = self._child, None
         if child is None or self._owner != os.getpid():
             return
