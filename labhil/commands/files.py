@@ -135,7 +135,7 @@ def export(
     from labhil.recording.reader import read_recording
 
     source = read_recording(recording, run).of_device(device)
-    tell(source.losses())
+    tell(source.warnings())
     show(write_table(source, out, stream))
 
 
