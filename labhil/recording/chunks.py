@@ -194,7 +194,7 @@ def _add_channel(contents: Contents, channel: Channel) -> None:
     if (known.topic, known.message_encoding) != (channel.topic, channel.message_encoding):
         raise ChannelConflictError(
             f"channel {channel.id} is {printable_name(known.topic)}, and from here on "
-            f"{printable_name(channel.topic)}: the file is pieced together from several"
+            f"{printable_name(channel.topic)}: the file is joined from several"
         )
 
 

@@ -234,7 +234,7 @@ def _host_rate_faults(
             ClockFault(
                 ClockFaultKind.RATE, tuple(t[rows].tolist()), False,
                 f"the times part from the count of samples{_format_jumps(sizes * stamps.speed, t[rows])}, "
-                "little by little, and the device has no clock of its own: the host's clock was slewed, or "
+                "gradually, and the device has no clock of its own: the host's clock was slewed, or "
                 "sampling was slower or faster there.",
             )
         )  # fmt: skip

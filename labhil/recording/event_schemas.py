@@ -43,7 +43,7 @@ STATUS = {
                 "received": {"type": "integer", "description": "samples so far"},
                 "gaps": {"type": "integer", "description": "numbers missing in the sequence so far"},
                 "refused": {"type": "integer", "description": "messages that were no samples"},
-                "waiting": {"type": "integer", "description": "samples that nobody has explained yet"},
+                "waiting": {"type": "integer", "description": "samples that wait for their schema"},
                 "lag": {"type": ["number", "null"], "description": "s since the newest sample"},
             },
         },

@@ -111,7 +111,7 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     except ImplausibleError as error:
         raise TableError(f"{path}: {error}") from error
     if any("labhil.stream" in channel.metadata for channel in channels):
-        raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
+        raise TableError(f"{path}: expected a table, found a labhil recording, which needs no import")
     topics = ", ".join(
         printable_name(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
         for channel in channels

@@ -112,7 +112,7 @@ def _bytes_of(path: Path) -> FileBytes:
         data = bytes_of(path)
     except OSError as error:
         part = Path(f"{path}.part")
-        beside = f"; beside it lies {part}, which was not finished" if part.exists() else ""
+        beside = f"; there is an unfinished recording {part}" if part.exists() else ""
         raise RecordingError(f"{path}: cannot be read: {error.strerror}{beside}") from error
     if not data:
         raise RecordingError(f"{path}: expected an MCAP recording, found an empty file")

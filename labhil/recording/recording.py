@@ -230,7 +230,7 @@ class Recording:
             counts = {
                 f"samples of {name} were lost": data.lost,
                 f"exact copies of samples of {name} were dropped": data.copies,
-                f"samples of {name} stood behind later ones, and were put in order": data.moved,
+                f"samples of {name} were behind later ones, and were put in order": data.moved,
             }
             lines += [f"{self.path}: {count} {what}" for what, count in counts.items() if count]
             lines += [f"{self.path}: {name}: {fault.statement}" for fault in data.clock_faults]

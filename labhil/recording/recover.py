@@ -98,15 +98,15 @@ class Recovery:
             for loss in self.losses
         ]
         if self.losses:
-            lines.append(f"lost altogether: {self.bytes_lost} bytes, {n_lost_chunks} chunks hit")
+            lines.append(f"lost in total: {self.bytes_lost} bytes, {n_lost_chunks} damaged chunks")
         if not self.ended:
             lines.append("the file had no end (footer): its recorder was killed, or it is cut")
         if self.nameless:
             lines.append(f"lost: {self.nameless} messages of channels that nothing in the file describes")
         if self.spliced:
             lines.append(
-                "the file is pieced together from several: it gives the number of a channel to different "
-                "ones; each keeps its own messages"
+                "the file is joined from several: it uses the number of a channel for different ones; "
+                "each keeps its own messages"
             )
         if self.doubtful:
             lines.append(
@@ -114,9 +114,9 @@ class Recovery:
                 "their values may be wrong"
             )
         if self.copies:
-            lines.append(f"mended: {self.copies} exact copies of messages were dropped")
+            lines.append(f"repaired: {self.copies} exact copies of messages were dropped")
         if self.moved:
-            lines.append(f"mended: {self.moved} messages stood behind later ones, and were put in order")
+            lines.append(f"repaired: {self.moved} messages were behind later ones, and were put in order")
         lines += self.notes
         lines += [line for stream in self.streams for line in format_stream(stream)]
         if not self.losses and self.ended:
@@ -199,7 +199,7 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
         messages = [message for message in salvaged.messages if message.channel in salvaged.channels]
     if not messages:
         raise RecordingError(
-            f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
+            f"{source}: expected messages to save, found no complete one in {len(data)} bytes; "
             "nothing was written"
         )
     ordered = reorder(messages, salvaged.channels)

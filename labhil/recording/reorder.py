@@ -59,7 +59,7 @@ def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ord
             stamps = stamps_of([message.data for message in single])
             runs = order_samples(*stamps.T)
         except (ProtocolError, MixedRunsError) as error:
-            notes.append(f"{topic}: left as it stood: {error}")
+            notes.append(f"{topic}: left unchanged: {error}")
             continue
         if len(runs) > 1:
             notes.append(f"{topic}: {len(runs)} runs in one channel; --run N of other commands chooses one")

@@ -118,11 +118,11 @@ def _interpolate(
 def _choices_message(sheet: Sheet, mapped: MappedSignal, rows: IntArray, present: IntArray) -> str:
     name = mapped.signal.name
     blank = int(rows[np.setdiff1d(np.arange(len(rows)), present)[0]])
+    way = "steps" if mapped.signal.hold is Hold.ZERO else "straight lines"
     return (
         f"{sheet.path}: {name} has a value in {len(present)} of {len(rows)} rows, the first empty cell is in "
         f"{sheet.place(blank)}, column {sheet.column(mapped.columns[0])}: a slower channel. It is an output, "
         f"so values in between would be invented. Choose in {sheet.rig.path}: leave {name} out of "
-        "[channels]; or "
-        f'[table] bad_rows = "drop" for the rows in which it stands; or [table] blanks = "fill" to join its '
-        f"samples by {'steps' if mapped.signal.hold is Hold.ZERO else 'straight lines'}"
+        '[channels]; or [table] bad_rows = "drop" for the rows in which it has a value; or '
+        f'[table] blanks = "fill" to join its samples by {way}'
     )

@@ -53,7 +53,7 @@ class TimeColumn:
         scale = float(self.mapped.scale[0])
         unit = "s" if scale == 1.0 else f"s, × {scale:g}"
         if self.kind is not TimeKind.NUMBER:
-            unit = f"{self.kind}, UTC where no zone stands" if self.kind is TimeKind.DATE else str(self.kind)
+            unit = f"{self.kind}, UTC without a time zone" if self.kind is TimeKind.DATE else str(self.kind)
         return f"column {sheet.column(self.mapped.columns[0])} ({unit})"
 
 
@@ -171,7 +171,7 @@ def _refuse_backwards(sheet: Sheet, time_column: TimeColumn, rows: IntArray, tim
     if len(steps) > 1 and np.mean(steps < 0) > 0.9:
         raise TableError(
             f"{sheet.path}: expected times that increase, found {time_column.label(sheet)} running backwards "
-            f"from {sheet.place(int(rows[0]))} on: the newest row stands first; sort the rows by time"
+            f"from {sheet.place(int(rows[0]))} on: the newest row is the first; sort the rows by time"
         )
 
 
@@ -192,14 +192,14 @@ def _wrap_periods(time_column: TimeColumn) -> list[tuple[float, float | None]]:
 
 
 def _wrap_note(sheet: Sheet, time_column: TimeColumn, rows: IntArray, wrap: timeline.Wrap) -> str:
-    names = {DAY: "the clock of a day passes midnight", DAY / 2: "a clock of twelve hours begins anew"}
+    names = {DAY: "the clock of a day passes midnight", DAY / 2: "a clock of twelve hours restarts"}
     if time_column.kind is not TimeKind.NUMBER:
-        names[HOUR] = "the hour is set back, as at the end of summer time, or begins anew"
+        names[HOUR] = "the hour is set back, as at the end of summer time, or restarts"
     cause = names.get(wrap.period)
     if cause is None:
         scale = float(time_column.mapped.scale[0])
         bits = 32 if any(np.isclose(wrap.period, 2.0**32 * unit) for unit in (scale, 1e-3, 1e-6)) else 16
-        cause = f"a counter of {bits} bits begins anew"
+        cause = f"a counter of {bits} bits restarts"
     times = "" if len(wrap.at) == 1 else f" and {len(wrap.at) - 1} times more"
     place = sheet.place(int(rows[wrap.at[0]]))
     return f"time goes back by {wrap.period:.10g} s in {place}{times}: {cause}; this is undone"
@@ -287,7 +287,7 @@ def _restart_cause(times: FloatArray, stretches: list[IntArray]) -> str:
     if len(stretches) > len(times) // (4 * timeline.MAX_WRONG_ROWS):
         return "again and again: are the rows sorted by time?"
     if abs(after - float(times[stretches[0][0]])) <= near or abs(after) <= near:
-        return "the clock begins anew: a restart, or two recordings in one file"
+        return "the clock restarts: a reboot, or two recordings in one file"
     for period, name in ((DAY, "a day"), (HOUR, "an hour, as at the end of summer time")):
         if abs(before - after - period) <= 0.01 * period:
             return f"by about {name}"

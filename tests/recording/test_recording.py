@@ -150,7 +150,7 @@ def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path):
         flushed = int(process.stdout.readline())
         process.send_signal(signal.SIGKILL)
     assert not path.exists()
-    with pytest.raises(RecordingError, match=r"beside it lies .*a\.mcap\.part, which was not finished"):
+    with pytest.raises(RecordingError, match=r"there is an unfinished recording .*a\.mcap\.part"):
         read_recording(path)
     recording = read_recording(tmp_path / "a.mcap.part")
     data = recording.stream_with("ball_position")

@@ -234,7 +234,7 @@ def test_messages_that_nothing_describes_are_counted_as_lost(tmp_path):
     first = chunks_of(data)[0]
     end = chunks_of(data)[-1][1]
     (tmp_path / "a.mcap").write_bytes(data[: first[0]] + data[first[1] : end])  # no description, no summary
-    with pytest.raises(RecordingError, match="found none that is whole"):
+    with pytest.raises(RecordingError, match="found no complete one"):
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
     (tmp_path / "c.mcap").write_bytes(data[: first[0]] + data[first[1] :])  # the summary describes them
     assert recover(tmp_path / "c.mcap", tmp_path / "d.mcap").saved >= 100
@@ -249,8 +249,8 @@ NOT_ONES = {
     "empty": (b"", "found an empty file"),
     "text": (b"t,x\n" * 500, "expected an MCAP recording, found a file that begins with"),
     "zeros": (bytes(3000), "expected an MCAP recording"),
-    "magic alone": (b"\x89MCAP0\r\n", "found none that is whole in 8 bytes"),
-    "magic and garbage": (b"\x89MCAP0\r\n" + bytes(range(256)) * 8, "found none that is whole"),
+    "magic alone": (b"\x89MCAP0\r\n", "found no complete one in 8 bytes"),
+    "magic and garbage": (b"\x89MCAP0\r\n" + bytes(range(256)) * 8, "found no complete one"),
 }
 
 

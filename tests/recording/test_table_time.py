@@ -120,7 +120,7 @@ def test_counters_begin_anew(tmp_path, unit, bits, signed):
     assert len(table) == N
     assert steps(table) == pytest.approx(STEP, abs=1e-9)
     if bits == 32 and not signed:
-        assert "a counter of 32 bits begins anew; this is undone" in described(table)
+        assert "a counter of 32 bits restarts; this is undone" in described(table)
 
 
 def test_seconds_of_a_counter_that_the_logger_scaled_begin_anew(tmp_path):
@@ -132,7 +132,7 @@ def test_seconds_of_a_counter_that_the_logger_scaled_begin_anew(tmp_path):
 @pytest.mark.parametrize("first", [0.0, 3.0, 86000.0])
 def test_a_restart_is_refused_with_its_line_and_a_choice(tmp_path, first):
     times = np.concatenate([first + K[:350] * STEP, first + K[:250] * STEP])
-    with pytest.raises(TableError, match=r"line 352 \(the clock begins anew: a restart.*\[table\] part = 1"):
+    with pytest.raises(TableError, match=r"line 352 \(the clock restarts: a reboot.*\[table\] part = 1"):
         imported(tmp_path, times)
     with pytest.raises(TableError, match="line 352"):
         imported(tmp_path, times, '[table]\nbad_rows = "fail"')

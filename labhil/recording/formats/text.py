@@ -113,7 +113,7 @@ def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> 
     try:
         rows = [_split(line, delimiter) for line in texts]
     except csv.Error as error:
-        raise TableError(f"{path}: expected a table, found a field that is none: {error}") from error
+        raise TableError(f"{path}: expected a table, found a field that cannot be read: {error}") from error
     names, units = None, tuple[str, ...]()
     if _has_header(rows[0], table, wanted):
         names = tuple(field.strip().strip("\"'") for field in rows[0])
