@@ -28,7 +28,7 @@ from labhil.analysis.study import diagnose_study
 from labhil.errors import LabhilError
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
-from labhil.recording.contents import how_it_ended
+from labhil.recording.contents import recording_status
 from labhil.recording.reader import read_recording
 from measured import tell
 
@@ -121,7 +121,7 @@ def examine(path: Path, device: str) -> dict[str, Any]:
     clock = data.clock
     figures: dict[str, Any] = {
         "recording": path.name,
-        "run": how_it_ended(recording),
+        "run": recording_status(recording),
         "rig": device,
         "step_ms": round(1e3 * float(np.median(np.diff(data.t))), 6),
         "drift_ppm": round(1e6 * clock.drift, 1),

@@ -89,7 +89,7 @@ def compare_study(
     notes += _fitted_note(candidates, compared)
     data = _comparison_json(candidates, compared, notes)
     data["seconds"] = time.perf_counter() - began
-    losses = tuple(line for recording in loaded for line in recording.losses())
+    losses = tuple(line for recording in loaded for line in recording.warnings())
     return ComparisonResult(
         tuple(candidate.name for candidate in candidates), tuple(compared), losses, finite(data)
     )

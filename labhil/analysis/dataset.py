@@ -121,7 +121,7 @@ class Dataset:
         return [
             line
             for recording in recordings
-            for line in (*_device_notes(recording, self.rig), *recording.losses())
+            for line in (*_device_notes(recording, self.rig), *recording.warnings())
         ]
 
     def naming(self) -> AbstractContextManager[None]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from labhil.analysis.simulator_names import refuse_other_names
 from labhil.errors import RecordingError
 from labhil.recording.recording import Recording
-from labhil.recording.rig_attachments import rig_name
+from labhil.recording.rig_attachments import rig_attachment_name
 from labhil.rig import RigFile, load_rig
 
 RIG_SECTIONS = ("known", "nominal", "metric")
@@ -63,7 +63,7 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
         refuse_other_names(recording, rig)
         return rig
     if recording.rig is None:
-        if rig_name() in recording.ambiguous:
+        if rig_attachment_name() in recording.ambiguous:
             raise RecordingError(
                 f"{recording.path}: expected one rig file, found several that differ, as in files that were "
                 "merged; say which one holds with --rig RIG.toml"

@@ -84,7 +84,7 @@ def verify_study(
     data["faults"] = finite([asdict(fault) for fault in detect_all_faults(model, record)])
     doubts = doubts_of(record, rig, misfit=not verification.consistent, time_column=recording.time_column)
     data["doubts"] = [doubt.statement for doubt in doubts]
-    return VerificationResult(verification, tuple(recording.losses()), data)
+    return VerificationResult(verification, tuple(recording.warnings()), data)
 
 
 def _duration(record: Record) -> float:

@@ -69,7 +69,7 @@ class Recording:
         """
         streams = [data for data in self._file.streams if len(data)] or list(self._file.streams)
         if not streams:
-            raise RecordingError(f"{self.path}: {self._file.no_streams()}")
+            raise RecordingError(f"{self.path}: {self._file.describe_missing_streams()}")
         outputs = set() if self._file.rig is None else {s.name for s in self._file.rig.kind.outputs}
         return max(streams, key=lambda data: (len(outputs & set(data.stream.names())), len(data)))
 
@@ -111,7 +111,7 @@ class Recording:
     @property
     def notes(self) -> tuple[str, ...]:
         """What is to be known of it, a line each: how it was imported, what is missing, faulty clocks."""
-        return (*self._notes, *self._file.losses())
+        return (*self._notes, *self._file.warnings())
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -138,7 +138,7 @@ class Recording:
     def __repr__(self) -> str:
         of = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
         if not self._file.streams:
-            return f"<Recording{of}: {self._file.no_streams()}>"
+            return f"<Recording{of}: {self._file.describe_missing_streams()}>"
         return (
             f"<Recording{of}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
             f"{', '.join(self.signals)}>"

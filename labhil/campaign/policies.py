@@ -14,7 +14,7 @@ from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
 from labhil.errors import ExperimentFileError, LabhilError, suggestion
 from labhil.experiment.lab import Lab, Policy
-from labhil.recording.rigs_in import rigs_in
+from labhil.recording.metadata import read_rig_kinds
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Policies:
         Raises:
             RecordingError: The recording cannot be read.
         """
-        kinds = rigs_in(recording)
+        kinds = read_rig_kinds(recording)
         for device, kind in kinds.items():
             yield from tasks_of(self.of_kind(kind), recording, device if len(kinds) > 1 else None)
 

@@ -37,12 +37,12 @@ def info(
     json_path: JsonOption = None,
 ) -> None:
     """Show what a recording holds: streams, rates, gaps, clocks, events, tags, which rig kinds it fits."""
-    from labhil.recording.contents import contents_in_words, describe_contents
+    from labhil.recording.contents import describe_contents, format_contents
     from labhil.recording.reader import read_recording
 
     refuse_unwritable(json_path)
     contents = describe_contents(read_recording(recording, run))
-    deliver(contents, json_path, lambda: show(*contents_in_words(contents)))
+    deliver(contents, json_path, lambda: show(*format_contents(contents)))
 
 
 def list_(
@@ -66,7 +66,7 @@ def list_(
 ) -> None:
     """List recordings and results, the newest first."""
     from labhil.kinds import kind_named
-    from labhil.recording.listing import Filter, list_folder, list_in_words, parse_moment
+    from labhil.recording.listing import Filter, format_list, list_folder, parse_moment
 
     refuse_unwritable(json_path)
     wanted = Filter(
@@ -82,7 +82,7 @@ def list_(
     data = {"schema": "labhil.list/1", "files": [entry.to_json() for entry in entries]}
     if not entries:
         tell(["nothing found"])
-    deliver(data, json_path, lambda: show(*list_in_words(entries)))
+    deliver(data, json_path, lambda: show(*format_list(entries)))
 
 
 def import_(
@@ -135,7 +135,7 @@ def export(
     from labhil.recording.reader import read_recording
 
     source = read_recording(recording, run).of_device(device)
-    tell(source.losses())
+    tell(source.warnings())
     show(write_table(source, out, stream))
 
 

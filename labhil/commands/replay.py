@@ -46,7 +46,7 @@ def replay(
     from labhil.service.replay import Replay
 
     source = read_recording(recording, run).of_device(device)
-    tell(source.losses())
+    tell(source.warnings())
     with Replay(source, speed=speed, start=start, loop=loop) as playing:
         if no_screen or not sys.stdout.isatty():
             _play(playing)

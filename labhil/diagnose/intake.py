@@ -326,7 +326,7 @@ def _clock_faults(record: Record) -> list[Fault]:
             channel="t",
             joint=None,
             times=(),
-            share=1.0 if fault.bends_time else 0.0,
+            share=1.0 if fault.distorts_time else 0.0,
             statement=fault.statement[0].upper() + fault.statement[1:],
         )
         for fault in record.begins[0].clock_faults

@@ -25,7 +25,7 @@ from labhil.experiment.plan import make_plan
 from labhil.experiment.points import Point, fingerprint, points_of
 from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
-from labhil.recording.contents import ending_of
+from labhil.recording.contents import status_from_metadata
 from labhil.recording.metadata import read_metadata
 from labhil.whole import whole
 
@@ -261,6 +261,6 @@ class _Campaign:
 def _is_done(path: Path) -> bool:
     """Whether a recording has an end record that says "done"."""
     try:
-        return ending_of(read_metadata(path)) == "done"
+        return status_from_metadata(read_metadata(path)) == "done"
     except RecordingError:
         return False

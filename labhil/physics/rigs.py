@@ -203,7 +203,7 @@ def record_of(recording: Recording, kind: RigKind) -> Record:
         if unusable:
             raise RecordingError(f"{recording.path}: {unusable}")
         return replace(record, begins=(Begin(clock_faults=stream.clock_faults),))
-    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.described()}")
+    raise RecordingError(f"{recording.path}: {_needed(kind)}; found {recording.describe_streams()}")
 
 
 def record_of_samples(stream: Stream, t: FloatArray, values: FloatArray, kind: RigKind) -> Record | None:

@@ -1,4 +1,4 @@
-"""MCAP in, numpy out; and the tables of others in, ours out."""
+"""Recordings as MCAP files: write, read, recover and export them; import foreign tables as recordings."""
 
 from labhil.recording.export import export, export_csv
 from labhil.recording.reader import read_recording

@@ -1,4 +1,4 @@
-"""What the keys ``hold``, ``unwrap`` and ``shift`` of a rig file's [channels] make of a table's columns."""
+"""Keys ``hold``, ``unwrap`` and ``shift`` of ``[channels]``, applied to the columns of a table."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from labhil.rig_sections import Channel
 from labhil.signals import FloatArray, Hold, Signal, Stream
 
 
-def with_stated_hold(signal: Signal, channel: Channel | None) -> Signal:
-    """The signal with the hold that its channel states."""
+def with_declared_hold(signal: Signal, channel: Channel | None) -> Signal:
+    """The signal with the hold of its channel, if that has one."""
     return signal if channel is None or channel.hold is None else replace(signal, hold=channel.hold)
 
 
-def with_channel_keys(
+def apply_channel_keys(
     stream: Stream, channels: Mapping[str, Channel], t: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, tuple[str, ...]]:
-    """Unwrap and shift the columns of a stream as its channels state.
+    """Unwrap and shift the columns of a stream by the keys of its channels.
 
     Args:
-        stream: The signals of the columns.
-        channels: Entries of ``[channels]`` by signal.
-        t: Times of the rows, increasing, (n,) s.
-        values: Samples, (n, columns), in the signals' units.
+        stream: the signals of the columns.
+        channels: entries of ``[channels]`` by signal.
+        t: times of the rows, increasing, (n,) s.
+        values: samples (n, columns), in the signals' units.
 
     Returns:
-        The samples (n, columns), and a line about each key that was applied. Where a shifted channel has no
-        sample for a row at an end of the table, its nearest one stands there.
+        The samples (n, columns), and a line about each applied key. Beyond the ends of a shifted channel its
+        nearest sample counts.
     """
     adjusted, notes = values, list[str]()
     for signal in stream.signals:
@@ -42,16 +42,18 @@ def with_channel_keys(
             columns[:] = np.unwrap(columns, period=channel.unwrap, axis=0)
             notes.append(f"{signal.name}: unwrapped, period {channel.unwrap:.7g} {signal.unit}")
         if channel.shift:
-            columns[:] = np.column_stack([_at(t, t + channel.shift, x, signal.hold) for x in columns.T])
+            columns[:] = np.column_stack(
+                [_interpolate(t, t + channel.shift, x, signal.hold) for x in columns.T]
+            )
             notes.append(f"{signal.name}: stamps shifted by {channel.shift:+.6g} s")
     return adjusted, tuple(notes)
 
 
-def _at(t: FloatArray, stamps: FloatArray, x: FloatArray, hold: Hold) -> FloatArray:
-    """A channel (n,) with these stamps at the times ``t`` (n,)."""
+def _interpolate(t: FloatArray, stamps: FloatArray, x: FloatArray, hold: Hold) -> FloatArray:
+    """Values (n,) at times ``t`` (n,) of a channel ``x`` (n,) with stamps (n,)."""
     if hold is Hold.LINEAR:
         return np.interp(t, stamps, x)
-    # stamps that were shifted by a whole number of samples meet the rows' times but for rounding
+    # stamps that were shifted by whole samples equal the rows' times except for rounding
     slack = 1e-6 * float(np.median(np.diff(t)))
     rows = np.searchsorted(stamps, t + slack, side="right") - 1
     return np.asarray(x[np.maximum(rows, 0)])

@@ -1,9 +1,9 @@
-"""What two clocks say of each other, where the one is read late: the line of least delay, and steps in it.
+"""Relation between two clocks when one of them is read late: line of the least delay, and its steps.
 
-A sample is stamped by the device when it is taken and by the host when it comes in, which is late by what
-wire and scheduler add: never by less than nothing, now and then by much, and for many samples in a row. So
-the line between the clocks lies along the smallest delays, as in NTP's clock filter and in Moon, Skelly and
-Towsley (INFOCOM 1999): here the low quantile of the smallest delay of each of many blocks.
+The device stamps a sample when it takes it. The host stamps it on arrival, after the delay of wire and
+scheduler, which is never negative, sometimes large, and often large for many samples in a row. The line
+between the clocks therefore follows the smallest delays, as in NTP's clock filter and in Moon, Skelly and
+Towsley (INFOCOM 1999): here a low quantile of the smallest delays of many blocks.
 """
 
 from __future__ import annotations
@@ -15,59 +15,33 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.signals import FloatArray, IntArray
 
-BLOCKS = 64
-FEWEST_BLOCKS = 8
-FEWEST_PER_BLOCK = 4
-BLOCK = 0.25
-"""s of the host at least in a block: longer than a busy scheduler lets a process wait, so that some sample of
-most blocks is in time."""
+MIN_STEP = 0.02
+"""Smallest step of a clock, s. A busy machine delays samples by less for ``REACH_CELLS`` cells."""
 
-QUANTILE = 0.1
-"""So large a share of the blocks' smallest delays lies below the line: a few that are too early do no
-harm."""
+MAX_CONGESTION = 10.0
+"""Longest time for which queues stay full, s.
 
-GROUPS = 8
-"""The errors come from leaving out so many stretches, one after the other (jackknife): what delays one stamp
-delays its neighbours, so single stamps would tell of errors that are far too small."""
+A delay that decreases again within it, without a stamp before its predecessor, is of a busy machine, not of
+a clock.
+"""
 
-FEWEST = 32
-"""Samples; with less, no errors are stated."""
+MAX_DELAY = 2.0
+"""Longest delay of a sample, s. A host gives its device up after it, so a larger jump is a step."""
 
-SHORTEST_FIT = 1.0
-"""s; shorter stretches tell nothing about a rate."""
+CELL, REACH_CELLS, MIN_CELL_SAMPLES = 0.25, 8, 4
+"""Length of a cell, s, cells on either side of a step (2 s each), and samples in a cell.
 
-SMALLEST_ERROR = 1e-6
-"""s; stamps of wires and operating systems are not better than that."""
-
-CELL = 0.25
-FEWEST_PER_CELL = 4
-REACH = 8
-"""A step is looked for between the smallest delays of so many cells of ``CELL`` s on either side: of 2 s
-each."""
-
-SMALLEST_STEP = 0.02
-"""s; smaller steps are within what a busy machine adds for as long as ``REACH`` cells."""
-
-STEP_IN_NOISE = 8.0
-"""A step is larger than so many robust standard deviations of a cell's smallest delay."""
-
-LATEST = 2.0
-"""s; a host that takes samples later than that has given its device up. Larger jumps show in any few
-samples."""
-
-CONGESTION = 10.0
-"""s; queues may stay full for so long: delays that fall back within it, and no stamp before the one ahead of
-it, are of a busy machine and not of a clock."""
-
-MOST_STEPS = 1000
+A step is the difference of the smallest delays on both sides.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockStep:
-    """A jump of the host's stamps against the device's clock.
+    """A step of the host's stamps against the device's clock.
 
-    ``row`` is the first sample after it, ``size`` by how much the host's stamps jump ahead (s of the host;
-    negative: back).
+    Attributes:
+        row: the first sample after it.
+        size: s of the host; positive where the host's stamps jump ahead.
     """
 
     row: int
@@ -76,9 +50,15 @@ class ClockStep:
 
 @dataclass(frozen=True, slots=True)
 class DelayLine:
-    """The least delay is ``level + slope * (x - middle)``, s; errors are standard errors, None if unknown.
+    """Least delay of the host's stamps, ``level + slope * (x - middle)``, s.
 
-    ``span`` (s) is how long the stretch was that the line is of.
+    Attributes:
+        middle: middle of the fitted stretch, s of the device's clock.
+        level: least delay there, s.
+        slope: its rate of change.
+        level_error: standard error of ``level``, s; None if unknown.
+        slope_error: standard error of ``slope``; None if unknown.
+        span: length of the fitted stretch, s.
     """
 
     middle: float
@@ -89,18 +69,26 @@ class DelayLine:
     span: float
 
     def at(self, x: FloatArray) -> FloatArray:
-        """The least delay at ``x`` (s of the device's clock), s."""
+        """Least delay (n,), s, at times ``x`` (n,) of the device's clock, s."""
         return np.asarray(self.level + self.slope * (x - self.middle), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class ClockMap:
-    """Which moment of the host a moment of the device's clock was, and back.
+    """Piecewise linear map between a device's clock and the host's.
 
-    Between steps of the host's stamps the least delay lies on lines of one ``slope`` about ``middle``;
-    ``begins`` (k,) are where these begin and ``levels`` (k,) how high they are, all in s of the host since
-    the device's first sample at ``zero_ns`` of its clock, as is ``end``, where the last sample is. Host
-    times are s since ``origin_ns``.
+    ``x`` is the time since the device's first sample, in s of the host. The least delay is a line between
+    steps of the host's stamps.
+
+    Attributes:
+        zero_ns: the device's clock at its first sample.
+        origin_ns: Unix time from which host times are measured, in s.
+        speed: seconds of the device's world per second of the host.
+        begins: ``x`` where each line begins, (k,).
+        levels: height of each line at ``middle``, (k,) s.
+        slope: slope of all lines.
+        middle: ``x`` in the middle of the longest line.
+        end: ``x`` of the last sample.
     """
 
     zero_ns: int
@@ -113,46 +101,61 @@ class ClockMap:
     end: float
 
     def elapsed(self, t_hw_ns: IntArray) -> FloatArray:
-        """Return what passed on the device's clock since its first sample, s of the host, (n,)."""
+        """Time ``x`` (n,) since the device's first sample, s of the host."""
         return np.asarray((t_hw_ns - self.zero_ns) * (1e-9 / self.speed), dtype=np.float64)
 
     def host(self, x: FloatArray) -> FloatArray:
-        """Return the host's time at ``x`` s of the host since the device's first sample, with its steps."""
+        """Host times (n,), s, at ``x`` (n,), with the steps of the host's clock."""
         segment = np.maximum(np.searchsorted(self.begins, x, side="right") - 1, 0)
         return np.asarray(x + self.levels[segment] + self.slope * (x - self.middle), dtype=np.float64)
 
     def steady_host(self, x: FloatArray) -> FloatArray:
-        """As :meth:`host` by the host's clock as it ran in the end: without steps."""
+        """Host times (n,), s, at ``x`` (n,), by the host's clock as it ran after its last step."""
         return np.asarray(x + self.levels[-1] + self.slope * (x - self.middle), dtype=np.float64)
 
     def device(self, host: float) -> float:
-        """Return the ``x`` of a host's time; where a clock that was set back shows it twice, the later
-        one."""
+        """Time ``x`` of a host time, s; the later one where a clock that was set back shows it twice."""
         ends = np.append(self.begins[1:], self.end)
         first, last = (x + self.levels + self.slope * (x - self.middle) for x in (self.begins, ends))
         away = np.maximum(np.maximum(first - host, host - last), 0.0)
         segment = int(np.flatnonzero(away == away.min())[-1])
         x = float(host - self.levels[segment] + self.slope * self.middle) / (1.0 + self.slope)
-        # between the end of a stretch and the begin of the next the device stood still
+        # the device stood still between the end of a line and the begin of the next
         return min(x, float(ends[segment])) if segment + 1 < len(ends) else x
 
 
-def delay_line(x: FloatArray, delay: FloatArray) -> DelayLine:
-    """Return the line along the smallest delays.
+def fit_delay_line(
+    x: FloatArray,
+    delay: FloatArray,
+    *,
+    min_span: float = 1.0,
+    min_error_samples: int = 32,
+    block: float = 0.25,
+    max_blocks: int = 64,
+) -> DelayLine:
+    """Fit a line along the smallest delays.
 
     Args:
-        x: The device's clock, s, increasing, shape (n,) with n ≥ 1.
-        delay: The host's clock less the device's, s, shape (n,).
+        x: the device's clock, s, increasing, (n,) with n ≥ 1.
+        delay: the host's clock minus the device's, s, (n,).
+        min_span: shortest stretch from which a rate can be estimated, s.
+        min_error_samples: samples from which standard errors are estimated.
+        block: shortest block, s of the host. A busy scheduler delays a process by less, so most blocks have
+            a sample without delay.
+        max_blocks: largest number of blocks.
+
+    Returns:
+        The line.
     """
     middle, span = float(0.5 * (x[0] + x[-1])), float(x[-1] - x[0])
-    if len(x) < 3 or span < SHORTEST_FIT:
+    if len(x) < 3 or span < min_span:
         return DelayLine(middle, float(delay.min()), 0.0, None, None, span)
-    count = min(BLOCKS, max(FEWEST_BLOCKS, int(span / BLOCK)))
-    bx, by = _block_minima(x - middle, delay, min(count, max(3, len(x) // FEWEST_PER_BLOCK)))
+    count = min(max_blocks, max(8, int(span / block)), max(3, len(x) // 4))
+    bx, by = _block_minima(x - middle, delay, count)
     level, slope = _quantile_line(bx, by)
-    if len(x) < FEWEST:
+    if len(x) < min_error_samples:
         return DelayLine(middle, level, slope, None, None, span)
-    return DelayLine(middle, level, slope, *_errors(bx, by, level, slope), span)
+    return DelayLine(middle, level, slope, *_standard_errors(bx, by, level, slope), span)
 
 
 def _block_minima(x: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
@@ -162,47 +165,62 @@ def _block_minima(x: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray,
     return x[rows], y[rows]
 
 
-def _quantile_line(x: FloatArray, y: FloatArray) -> tuple[float, float]:
-    """The line of the low quantile, exactly: it goes through two of the points."""
+def _quantile_line(x: FloatArray, y: FloatArray, quantile: float = 0.1) -> tuple[float, float]:
+    """Level and slope of the quantile regression line of points (n,), which passes through two of them.
+
+    A few points below it, which are too early, do not move it.
+    """
     first, second = np.triu_indices(len(x), k=1)
     slope = (y[second] - y[first]) / (x[second] - x[first])
     level = y[first] - slope * x[first]
     above = y - level[:, None] - slope[:, None] * x
-    loss = np.sum(np.where(above > 0.0, QUANTILE * above, (QUANTILE - 1.0) * above), axis=1)
+    loss = np.sum(np.where(above > 0.0, quantile * above, (quantile - 1.0) * above), axis=1)
     best = int(np.argmin(loss))
     return float(level[best]), float(slope[best])
 
 
-def _errors(x: FloatArray, y: FloatArray, level: float, slope: float) -> tuple[float, float]:
-    """Standard errors in the middle and of the slope.
+def _standard_errors(
+    x: FloatArray, y: FloatArray, level: float, slope: float, n_groups: int = 8, min_error: float = 1e-6
+) -> tuple[float, float]:
+    """Standard errors of level and slope; ``min_error`` (s) is the accuracy of stamps.
 
-    The jackknife sees what lasts; beside it stands what the blocks' smallest delays scatter about the line,
-    for a line that happens to go through two lone points does not move when others are left out.
+    The jackknife leaves out groups of consecutive points, since delays of neighbours are correlated. The
+    scatter of the points about the line is added: a line through two outliers does not move when other
+    points are left out.
     """
-    groups = np.array_split(np.arange(len(x)), min(GROUPS, len(x)))
+    groups = np.array_split(np.arange(len(x)), min(n_groups, len(x)))
     without = np.array(
         [_quantile_line(np.delete(x, g), np.delete(y, g)) for g in groups if len(x) - len(g) > 2]
     )
     share = (len(groups) - 1) / len(groups)
     level_jack, slope_jack = np.sqrt(share * np.sum((without - without.mean(axis=0)) ** 2, axis=0))
-    # one-sided: of an exponential distribution, whose mean is its median over ln 2; of each stretch by
-    # itself, for where half of them are busy the median of all says nothing of that half
+    # delays are one-sided: mean of an exponential distribution, median / ln 2. One median per group, since
+    # the median of all ignores a busy half of the recording
     residual = np.abs(y - level - slope * x)
     typical = float(np.quantile([np.median(residual[group]) for group in groups], 0.75))
     scatter = typical / np.log(2.0) / np.sqrt(len(x))
-    reach = float(np.std(x))
+    spread = float(np.std(x))
     return (
-        float(np.hypot(level_jack, scatter) + SMALLEST_ERROR),
-        float(np.hypot(slope_jack, scatter / reach) + SMALLEST_ERROR / reach),
+        float(np.hypot(level_jack, scatter) + min_error),
+        float(np.hypot(slope_jack, scatter / spread) + min_error / spread),
     )
 
 
-def steps_in(x: FloatArray, delay: FloatArray) -> list[tuple[int, float]]:
-    """Return where the least delay jumps for good: the first row after it and by how much (s), in order.
+def find_steps(
+    x: FloatArray, delay: FloatArray, *, min_noise_ratio: float = 8.0, max_steps: int = 1000
+) -> list[tuple[int, float]]:
+    """Find lasting jumps of the least delay; samples that are late for a while are none.
 
-    What comes late for a while and then in time again is no step. Arguments as of :func:`delay_line`.
+    Args:
+        x: the device's clock, s, increasing, (n,).
+        delay: the host's clock minus the device's, s, (n,).
+        min_noise_ratio: smallest step, in robust standard deviations of a cell's smallest delay.
+        max_steps: steps after which the search ends.
+
+    Returns:
+        The first row after each step and its size (s), by row.
     """
-    per_cell = _per_cell(x)
+    per_cell = _samples_per_cell(x)
     if len(x) < 2 * per_cell:
         return []
     starts = np.arange(0, len(x) - per_cell + 1, per_cell)
@@ -210,66 +228,66 @@ def steps_in(x: FloatArray, delay: FloatArray) -> list[tuple[int, float]]:
     lows = lows - _local_slope(x[starts], lows) * (x[starts] - x[0])
     level = np.concatenate([[0.0], np.diff(lows)])
     noise = 1.4826 * float(np.median(np.abs(level))) / np.sqrt(2.0)
-    smallest = max(SMALLEST_STEP, STEP_IN_NOISE * noise)
+    smallest = max(MIN_STEP, min_noise_ratio * noise)
     jumps = _jumps(lows, smallest)
     steps: list[tuple[int, float]] = []
-    while len(steps) < MOST_STEPS:
+    while len(steps) < max_steps:
         cell = int(np.argmax(np.abs(jumps)))
         if abs(jumps[cell]) < smallest:
             break
-        row = _row_of(delay, starts, cell, float(jumps[cell]))
-        steps.append((row, _size(delay, row, per_cell, float(jumps[cell]))))
+        row = _locate_step(delay, starts, cell, float(jumps[cell]))
+        steps.append((row, _measure_step(delay, row, per_cell, float(jumps[cell]))))
         begin = row // per_cell
-        jumps[max(0, min(begin, cell) - REACH) : max(begin, cell) + REACH] = 0.0
+        jumps[max(0, min(begin, cell) - REACH_CELLS) : max(begin, cell) + REACH_CELLS] = 0.0
     return _drop_congestion(sorted(steps), x, delay, smallest)
 
 
-def _per_cell(x: FloatArray) -> int:
+def _samples_per_cell(x: FloatArray) -> int:
     period = float(np.median(np.diff(x))) if len(x) > 1 else 1.0
-    return max(FEWEST_PER_CELL, round(CELL / period)) if period > 0.0 else FEWEST_PER_CELL
+    return max(MIN_CELL_SAMPLES, round(CELL / period)) if period > 0.0 else MIN_CELL_SAMPLES
 
 
 def _local_slope(x: FloatArray, lows: FloatArray) -> float:
-    """The usual rate at which delays change, which a few steps do not move."""
-    lag = min(REACH, len(x) // 2)
+    """Median rate of change of the delays, which a few steps do not move."""
+    lag = min(REACH_CELLS, len(x) // 2)
     if lag < 1:
         return 0.0
     return float(np.median((lows[lag:] - lows[:-lag]) / (x[lag:] - x[:-lag])))
 
 
 def _jumps(lows: FloatArray, smallest: float) -> FloatArray:
-    """By how much the least delay differs between the cells before and after each cell's begin; 0: nothing.
+    """Difference of the least delays after and before each cell's begin, s; 0 below ``smallest``.
 
-    The second smallest of several cells stands for them, so that one stamp that is too early is no step.
+    Where there are several cells, their second smallest delay counts, so a single early stamp is no step.
     """
-    count = len(lows)
-    padded = np.concatenate([np.full(REACH, np.inf), lows, np.full(REACH, np.inf)])
-    windows = np.sort(sliding_window_view(padded, REACH), axis=1)[:, :2]
+    count, width = len(lows), REACH_CELLS
+    padded = np.concatenate([np.full(width, np.inf), lows, np.full(width, np.inf)])
+    windows = np.sort(sliding_window_view(padded, width), axis=1)[:, :2]
     cells = np.arange(count)
     before = np.where(cells > 2, windows[:count, 1], windows[:count, 0])
-    after = np.where(count - cells > 2, windows[REACH : REACH + count, 1], windows[REACH : REACH + count, 0])
+    after = np.where(count - cells > 2, windows[width : width + count, 1], windows[width : width + count, 0])
     jumps = np.zeros(count)
     jumps[1:] = after[1:] - before[1:]
-    # a few that come late at either end are of a busy machine
-    late = np.where(jumps < 0.0, cells <= 2, count - cells < REACH)
-    jumps[late & (np.abs(jumps) < LATEST)] = 0.0
+    # a few late samples at either end are of a busy machine
+    late = np.where(jumps < 0.0, cells <= 2, count - cells < width)
+    jumps[late & (np.abs(jumps) < MAX_DELAY)] = 0.0
     jumps[np.abs(jumps) < smallest] = 0.0
     return jumps
 
 
-def _row_of(delay: FloatArray, starts: IntArray, cell: int, jump: float) -> int:
-    """The first row after a jump: all delays on its high side lie above the middle between both levels."""
-    first = int(starts[max(0, cell - REACH)])
-    last = int(starts[cell + REACH]) if cell + REACH < len(starts) else len(delay)
-    here = delay[first:last]
-    low = float(here.min())
-    below = np.flatnonzero(here < low + 0.5 * abs(jump))
+def _locate_step(delay: FloatArray, starts: IntArray, cell: int, jump: float) -> int:
+    """The first row after a step: delays on its high side lie above the mean of both levels."""
+    first = int(starts[max(0, cell - REACH_CELLS)])
+    last = int(starts[cell + REACH_CELLS]) if cell + REACH_CELLS < len(starts) else len(delay)
+    nearby = delay[first:last]
+    low = float(nearby.min())
+    below = np.flatnonzero(nearby < low + 0.5 * abs(jump))
     row = first + (int(below[-1]) + 1 if jump > 0.0 else int(below[0]))
     return min(max(row, 1), len(delay) - 1)
 
 
-def _size(delay: FloatArray, row: int, per_cell: int, jump: float) -> float:
-    """The jump at ``row``: between the delays of half a second on either side where it is sharp there."""
+def _measure_step(delay: FloatArray, row: int, per_cell: int, jump: float) -> float:
+    """Size of the step at ``row``, s; of a sharp one between the delays of half a second on either side."""
     sharp = float(delay[row] - delay[row - 1]) / jump
     before, after = delay[max(row - 2 * per_cell, 0) : row], delay[row : row + 2 * per_cell]
     near = float(after.min() - before.min())
@@ -279,20 +297,20 @@ def _size(delay: FloatArray, row: int, per_cell: int, jump: float) -> float:
 def _drop_congestion(
     steps: list[tuple[int, float]], x: FloatArray, delay: FloatArray, smallest: float
 ) -> list[tuple[int, float]]:
-    """Leave out rises that fall back, and falls from a late begin, where no host stamp goes back."""
+    """Drop rises that fall back and falls after a late begin, unless a host stamp goes back."""
     host = x + delay
-    kept: list[tuple[int, float]] = []
+    lasting: list[tuple[int, float]] = []
     for row, size in steps:
         near = slice(max(row - 2, 0), row + 2)
         goes_back = size < 0.0 and bool((np.diff(host[near]) < 0.0).any())
-        if size > 0.0 or goes_back or abs(size) > LATEST:
-            kept.append((row, size))
+        if size > 0.0 or goes_back or abs(size) > MAX_DELAY:
+            lasting.append((row, size))
             continue
-        if kept and kept[-1][1] > 0.0 and x[row] - x[kept[-1][0]] < CONGESTION:
-            net = kept[-1][1] + size
-            rise = kept.pop()
+        if lasting and lasting[-1][1] > 0.0 and x[row] - x[lasting[-1][0]] < MAX_CONGESTION:
+            net = lasting[-1][1] + size
+            rise = lasting.pop()
             if abs(net) > smallest:
-                kept.append((rise[0] if net > 0.0 else row, net))
-        elif x[row] - x[0] >= CONGESTION:
-            kept.append((row, size))
-    return kept
+                lasting.append((rise[0] if net > 0.0 else row, net))
+        elif x[row] - x[0] >= MAX_CONGESTION:
+            lasting.append((row, size))
+    return lasting

@@ -1,4 +1,4 @@
-"""What a recording holds, put together for a person or a program: streams, rates, gaps, clocks, events."""
+"""Summary of a recording for users and programs: streams, rates, gaps, clocks, events."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ import numpy as np
 
 from labhil.documents import parse_json
 from labhil.kinds import RigKind, kind_named, kind_names
-from labhil.recording.mapped import ROWS, let_go_of
+from labhil.recording.memory_maps import BLOCK_ROWS, release_array
 from labhil.recording.recording import Event, Recording, StreamData
-from labhil.recording.runs import UNIX_TIMES
+from labhil.recording.runs import MIN_UNIX_TIME
 
 ROUTINE = ("state", "status")
-"""Topics and kinds of events that only say that all is as before."""
+"""Topics and kinds of routine events, which a summary omits."""
 FREE_TEXT = ("operator", "sample", "notes")
+"""Keys of free text in an experiment file."""
 
 
 def tags_of(recording: Recording) -> tuple[str, ...]:
-    """Return the tags that the experiment gave to a recording."""
+    """Tags of the experiment of a recording."""
     try:
         tags = parse_json(recording.metadata.get("experiment", {}).get("tags", "[]"))
     except ValueError:
@@ -28,13 +29,13 @@ def tags_of(recording: Recording) -> tuple[str, ...]:
     return tuple(str(tag) for tag in tags) if isinstance(tags, list) else ()
 
 
-def how_it_ended(recording: Recording) -> str:
-    """Return "done", "failed", "imported", or "no end" for one whose recorder was killed."""
-    return ending_of(recording.metadata) if recording.complete else "no end"
+def recording_status(recording: Recording) -> str:
+    """Status: "done", "failed", "imported", or "no end" after the recorder was killed."""
+    return status_from_metadata(recording.metadata) if recording.complete else "no end"
 
 
-def ending_of(metadata: Mapping[str, Mapping[str, str]]) -> str:
-    """Return how a recording with this metadata ended, as :func:`how_it_ended`."""
+def status_from_metadata(metadata: Mapping[str, Mapping[str, str]]) -> str:
+    """Status of a recording with these metadata, as of :func:`recording_status`."""
     end = metadata.get("end", {})
     if not end:
         return "no end"
@@ -43,57 +44,66 @@ def ending_of(metadata: Mapping[str, Mapping[str, str]]) -> str:
     return "done" if end.get("exit_status") in ("0", "done") else "failed"
 
 
-def started_at(recording: Recording) -> datetime | None:
-    """Return when the first sample was taken; None where no stamp says that."""
+def start_time(recording: Recording) -> datetime | None:
+    """Time of the first sample; None if the stamps are no dates."""
     first = min((int(data.t_acq_ns[0]) for data in recording.streams if len(data)), default=0)
-    return datetime.fromtimestamp(first * 1e-9, UTC) if first >= UNIX_TIMES else None
+    return datetime.fromtimestamp(first * 1e-9, UTC) if first >= MIN_UNIX_TIME else None
 
 
-def fitting_kinds(recording: Recording) -> tuple[str, ...]:
-    """Return the rig kinds whose inputs and outputs one device of the recording has."""
+def compatible_kinds(recording: Recording) -> tuple[str, ...]:
+    """Rig kinds whose inputs and outputs a device of the recording has."""
     names: dict[str, set[str]] = {}
     for data in recording.streams:
         names.setdefault(data.device, set()).update(data.stream.names())
     kinds = [kind_named(name) for name in kind_names()]
-    return tuple(kind.name for kind in kinds if any(_fits(kind, signals) for signals in names.values()))
+    return tuple(
+        kind.name for kind in kinds if any(_is_compatible(kind, signals) for signals in names.values())
+    )
 
 
-def _fits(kind: RigKind, names: set[str]) -> bool:
+def _is_compatible(kind: RigKind, names: set[str]) -> bool:
     outputs = {signal.name for signal in kind.outputs}
     measured = bool(outputs & names) if kind.any_output else outputs <= names
     return measured and any(set(inputs) <= names for inputs in kind.driven_by)
 
 
 def describe_contents(recording: Recording) -> dict[str, Any]:
-    """Return what a recording holds as ``labhil.info/1``; every number is finite or None."""
-    start = started_at(recording)
+    """Summarise a recording as ``labhil.info/1``, with finite numbers or None.
+
+    Args:
+        recording: the recording.
+
+    Returns:
+        JSON data.
+    """
+    start = start_time(recording)
     experiment = recording.metadata.get("experiment", {})
     return {
         "schema": "labhil.info/1",
         "path": str(recording.path),
         "sha256": recording.sha256,
         "size": recording.path.stat().st_size,
-        "status": how_it_ended(recording),
+        "status": recording_status(recording),
         "reason": recording.metadata.get("end", {}).get("reason", ""),
         "complete": recording.complete,
         "damage": recording.damage,
         "start": None if start is None else start.isoformat(),
         "duration": recording.duration,
         "rig": None if recording.rig is None else recording.rig.kind.name,
-        "fits": list(fitting_kinds(recording)),
+        "fits": list(compatible_kinds(recording)),
         "experiment": experiment.get("name"),
         **{key: experiment.get(key) for key in FREE_TEXT},
         "tags": list(tags_of(recording)),
         "campaign": dict(recording.metadata["campaign"]) if "campaign" in recording.metadata else None,
-        "streams": [_stream(recording, data) for data in recording.streams],
-        "events": [_event(event) for event in recording.events if not _is_routine(event)],
+        "streams": [_describe_stream(recording, data) for data in recording.streams],
+        "events": [_describe_event(event) for event in recording.events if not _is_routine(event)],
         "attachments": sorted(recording.attachments),
         "foreign": list(recording.foreign),
-        "warnings": recording.losses(),
+        "warnings": recording.warnings(),
     }
 
 
-def _stream(recording: Recording, data: StreamData) -> dict[str, Any]:
+def _describe_stream(recording: Recording, data: StreamData) -> dict[str, Any]:
     steps = np.diff(data.seq)
     clock = recording.clocks.get(data.device)
     return {
@@ -115,22 +125,22 @@ def _stream(recording: Recording, data: StreamData) -> dict[str, Any]:
                 "unit": signal.unit,
                 "width": signal.width,
                 "direction": signal.direction.value,
-                **_range(data, signal.name),
+                **_value_range(data, signal.name),
             }
             for signal in data.stream.signals
         ],
     }
 
 
-def _range(data: StreamData, name: str) -> dict[str, float | None]:
+def _value_range(data: StreamData, name: str) -> dict[str, float | None]:
     values = data[name]
     lowest, highest = np.inf, -np.inf
-    for start in range(0, len(values), ROWS):
-        block = values[start : start + ROWS]
+    for start in range(0, len(values), BLOCK_ROWS):
+        block = values[start : start + BLOCK_ROWS]
         finite = block[np.isfinite(block)]
         lowest = min(lowest, float(finite.min(initial=np.inf)))
         highest = max(highest, float(finite.max(initial=-np.inf)))
-    let_go_of(values)
+    release_array(values)
     if lowest > highest:
         return {"lowest": None, "highest": None}
     return {"lowest": lowest, "highest": highest}
@@ -140,7 +150,7 @@ def _is_routine(event: Event) -> bool:
     return event.topic in ROUTINE or str(event.body.get("kind", "")) in ROUTINE
 
 
-def _event(event: Event) -> dict[str, Any]:
+def _describe_event(event: Event) -> dict[str, Any]:
     body = event.body
     message = body.get("message") or body.get("text") or body.get("reason") or ""
     return {
@@ -151,8 +161,8 @@ def _event(event: Event) -> dict[str, Any]:
     }
 
 
-def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of ``labhil info``; ``info`` is what :func:`describe_contents` returns."""
+def format_contents(info: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of ``labhil info`` for a summary of :func:`describe_contents`."""
     yield f"{info['path']}: {info['status']}, {info['duration']:.4g} s, {info['size'] / 1e6:.3g} MB"
     start = "" if info["start"] is None else f"started {info['start'][:19].replace('T', ' ')} UTC"
     rig = "no rig file attached" if info["rig"] is None else f"rig {info['rig']} attached"
@@ -169,7 +179,7 @@ def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
         campaign.pop("name", None)
         yield f"  campaign: {', '.join([head, *(f'{key} = {value}' for key, value in campaign.items())])}"
     for stream in info["streams"]:
-        yield from _stream_in_words(stream)
+        yield from _format_stream(stream)
     if info["events"]:
         yield "  events:"
         yield from (
@@ -179,7 +189,7 @@ def contents_in_words(info: Mapping[str, Any]) -> Iterator[str]:
     yield from (f"  warning: {warning}" for warning in info["warnings"])
 
 
-def _stream_in_words(stream: Mapping[str, Any]) -> Iterator[str]:
+def _format_stream(stream: Mapping[str, Any]) -> Iterator[str]:
     lost = f"{stream['lost']} lost" if stream["lost"] else "none lost"
     if stream["lost"]:
         lost += f" (up to {stream['longest_gap']} in a row)"
@@ -194,9 +204,9 @@ def _stream_in_words(stream: Mapping[str, Any]) -> Iterator[str]:
         yield f"    clock {clock['drift_ppm']:+.1f} ppm of the host's, {jitter}"
     for signal in stream["signals"]:
         width = f" × {signal['width']}" if signal["width"] > 1 else ""
-        reach = (
+        value_range = (
             "no finite value"
             if signal["lowest"] is None
             else f"{signal['lowest']:.4g} to {signal['highest']:.4g}"
         )
-        yield f"    {signal['name']}{width} [{signal['unit']}] {signal['direction']}: {reach}"
+        yield f"    {signal['name']}{width} [{signal['unit']}] {signal['direction']}: {value_range}"

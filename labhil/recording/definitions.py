@@ -1,7 +1,7 @@
-"""What the numbers of channels and schemas mean, in a file that may be pieced together from several.
+"""Channels and schemas by number, in an MCAP file that may be concatenated from several files.
 
-A number means one thing in one file. Where a later part of a file gives it another meaning, the part comes
-from another file, and its messages must not appear under the first one's name.
+A number has one meaning in a file. If a later part gives it another one, that part is from another file, and
+its messages must not appear under the first name.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from mcap.records import Channel, Schema
 
 @dataclass(slots=True)
 class Definitions:
-    """Channels and schemas by numbers of ours: those of the file, and free ones where it uses one twice."""
+    """Channels and schemas by unique number: the file's, or an unused one if the file uses it twice."""
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -22,42 +22,44 @@ class Definitions:
     _channel_numbers: dict[int, list[int]] = field(default_factory=dict)
     _doubtful: list[Schema | Channel] = field(default_factory=list)
 
-    def schema(self, schema: Schema) -> None:
-        """Take the description of a schema."""
+    def add_schema(self, schema: Schema) -> None:
+        """Add a schema."""
         numbers = self._schema_numbers.setdefault(schema.id, [])
         for number in numbers:
             if replace(self.schemas[number], id=schema.id) == schema:
                 numbers.sort(key=number.__eq__)
                 return
-        number = _free(schema.id, self.schemas)
+        number = _unused_number(schema.id, self.schemas)
         numbers.append(number)
         self.schemas[number] = replace(schema, id=number)
 
-    def channel(self, channel: Channel) -> None:
-        """Take the description of a channel."""
+    def add_channel(self, channel: Channel) -> None:
+        """Add a channel."""
         schema = _current(channel.schema_id, self._schema_numbers)
         numbers = self._channel_numbers.setdefault(channel.id, [])
         for number in numbers:
             if self.channels[number] == replace(channel, id=number, schema_id=schema):
                 numbers.sort(key=number.__eq__)
                 return
-        number = _free(channel.id, self.channels)
+        number = _unused_number(channel.id, self.channels)
         numbers.append(number)
         self.channels[number] = replace(channel, id=number, schema_id=schema)
 
-    def doubtful(self, description: Schema | Channel) -> None:
-        """Take a description whose checksum is wrong; it counts where there is no other."""
+    def add_doubtful(self, description: Schema | Channel) -> None:
+        """Add a description with a wrong checksum, which counts if there is no other."""
         self._doubtful.append(description)
 
-    def number(self, channel: int) -> int:
-        """Our number of the channel that bears this one at this place of the file."""
+    def channel_number(self, channel: int) -> int:
+        """Unique number of the channel that has this one at the current position in the file."""
         return _current(channel, self._channel_numbers)
 
-    def settle(self, used: Collection[int]) -> None:
-        """Adopt doubtful descriptions of what has no other, and drop what describes nothing.
+    def resolve(self, used: Collection[int]) -> None:
+        """Use doubtful descriptions without alternative, and drop damaged copies of others.
 
-        A damaged description of a channel looks like that of another channel, without messages (those in
-        ``used`` have some).
+        A damaged description of a channel looks like another channel without messages.
+
+        Args:
+            used: numbers of channels with messages.
         """
         for item in self._doubtful:
             if isinstance(item, Schema):
@@ -66,13 +68,13 @@ class Definitions:
                 self.channels.setdefault(item.id, item)
         known = [channel for number, channel in self.channels.items() if number in used]
         for number, channel in [item for item in self.channels.items() if item[0] not in used]:
-            twin = any(replace(candidate, id=number) == channel for candidate in known)
-            if twin or number not in self._channel_numbers:
+            is_copy = any(replace(candidate, id=number) == channel for candidate in known)
+            if is_copy or number not in self._channel_numbers:
                 del self.channels[number]
 
     @property
     def renumbered(self) -> bool:
-        """Whether the file gives a channel's number more than one meaning."""
+        """Whether a channel's number has several meanings in the file."""
         return any(
             len([number for number in numbers if number in self.channels]) > 1
             for numbers in self._channel_numbers.values()
@@ -83,6 +85,6 @@ def _current(number: int, numbers: dict[int, list[int]]) -> int:
     return numbers[number][-1] if number in numbers else number
 
 
-def _free(number: int, taken: Collection[int]) -> int:
-    """The number itself, or the first one above all others."""
+def _unused_number(number: int, taken: Collection[int]) -> int:
+    """The number itself, or the first one above all others if it is taken."""
     return number if number not in taken else max(taken) + 1

@@ -1,8 +1,7 @@
-"""What a recording says of its devices' clocks: each against the host's, and against one another.
+"""Clocks of a recording's devices, each against the host's and against one another.
 
-Written when a recording ends, from the stamps of all its samples. A constant latency between a device and
-the stamp of the host looks like an offset of its clock: it is left in, and two devices on wires of the same
-kind share it.
+The recorder writes them as metadata when a recording ends. A constant latency between a device and the
+host's stamp looks like an offset of its clock and is not removed; devices on equal wires share it.
 """
 
 from __future__ import annotations
@@ -23,25 +22,30 @@ from labhil.signals import IntArray
 
 CLOCKS = "clocks"
 OFFSETS = "clock_offsets"
-"""Names of the metadata that hold them: one entry a device, and one a pair; JSON each."""
+"""Names of the metadata: a JSON text for each device, and one for each pair of devices."""
 
-LARGEST = 16384
-"""As many stamps are looked at; of more, those that came in with the least delay."""
+MAX_STAMPS = 16384
+"""Largest number of stamps of a device that are kept; of more, those with the least delay."""
 
-
-MOST_PIECES = 512
-"""Pieces that stamps stand in before they are put together."""
+MAX_ARRAYS = 512
+"""Arrays of stamps from which they are joined: an array of one sample takes ten times its content."""
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceClock:
-    """One device's clock against the host's: it showed ``t_device_ns`` at Unix time ``t_host_ns``.
+    """A device's clock against the host's.
 
-    ``drift`` is its relative error (50e-6: 50 ppm fast), ``speed`` how many seconds of its world pass in one
-    of the host. ``offset_error`` (s) and ``drift_error`` are standard errors, at that moment; ``jitter`` (s)
-    is the robust standard deviation of the stamps' delays. Of ``samples`` looked at, ``outliers`` came far
-    later than usual. ``stepped`` (s of the host) is by how much the stamps jump in all, either way: 0 for a
-    sound map.
+    Attributes:
+        t_host_ns: Unix time of a reference moment.
+        t_device_ns: what the device's clock showed then.
+        speed: seconds of the device's world per second of the host.
+        drift: relative error of the device's clock (50e-6: 50 ppm fast).
+        drift_error: its standard error.
+        offset_error: standard error of ``t_device_ns``, s.
+        jitter: robust standard deviation of the stamps' delays, s.
+        samples: number of stamps used.
+        outliers: number of stamps with unusual delays.
+        stepped: sum of the absolute steps of the host's stamps, s of the host; 0 for a sound map.
     """
 
     t_host_ns: int
@@ -56,79 +60,101 @@ class DeviceClock:
     stepped: float = 0.0
 
     def device_ns(self, t_host_ns: int) -> int:
-        """Return what the device's clock shows at Unix time ``t_host_ns``."""
+        """What the device's clock shows at Unix time ``t_host_ns``, ns."""
         elapsed = (t_host_ns - self.t_host_ns) * self.speed
         return self.t_device_ns + round(elapsed) + round(elapsed * self.drift)
 
     def error_at(self, t_host_ns: int) -> float:
-        """Return the standard error of that, s of the device's world; it grows away from the middle.
+        """Standard error of :meth:`device_ns`, s of the device's world; it grows with the distance in time.
 
-        Where the stamps jump, it is not known on which side the host's clock was right: all of it counts.
+        Steps count as a whole, since it is unknown on which side the host's clock was right.
         """
-        away = (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error
-        return hypot(self.offset_error, away, self.stepped * self.speed)
+        drift_error = (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error
+        return hypot(self.offset_error, drift_error, self.stepped * self.speed)
 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """By how much (s) one device's clock was ahead of another's at ``t_host_ns``; ``error`` is 1 σ."""
+    """Lead of one device's clock over another's at ``t_host_ns``, s, with its standard error."""
 
     offset: float
     error: float
     t_host_ns: int
 
 
-class ClockWatch:
-    """Collects the stamps of one device in bounded memory."""
+class StampCollector:
+    """Collector of the stamps of one device in bounded memory."""
 
     def __init__(self) -> None:
-        self._pieces: list[IntArray] = []
+        self._arrays: list[IntArray] = []
         self._count = 0
         self._next = 0
 
     def add(self, t_acq_ns: IntArray, t_hw_ns: IntArray, seq: IntArray | None = None) -> None:
-        """Take in stamps, oldest first, all (n,); without ``seq`` no sample is missing between them."""
+        """Add stamps, oldest first.
+
+        Args:
+            t_acq_ns: the host's clock, (n,).
+            t_hw_ns: the device's clock, (n,).
+            seq: sequence numbers, (n,); None if no sample is missing.
+        """
         if seq is None:
             seq = np.arange(len(t_acq_ns), dtype=np.int64) + self._next
         if not len(seq):
             return
         self._next = int(seq[-1]) + 1
-        self._pieces.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
+        self._arrays.append(np.column_stack([t_acq_ns, t_hw_ns, seq]))
         self._count += len(seq)
-        if len(self._pieces) > MOST_PIECES:  # an array of one sample takes ten times what is in it
-            self._pieces = [np.concatenate(self._pieces)]
-        while self._count > LARGEST * 2:
-            thinned = _least_delayed(np.concatenate(self._pieces))
-            self._pieces, self._count = [thinned], len(thinned)
+        if len(self._arrays) > MAX_ARRAYS:
+            self._arrays = [np.concatenate(self._arrays)]
+        while self._count > MAX_STAMPS * 2:
+            thinned = _least_delayed(np.concatenate(self._arrays))
+            self._arrays, self._count = [thinned], len(thinned)
 
     def stamps(self, rate: float, speed: float = 1.0, *, steady_host: bool = False) -> Stamps:
-        """Return what was kept; ``rate`` (Hz) is the declared one."""
-        stamps = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._pieces])
-        while len(stamps) > LARGEST:
+        """Stamps collected so far.
+
+        Args:
+            rate: declared sampling rate, Hz.
+            speed: seconds of the device's world per second of the host.
+            steady_host: whether the host stamped by a monotonic clock.
+
+        Returns:
+            At most ``MAX_STAMPS`` stamps.
+        """
+        stamps = np.concatenate([np.empty((0, 3), dtype=np.int64), *self._arrays])
+        while len(stamps) > MAX_STAMPS:
             stamps = _least_delayed(stamps)
         return Stamps(stamps[:, 2], stamps[:, 1], stamps[:, 0], rate, speed, steady_host)
 
     def clock(self, speed: float = 1.0) -> DeviceClock | None:
-        """Return the clock, or None where the stamps do not tell one."""
-        return device_clock(self.stamps(1.0, speed))
+        """Estimate the device's clock; None if the stamps do not determine it."""
+        return estimate_device_clock(self.stamps(1.0, speed))
 
 
 def _least_delayed(stamps: IntArray) -> IntArray:
-    """Of each two stamps that follow one another, the one that came sooner: that one tells of the clocks."""
+    """The stamp with the smaller delay of each two consecutive ones."""
     pairs = stamps[: len(stamps) // 2 * 2].reshape(-1, 2, stamps.shape[1])
     delay = pairs[:, :, 0] - pairs[:, :, 1]
     best = pairs[np.arange(len(pairs)), np.argmin(delay, axis=1)]
     return np.concatenate([best, stamps[len(pairs) * 2 :]])
 
 
-def device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | None:
-    """Return a device's clock as its stamps tell it, None where they do not; ``fit`` if it is there
-    already."""
+def estimate_device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | None:
+    """Estimate a device's clock from its stamps.
+
+    Args:
+        stamps: the stamps of one of its streams.
+        fit: the clock fitted to them, if there is one already.
+
+    Returns:
+        The clock; None if the stamps do not determine it.
+    """
     if len(stamps.seq) < 3:
         return None
     if fit is None:
         fit = fit_clock(
-            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), stamps.speed, steady=stamps.keep_rate
+            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), stamps.speed, steady=stamps.keeps_rate
         )
     if not fit.device_clock or fit.offset_error is None or fit.drift_error is None or fit.map is None:
         return None
@@ -149,30 +175,37 @@ def device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | N
     )
 
 
-def offsets_between(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], ClockOffset]:
-    """Return by how much each device's clock is ahead of each later one's of the same speed."""
+def pairwise_offsets(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], ClockOffset]:
+    """Offsets between the clocks of each pair of devices of equal speed.
+
+    Args:
+        clocks: clocks by device.
+
+    Returns:
+        Offsets by (first, second) device; positive where the first is ahead.
+    """
     offsets = {}
     for (first, a), (second, b) in combinations(clocks.items(), 2):
         if a.speed != b.speed:
             continue
-        at = (a.t_host_ns + b.t_host_ns) // 2
-        offset = (a.device_ns(at) - b.device_ns(at)) * 1e-9
-        offsets[first, second] = ClockOffset(offset, hypot(a.error_at(at), b.error_at(at)), at)
+        t_ns = (a.t_host_ns + b.t_host_ns) // 2
+        offset = (a.device_ns(t_ns) - b.device_ns(t_ns)) * 1e-9
+        offsets[first, second] = ClockOffset(offset, hypot(a.error_at(t_ns), b.error_at(t_ns)), t_ns)
     return offsets
 
 
 def clocks_to_metadata(clocks: Mapping[str, DeviceClock]) -> dict[str, dict[str, str]]:
-    """Return the tables of strings that a recording holds; none without clocks."""
+    """Metadata of a recording (tables of strings by name) with these clocks; none without clocks."""
     tables = {CLOCKS: {device: json.dumps(asdict(clock)) for device, clock in clocks.items()}}
     tables[OFFSETS] = {
         f"{first} - {second}": json.dumps(asdict(offset))
-        for (first, second), offset in offsets_between(clocks).items()
+        for (first, second), offset in pairwise_offsets(clocks).items()
     }
     return {name: table for name, table in tables.items() if table}
 
 
 def clocks_from_metadata(metadata: Mapping[str, Mapping[str, str]]) -> dict[str, DeviceClock]:
-    """Read what :func:`clocks_to_metadata` wrote; what is not like that is left out."""
+    """Clocks by device in the metadata of a recording; entries that are not clocks are skipped."""
     clocks = {}
     for device, text in metadata.get(CLOCKS, {}).items():
         with contextlib.suppress(ValueError, TypeError, OverflowError):

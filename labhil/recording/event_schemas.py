@@ -1,6 +1,6 @@
-"""What the JSON of events holds, as JSON Schema: other programs offer the fields that it names.
+"""JSON Schema of events, from which other programs know their fields.
 
-A point in time is ``{"sec", "nsec"}``, as Foxglove and the programs that follow it expect it.
+A time is ``{"sec", "nsec"}``, as Foxglove and compatible programs expect it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ STATUS = {
                 "received": {"type": "integer", "description": "samples so far"},
                 "gaps": {"type": "integer", "description": "numbers missing in the sequence so far"},
                 "refused": {"type": "integer", "description": "messages that were no samples"},
-                "waiting": {"type": "integer", "description": "samples that nobody has explained yet"},
+                "waiting": {"type": "integer", "description": "samples that wait for their schema"},
                 "lag": {"type": ["number", "null"], "description": "s since the newest sample"},
             },
         },
@@ -53,7 +53,7 @@ STATUS = {
 
 
 def schema_of(topic: str) -> bytes:
-    """The JSON Schema of the events of a topic; of one that is not known, that of any event."""
+    """JSON Schema of the events of a topic; of any event for an unknown topic."""
     properties = STATUS if topic == "status" else EVENT
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -66,15 +66,15 @@ def schema_of(topic: str) -> bytes:
 
 
 def with_timestamp(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
-    """Return an event with its time; a ``timestamp`` that it has already stays."""
-    return {"timestamp": _time(t_ns), **body}
+    """Add the time to an event; an existing ``timestamp`` stays."""
+    return {"timestamp": _timestamp(t_ns), **body}
 
 
 def without_timestamp(body: Mapping[str, Any], t_ns: int) -> dict[str, Any]:
-    """Return an event without the time that :func:`with_timestamp` gave it: as it was published."""
-    added = body.get("timestamp") == _time(t_ns)
+    """Remove the time of :func:`with_timestamp` from an event."""
+    added = body.get("timestamp") == _timestamp(t_ns)
     return {name: value for name, value in body.items() if not (added and name == "timestamp")}
 
 
-def _time(t_ns: int) -> dict[str, int]:
+def _timestamp(t_ns: int) -> dict[str, int]:
     return {"sec": t_ns // NS, "nsec": t_ns % NS}

@@ -1,4 +1,4 @@
-"""Ours out: recordings as tables for other programs."""
+"""Export of recordings as tables or ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
 from labhil.recording.formats.workbook import write_workbook
-from labhil.recording.mapped import ROWS, let_go_of
+from labhil.recording.memory_maps import BLOCK_ROWS, release_array
 from labhil.recording.recording import Recording, StreamData
 from labhil.signals import FloatArray, Stream
 from labhil.whole import whole, write_error
 
 BAG = ".rosbag2"
-"""The extension that asks for a ROS 2 bag; a bag is a folder."""
+"""Extension of a ROS 2 bag, which is a folder."""
 
 
 def write_csv(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
-    """Write a header line, the column ``t`` (s), then the signals, as digits that give the same doubles."""
+    """Write a header, times ``t`` (n,) and values (n, columns), with the digits of exact doubles."""
     with out.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(("t", *stream.columns())) + "\n")
-        for start in range(0, len(t), ROWS):
-            block = slice(start, start + ROWS)
+        for start in range(0, len(t), BLOCK_ROWS):
+            block = slice(start, start + BLOCK_ROWS)
             rows = np.column_stack([t[block], values[block]]).tolist()
             file.writelines(",".join(map(repr, row)) + "\n" for row in rows)
-            let_go_of(values)
+            release_array(values)
 
 
 WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = {
@@ -41,9 +41,17 @@ WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = 
 
 
 def choose_stream(recording: Recording, name: str | None = None) -> StreamData:
-    """The stream that a table is made of: ``name`` (``/device/stream``), or ``state``, or the only one.
+    """Choose the stream for a table: by name, or ``state``, or the only one.
 
-    RecordingError when there is no such stream, or no samples, or several streams of which none is the one.
+    Args:
+        recording: the recording.
+        name: ``/device/stream``, if there is one.
+
+    Returns:
+        The stream.
+
+    Raises:
+        RecordingError: There is no such stream, it has no samples, or there are several.
     """
     filled = {f"/{data.device}/{data.stream.name}": data for data in recording.streams if len(data)}
     if name is not None:
@@ -57,25 +65,44 @@ def choose_stream(recording: Recording, name: str | None = None) -> StreamData:
     chosen = {key: data for key, data in filled.items() if data.stream.name == "state"} or filled
     if len(chosen) == 1:
         return next(iter(chosen.values()))
-    nothing = "found none with samples" if recording.streams else f"found {recording.no_streams()}"
+    nothing = (
+        "found none with samples" if recording.streams else f"found {recording.describe_missing_streams()}"
+    )
     actual = f"found {', '.join(chosen)}; choose with --stream or --device" if chosen else nothing
     raise RecordingError(f"{recording.path}: expected one stream to export, {actual}")
 
 
 def export_csv(recording: Recording, out: Path, stream: StreamData | None = None) -> Path:
-    """Write one stream as CSV: a header line, the column ``t`` (s), then the signals, SI units.
+    """Write a stream as CSV: a header, the time ``t`` (s), and the signals (SI units) as exact doubles.
 
-    Numbers are written so that reading them gives the same doubles. Without ``stream`` the recording's
-    ``state`` is written. UsageError when ``out`` cannot be written.
+    Args:
+        recording: the recording.
+        out: the file.
+        stream: the stream; None for the one of :func:`choose_stream`.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        UsageError: The file cannot be written.
     """
     return _write_atomically(write_csv, choose_stream(recording) if stream is None else stream, out)
 
 
 def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
-    """Write a recording in the format that the extension of ``out`` names.
+    """Write a recording in the format of the file's extension.
 
-    A bag holds all streams that have samples, a table the one that :func:`choose_stream` chooses.
-    UsageError for other extensions and where ``out`` cannot be written; DiskFailedError for a full disk.
+    Args:
+        recording: the recording.
+        out: the file; a bag contains all streams with samples, a table one.
+        stream: ``/device/stream``; None for all streams of a bag or the one of :func:`choose_stream`.
+
+    Returns:
+        Path of the file.
+
+    Raises:
+        UsageError: The extension is unknown, or the file cannot be written.
+        DiskFailedError: The disk is full.
     """
     suffix = out.suffix.lower()
     if suffix == BAG:
@@ -101,7 +128,7 @@ def _write_bag(recording: Recording, out: Path, stream: str | None) -> Path:
 def _write_atomically(
     write: Callable[[Stream, FloatArray, FloatArray, Path], None], data: StreamData, out: Path
 ) -> Path:
-    """Write beside ``out`` first, so that nobody finds half a table there."""
+    """Write a draft beside ``out``, so that there never is a partial table."""
     if out.is_dir():
         raise UsageError(f"{out}: expected a file to write, found a folder")
     with whole(out) as draft:

@@ -1,6 +1,6 @@
-"""A layout for Foxglove: a chart for each unit, with units beside the names, and below what happened.
+"""Layout for Foxglove: a chart for each unit, and the states below.
 
-Foxglove has no place of its own for units; they stand in the titles of charts and in the labels of curves.
+Foxglove has no field for units, so they are in the titles of charts and the labels of curves.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ from labhil.signals import Direction, Signal, Stream
 
 
 def foxglove_layout(streams: Iterable[tuple[str, Stream]]) -> dict[str, Any]:
-    """Return a layout that Foxglove imports ("Import from file …").
+    """Make a layout that Foxglove imports ("Import from file …").
 
     Args:
-        streams: The devices' names, and their streams. Those of one device go into the same charts.
+        streams: names of devices with their streams; those of a device share charts.
+
+    Returns:
+        JSON data.
 
     Example:
         >>> stream = Stream("state", (Signal("speed", "rad/s", Direction.OUTPUT),), 100.0)
@@ -43,12 +46,12 @@ def foxglove_layout(streams: Iterable[tuple[str, Stream]]) -> dict[str, Any]:
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _stack(list(panels)),
+        "layout": _stack_panels(list(panels)),
     }
 
 
 def _by_unit(device: str, streams: Sequence[Stream]) -> Mapping[str, list[dict[str, Any]]]:
-    """The curves of a device by their unit, in the order in which they are declared."""
+    """Curves of a device by unit, in the order of their declaration."""
     curves: dict[str, list[dict[str, Any]]] = {}
     for stream in streams:
         for signal in stream.signals:
@@ -59,13 +62,13 @@ def _by_unit(device: str, streams: Sequence[Stream]) -> Mapping[str, list[dict[s
                     "timestampMethod": "receiveTime",
                     "label": _label(name, signal),
                 }
-                for path, name in _parts(signal)
+                for path, name in _scalars(signal)
             )
     return curves
 
 
-def _parts(signal: Signal) -> list[tuple[str, str]]:
-    """The path and the name of every scalar of a signal."""
+def _scalars(signal: Signal) -> list[tuple[str, str]]:
+    """Path and name of each scalar of a signal."""
     if signal.width == 1:
         return [(signal.name, signal.name)]
     return [(f"{signal.name}[{k}]", column) for k, column in enumerate(signal.columns())]
@@ -91,13 +94,13 @@ def _chart(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _stack(names: Sequence[str]) -> Any:
-    """One below the other, all of one height; Foxglove splits in two at each level."""
+def _stack_panels(names: Sequence[str]) -> Any:
+    """Stack panels of equal height; Foxglove splits a panel into two at each level."""
     if len(names) == 1:
         return names[0]
     return {
         "direction": "column",
         "first": names[0],
-        "second": _stack(names[1:]),
+        "second": _stack_panels(names[1:]),
         "splitPercentage": round(100 / len(names), 1),
     }

@@ -1,4 +1,4 @@
-"""Recordings and results in a folder, found by tag, rig, time or text."""
+"""List of the recordings and results in folders, with a filter by tag, rig, time and text."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from labhil.documents import LARGEST, parse_json
 from labhil.errors import LabhilError, UsageError
-from labhil.recording.contents import FREE_TEXT, how_it_ended, started_at, tags_of
+from labhil.recording.contents import FREE_TEXT, recording_status, start_time, tags_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
@@ -21,15 +21,23 @@ RESULTS = {
     "labhil.comparison/1": "comparison",
     "labhil.campaign/1": "campaign",
 }
-LARGEST_RESULT = LARGEST
+MAX_RESULT_SIZE = LARGEST
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One file: a recording, the result of a fit, a diagnosis, a verification or a comparison, or a campaign.
+    """A file: a recording, a campaign, or the result of a fit, diagnosis, verification or comparison.
 
-    ``start`` is when its first sample was taken, or when the file was written where no sample says that.
-    ``text`` is what a search looks into.
+    Attributes:
+        path: the file.
+        kind: kind of the file.
+        start: time of the first sample, or time of modification without such a time.
+        status: status of a recording, verdict of a result.
+        rig: rig kind.
+        duration: duration of a recording, s.
+        tags: tags of a recording.
+        summary: short description.
+        text: text that a filter searches.
     """
 
     path: Path
@@ -43,7 +51,7 @@ class Entry:
     text: str = field(default="", repr=False)
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as an item of ``labhil.list/1``."""
+        """Item of ``labhil.list/1``."""
         return {
             "path": str(self.path),
             "kind": self.kind,
@@ -58,7 +66,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """What is wanted: all ``tags``, a ``rig`` kind, from ``since`` to before ``until``, ``text`` anywhere."""
+    """Filter of files: all ``tags``, ``rig`` kind, ``since`` ≤ start < ``until``, ``text`` anywhere."""
 
     tags: tuple[str, ...] = ()
     rig: str | None = None
@@ -66,11 +74,11 @@ class Filter:
     until: datetime | None = None
     text: str | None = None
 
-    def takes(self, entry: Entry) -> bool:
-        """Whether this file is wanted; cases of letters do not count."""
-        own = {tag.casefold() for tag in entry.tags}
+    def matches(self, entry: Entry) -> bool:
+        """Whether a file matches, regardless of upper and lower case."""
+        entry_tags = {tag.casefold() for tag in entry.tags}
         return (
-            all(tag.casefold() in own for tag in self.tags)
+            all(tag.casefold() in entry_tags for tag in self.tags)
             and (self.rig is None or entry.rig == self.rig)
             and (self.since is None or entry.start >= self.since)
             and (self.until is None or entry.start < self.until)
@@ -79,9 +87,17 @@ class Filter:
 
 
 def list_folder(folders: Sequence[Path], wanted: Filter | None = None) -> list[Entry]:
-    """Return what is in these folders and below, the newest first.
+    """List the files in folders and their subfolders, the newest first.
 
-    Raises UsageError for one that is no folder.
+    Args:
+        folders: the folders.
+        wanted: filter; None for all files.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: A folder does not exist.
     """
     wanted = Filter() if wanted is None else wanted
     entries: dict[Path, Entry] = {}
@@ -90,7 +106,7 @@ def list_folder(folders: Sequence[Path], wanted: Filter | None = None) -> list[E
             raise UsageError(f"{folder}: expected a folder with recordings, found none")
         for entry in _entries(folder):
             entries.setdefault(entry.path.resolve(), entry)
-    return sorted((entry for entry in entries.values() if wanted.takes(entry)), key=_newest_first)
+    return sorted((entry for entry in entries.values() if wanted.matches(entry)), key=_newest_first)
 
 
 def _newest_first(entry: Entry) -> tuple[float, str]:
@@ -102,14 +118,14 @@ def _entries(folder: Path) -> Iterator[Entry]:
         if any(part.startswith(".") for part in path.relative_to(folder).parts) or not path.is_file():
             continue
         if path.name.endswith((".mcap", ".mcap.part")):
-            yield _recording(path)
+            yield _recording_entry(path)
         elif path.suffix == ".json":
-            result = _result(path)
+            result = _result_entry(path)
             if result is not None:
                 yield result
 
 
-def _recording(path: Path) -> Entry:
+def _recording_entry(path: Path) -> Entry:
     written = _modified_at(path)
     try:
         recording = read_recording(path)
@@ -122,25 +138,25 @@ def _recording(path: Path) -> Entry:
     return Entry(
         path,
         "recording",
-        started_at(recording) or written,
-        how_it_ended(recording),
+        start_time(recording) or written,
+        recording_status(recording),
         recording.rig.kind.name if recording.rig is not None else None,
         recording.duration,
         tags,
         summary,
-        " ".join([str(path), summary, *tags, *_marks(recording)]),
+        " ".join([str(path), summary, *tags, *_mark_messages(recording)]),
     )
 
 
-def _marks(recording: Recording) -> Iterator[str]:
+def _mark_messages(recording: Recording) -> Iterator[str]:
     for event in recording.events:
         if event.body.get("kind") == "mark":
             yield str(event.body.get("message", ""))
 
 
-def _result(path: Path) -> Entry | None:
+def _result_entry(path: Path) -> Entry | None:
     try:
-        if path.stat().st_size > LARGEST_RESULT:
+        if path.stat().st_size > MAX_RESULT_SIZE:
             return None
         data = parse_json(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -169,8 +185,8 @@ def _modified_at(path: Path) -> datetime:
         return datetime.fromtimestamp(0, UTC)
 
 
-def list_in_words(entries: Sequence[Entry]) -> Iterator[str]:
-    """Yield a line for each file."""
+def format_list(entries: Sequence[Entry]) -> Iterator[str]:
+    """Yield a line per file, with aligned columns."""
     rows = [
         (
             f"{entry.start.astimezone():%Y-%m-%d %H:%M:%S}",
@@ -189,7 +205,7 @@ def list_in_words(entries: Sequence[Entry]) -> Iterator[str]:
 
 
 def parse_moment(text: str, option: str) -> datetime:
-    """Return the moment that ``text`` names in local time; UsageError names the ``option``."""
+    """Parse a date or time in local time; UsageError names the ``option``."""
     try:
         return datetime.fromisoformat(text).astimezone()
     except ValueError as error:

@@ -1,7 +1,7 @@
-"""When each sample was taken, in Unix time: what other programs draw it over.
+"""Log times of samples: Unix times at which they were taken, which other programs plot them over.
 
-A device that sends its samples in bursts gives all samples of a burst one time of acquisition. Its own clock
-tells them apart; what ties that clock to the host's is the shortest delay of the last one or two seconds.
+All samples of a burst have one acquisition time, and only the device's clock separates them. The shortest
+delay of the last one or two seconds relates this clock to the host's.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ import numpy as np
 from labhil.signals import IntArray
 
 SECOND_NS = 1_000_000_000
-LARGEST_ELAPSED_NS = 4.0e18
+MAX_ELAPSED_NS = 4.0e18
+"""Bound that fits into int64."""
 
 
 class LogTimes:
-    """Log times of one stream, write after write; never later than the acquisition, and in order.
+    """Log times of one stream, increasing, and never later than the acquisition.
 
     Args:
-        speed: How fast the device's world runs: its seconds per second of the host.
-        window_ns: How long a delay counts at least. A device's clock that is slow by 0.5 % puts a sample too
-            early by 2 · ``window_ns`` · 0.5 % at most.
-        largest_delay_ns: A delay beyond that is no delay, but a clock that was set.
+        speed: seconds of the device's world per second of the host.
+        window_ns: shortest time for which a delay counts. A device's clock that is slow by 0.5 % puts a
+            sample too early by 2 · ``window_ns`` · 0.5 % at most.
+        largest_delay_ns: longest delay; beyond it a clock was set.
 
     Example:
         >>> burst = np.array([0, 1_000_000, 2_000_000])
@@ -38,11 +39,14 @@ class LogTimes:
         self._window_ends_ns = self._last_ns = 0
 
     def of(self, t_acq_ns: IntArray, t_hw_ns: IntArray) -> IntArray:
-        """Return the log times of the next samples, (n,) int64.
+        """Compute the log times of the next samples.
 
         Args:
-            t_acq_ns: Unix time of the host at acquisition, (n,), n ≥ 1, not negative.
-            t_hw_ns: The device's own clock, likewise.
+            t_acq_ns: Unix times of acquisition, (n,) with n ≥ 1, not negative.
+            t_hw_ns: the device's clock, (n,).
+
+        Returns:
+            Unix times, ns, (n,) int64.
         """
         restarts = np.flatnonzero(np.diff(t_hw_ns) < 0) + 1
         parts = zip(np.split(t_acq_ns, restarts), np.split(t_hw_ns, restarts), strict=True)
@@ -62,19 +66,19 @@ class LogTimes:
         log_ns = np.where(t_acq_ns - log_ns > self._largest_delay_ns, t_acq_ns, log_ns)
         if t_acq_ns[-1] < self._last_ns - self._largest_delay_ns:
             self._last_ns = 0  # the host's clock was set back
-        moved = _after(self._last_ns, np.maximum.accumulate(log_ns))
+        moved = _spread_after(self._last_ns, np.maximum.accumulate(log_ns))
         log_ns = np.maximum(np.maximum.accumulate(np.minimum(moved, t_acq_ns)), self._last_ns)
         self._last_ns = int(log_ns[-1])
         return log_ns
 
     def _elapsed(self, t_hw_ns: IntArray) -> IntArray:
-        passed = t_hw_ns - self._origin_ns
+        elapsed = t_hw_ns - self._origin_ns
         if self._speed == 1.0:
-            return passed
-        return np.rint(np.minimum(passed / self._speed, LARGEST_ELAPSED_NS)).astype(np.int64)
+            return elapsed
+        return np.rint(np.minimum(elapsed / self._speed, MAX_ELAPSED_NS)).astype(np.int64)
 
     def _offset(self, shortest: int, now_ns: int) -> int:
-        """The shortest delay of this window and the one before."""
+        """Shortest delay of this window and the one before, ns."""
         if not self._offsets or now_ns >= self._window_ends_ns:
             self._offsets = [shortest, *self._offsets[:1]]
             self._window_ends_ns = now_ns + self._window_ns
@@ -83,8 +87,8 @@ class LogTimes:
         return min(self._offsets)
 
 
-def _after(last_ns: int, log_ns: IntArray) -> IntArray:
-    """Move times that a shorter delay has put before earlier samples: evenly, up to the first that is not."""
+def _spread_after(last_ns: int, log_ns: IntArray) -> IntArray:
+    """Spread times before the last sample, which a shorter delay makes too early, evenly up to the next."""
     early = int(np.searchsorted(log_ns, last_ns))
     if early == 0:
         return log_ns

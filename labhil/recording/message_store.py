@@ -1,4 +1,4 @@
-"""Messages one after another, as many as a file holds: the first in memory, the others on the disk."""
+"""Storage of any number of messages, the first in memory, the others on the disk."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, overload
 
-from labhil.recording.mapped import let_go, temporary_file, write_all
+from labhil.recording.memory_maps import release_pages, temporary_file, write_all
 
-IN_MEMORY = 1 << 28
-"""Bytes of messages (256 MiB) that are kept in memory; what comes after them goes to a temporary file."""
+MAX_BYTES_IN_MEMORY = 1 << 28
+"""Size of the messages in memory, bytes (256 MiB); further ones are in a temporary file."""
 
-READS = 1 << 16
-"""Messages that are read from the disk before their pages are let go."""
+READS_PER_RELEASE = 1 << 16
+"""Messages read from the disk after which its pages are released."""
 
 _HEAD = struct.Struct("<IIQQI")
 
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message as it stood in the file; times in ns (Unix)."""
+    """A message of an MCAP file; times in ns of Unix time."""
 
     channel: int
     sequence: int
@@ -33,26 +33,23 @@ class Message:
 
 
 class MessageStore(Sequence[Message]):
-    """A sequence of messages that grows at its end.
-
-    DiskFailedError where there is no room for them.
-    """
+    """A sequence of messages with ``append``, which raises DiskFailedError if the disk is full."""
 
     def __init__(self) -> None:
-        self._places: array[int] = array("Q")
+        self._positions: array[int] = array("Q")
         self._memory = bytearray()
         self._file: BinaryIO | None = None
         self._mapped: mmap.mmap | None = None
         self._written = 0  # bytes in the file
-        self._looked_at = 0
+        self._n_reads = 0
 
     def append(self, message: Message) -> None:
         """Add a message."""
         head = _HEAD.pack(
             message.channel, message.sequence, message.log_time, message.publish_time, len(message.data)
         )
-        self._places.append(len(self._memory) + self._written)
-        if len(self._memory) < IN_MEMORY:
+        self._positions.append(len(self._memory) + self._written)
+        if len(self._memory) < MAX_BYTES_IN_MEMORY:
             self._memory += head + message.data
             return
         if self._file is None:
@@ -62,37 +59,37 @@ class MessageStore(Sequence[Message]):
         write_all(self._file, head + message.data)
         self._written += len(head) + len(message.data)
 
-    def pop(self, place: int) -> Message:
-        """Take a message out."""
-        message = self[place]
-        self._places.pop(place)
+    def pop(self, index: int) -> Message:
+        """Remove a message and return it."""
+        message = self[index]
+        self._positions.pop(index)
         return message
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._positions)
 
     @overload
-    def __getitem__(self, place: int) -> Message: ...
+    def __getitem__(self, index: int) -> Message: ...
     @overload
-    def __getitem__(self, place: slice) -> list[Message]: ...
-    def __getitem__(self, place: int | slice) -> Message | list[Message]:
-        if isinstance(place, slice):
-            return [self._at(position) for position in self._places[place]]
-        return self._at(self._places[place])
+    def __getitem__(self, index: slice) -> list[Message]: ...
+    def __getitem__(self, index: int | slice) -> Message | list[Message]:
+        if isinstance(index, slice):
+            return [self._read(position) for position in self._positions[index]]
+        return self._read(self._positions[index])
 
     def __iter__(self) -> Iterator[Message]:
-        return map(self._at, self._places)
+        return map(self._read, self._positions)
 
-    def _at(self, position: int) -> Message:
-        held: bytearray | mmap.mmap = self._memory
+    def _read(self, position: int) -> Message:
+        buffer: bytearray | mmap.mmap = self._memory
         if position >= len(self._memory):
-            held, position = self._on_disk(), position - len(self._memory)
-            self._looked_at += 1
-            if self._looked_at % READS == 0:
-                let_go(held, len(held))
-        channel, sequence, log_time, publish_time, length = _HEAD.unpack_from(held, position)
+            buffer, position = self._on_disk(), position - len(self._memory)
+            self._n_reads += 1
+            if self._n_reads % READS_PER_RELEASE == 0:
+                release_pages(buffer, len(buffer))
+        channel, sequence, log_time, publish_time, length = _HEAD.unpack_from(buffer, position)
         start = position + _HEAD.size
-        return Message(channel, sequence, log_time, publish_time, bytes(held[start : start + length]))
+        return Message(channel, sequence, log_time, publish_time, bytes(buffer[start : start + length]))
 
     def _on_disk(self) -> mmap.mmap:
         if self._mapped is None:

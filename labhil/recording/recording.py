@@ -1,4 +1,4 @@
-"""What a recording holds, once it has been read: streams of samples, events, clocks."""
+"""Data of a recording: streams of samples, events, clocks. ``reader.py`` reads it from a file."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from labhil.recording.clock_faults import ClockFault
 from labhil.recording.device_clocks import (
     ClockOffset,
     DeviceClock,
-    device_clock,
-    offsets_between,
+    estimate_device_clock,
+    pairwise_offsets,
 )
 from labhil.recording.rig_attachments import attached_rig
 from labhil.recording.stamps import HOST_CLOCK, Stamps
@@ -23,20 +23,30 @@ from labhil.signals import Direction, FloatArray, IntArray, Stream
 from labhil.terminal import printable_name
 
 IMPORT, TIME_COLUMN = "import", "time_column"
-"""The metadata of an imported table, and what its column of the time is called there."""
+"""Metadata of an imported table, and their key for the name of its time."""
 
 
 @dataclass(frozen=True)
 class StreamData:
-    """All samples of one stream.
+    """Samples of a stream.
 
-    ``seq``, ``t_acq_ns`` (host, Unix time) and ``t_hw_ns`` (the device's clock) are int64 of shape (n,);
-    ``values`` has shape (n, stream.width), SI units; ``t`` (n,) is the time of analysis in seconds of the
-    device's world: the device's own clock at its own rate, for all streams of a device the same, set where
-    it begins so that it is 0 at the recording's first sample. What compares devices takes :attr:`t_common`.
-    ``lost`` counts the holes in ``seq``; ``speed`` is how many seconds of that world passed in a second of
-    the host. Exact ``copies`` of samples were dropped, ``moved`` ones stood behind later ones in the file.
-    ``clock_faults`` say what is wrong with the stamps.
+    Attributes:
+        device: name of the device.
+        stream: declaration of the stream.
+        seq: sequence numbers, (n,).
+        t_acq_ns: the host's clock, Unix time, (n,).
+        t_hw_ns: the device's clock, (n,).
+        values: samples, (n, stream.width), SI units.
+        t: time of analysis, (n,) s of the device's world: the device's clock, the same for all its streams,
+            0 at the recording's first sample. :attr:`t_common` compares devices.
+        lost: number of lost samples.
+        speed: seconds of the device's world per second of the host.
+        metadata: metadata of the stream.
+        clock: relation of the device's clock to the host's.
+        copies: number of dropped exact copies of samples.
+        moved: number of samples that were behind later ones in the file.
+        clock_faults: faults of the stamps.
+        clock_start: host time of ``t`` = 0, s after the first stamp of the recording.
     """
 
     device: str
@@ -60,16 +70,16 @@ class StreamData:
 
     @property
     def stamps(self) -> Stamps:
-        """The stamps of the samples, with what is known of the clocks that made them."""
+        """Stamps of the samples, with facts about their clocks."""
         steady = HOST_CLOCK in self.metadata
         return Stamps(self.seq, self.t_hw_ns, self.t_acq_ns, self.stream.rate, self.speed, steady)
 
     @property
     def t_common(self) -> FloatArray:
-        """Time that all devices of a recording share, (n,): s of the host since the recording's origin.
+        """Common time of all devices, (n,) s of the host since the recording's origin.
 
-        The device's clock mapped by its rate against the host's, without the jitter and the steps of the
-        host's stamps; these themselves where there is no such map.
+        The device's clock is mapped to the host's, without the jitter and steps of the host's stamps. Without
+        a map it is the host's stamps.
         """
         clock_map = self.clock.map
         if clock_map is None:
@@ -77,10 +87,7 @@ class StreamData:
         return clock_map.steady_host(clock_map.elapsed(self.t_hw_ns)) - self.clock_start
 
     def __getitem__(self, name: str) -> FloatArray:
-        """Values of the signal ``name``: shape (n,), or (n, width) for a vector.
-
-        RecordingError names the signals that are there.
-        """
+        """Values of a signal, (n,), or (n, width) of a vector; RecordingError if there is no such signal."""
         names = self.stream.names()
         if name not in names:
             raise RecordingError(
@@ -92,12 +99,12 @@ class StreamData:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the device stamped the samples; what was asked of it is stamped by its host."""
+        """Whether the device stamped the samples; the host stamps requested values."""
         return any(signal.direction is not Direction.REQUESTED for signal in self.stream.signals)
 
     @property
     def rate(self) -> float:
-        """Measured rate in Hz (lost samples counted in); the nominal one for fewer than two samples."""
+        """Measured rate with lost samples, Hz; the nominal rate for fewer than two samples."""
         if len(self) < 2 or not self.t[-1] > self.t[0]:
             return self.stream.rate
         return float((self.seq[-1] - self.seq[0]) / (self.t[-1] - self.t[0]))
@@ -105,7 +112,7 @@ class StreamData:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at ``t_ns`` (host, Unix time), which is ``t`` in the time of analysis."""
+    """An event at the Unix time ``t_ns`` of the host, which is ``t`` (s) in the time of analysis."""
 
     device: str
     topic: str
@@ -116,13 +123,21 @@ class Event:
 
 @dataclass(frozen=True)
 class Recording:
-    """A recording as it stands in its file.
+    """A recording.
 
-    ``complete`` is False when the file has no end (its recorder was killed) or a part of it is damaged;
-    ``damage`` then says what is missing. ``rig`` is the rig file that was attached, if one was. ``foreign``
-    names the channels of other programs, with their encoding; their samples are not read. Where the file
-    holds several ``runs`` of one stream, this is one of them. ``ambiguous`` names attachments of which it
-    holds several: a rig file among them is not used.
+    Attributes:
+        path: the file.
+        sha256: its SHA-256.
+        streams: streams of samples.
+        rig: the attached rig file, if there is one.
+        attachments: attachments by name.
+        metadata: metadata by name.
+        events: events in the order of time.
+        complete: whether the file is undamaged and has an end.
+        damage: what is damaged or missing, for messages.
+        foreign: channels of other programs with their encodings, which are not read.
+        runs: number of runs in the file, of which this is one.
+        ambiguous: names of several different attachments; a rig file among them is not used.
     """
 
     path: Path
@@ -140,13 +155,20 @@ class Recording:
 
     @property
     def time_column(self) -> str:
-        """What the column of the time was called in the table that this was imported from; else "t"."""
+        """Name of the time in the table from which this was imported; otherwise "t"."""
         return self.metadata.get(IMPORT, {}).get(TIME_COLUMN, "t")
 
     def of_device(self, name: str | None) -> Recording:
-        """Return what this recording holds of one device, with that device's rig file; all of it for None.
+        """Select the streams and the rig file of a device.
 
-        RecordingError names the devices that are there.
+        Args:
+            name: the device; None for all devices.
+
+        Returns:
+            The recording of this device.
+
+        Raises:
+            RecordingError: There is no such device.
         """
         if name is None:
             return self
@@ -157,11 +179,11 @@ class Recording:
                 f"found: {', '.join(map(printable_name, devices)) or 'no device at all'}"
             )
         streams = tuple(data for data in self.streams if data.device == name)
-        own = attached_rig(self.path, unambiguous(self.attachments, self.ambiguous), name)
-        return replace(self, streams=streams, rig=self.rig if own is None else own)
+        device_rig = attached_rig(self.path, without_ambiguous(self.attachments, self.ambiguous), name)
+        return replace(self, streams=streams, rig=self.rig if device_rig is None else device_rig)
 
     def stream_with(self, *names: str) -> StreamData:
-        """Return the stream that has all these signals; RecordingError says what is there otherwise."""
+        """Find the only stream with all these signals; RecordingError if there is none or several."""
         matching = [data for data in self.streams if set(names) <= set(data.stream.names())]
         if len(matching) == 1:
             return matching[0]
@@ -171,10 +193,12 @@ class Recording:
             raise RecordingError(f"{self.path}: expected one stream with {wanted}, found several: {where}")
         available = [name for data in self.streams for name in data.stream.names()]
         near = "".join(suggestion(name, available) for name in names if name not in available)
-        raise RecordingError(f"{self.path}: expected a stream with {wanted}{near}; found: {self.described()}")
+        raise RecordingError(
+            f"{self.path}: expected a stream with {wanted}{near}; found: {self.describe_streams()}"
+        )
 
-    def no_streams(self) -> str:
-        """What is found where no stream of ours is, and what was expected, for messages."""
+    def describe_missing_streams(self) -> str:
+        """Describe a recording without streams, and what was expected, for messages."""
         expected = "a topic /<device>/<stream> as `labhil run` and `labhil import` write it"
         if not self.foreign:
             return f"no streams at all; expected {expected}"
@@ -185,18 +209,18 @@ class Recording:
             f"expected {expected}{hint}"
         )
 
-    def described(self) -> str:
-        """Which streams there are with which signals, and which channels of other programs, for messages."""
+    def describe_streams(self) -> str:
+        """List the streams with their signals, and foreign channels, for messages."""
         if not self.streams:
-            return self.no_streams()
+            return self.describe_missing_streams()
         descriptions = [
             f"{topic_of(data.device, data.stream)}: {', '.join(data.stream.names())}" for data in self.streams
         ]
         others = [f"of another program: {', '.join(self.foreign)}"] if self.foreign else []
         return "; ".join(descriptions + others)
 
-    def losses(self) -> list[str]:
-        """What is not as it should be, a line each: no end, damaged parts, lost samples, faulty clocks."""
+    def warnings(self) -> list[str]:
+        """List damage, lost samples and clock faults, in lines for users."""
         lines = [f"{self.path}: read as far as it goes: {self.damage}"] if self.damage else []
         if self.ambiguous:
             names = ", ".join(map(printable_name, self.ambiguous))
@@ -206,7 +230,7 @@ class Recording:
             counts = {
                 f"samples of {name} were lost": data.lost,
                 f"exact copies of samples of {name} were dropped": data.copies,
-                f"samples of {name} stood behind later ones, and were put in order": data.moved,
+                f"samples of {name} were behind later ones, and were put in order": data.moved,
             }
             lines += [f"{self.path}: {count} {what}" for what, count in counts.items() if count]
             lines += [f"{self.path}: {name}: {fault.statement}" for fault in data.clock_faults]
@@ -214,31 +238,31 @@ class Recording:
 
     @property
     def clocks(self) -> Mapping[str, DeviceClock]:
-        """How each device's clock ran against the host's, from the stamps of its first stream."""
+        """Clock of each device against the host's, from the stamps of its first stream."""
         clocks: dict[str, DeviceClock] = {}
         for data in self.streams:
             if data.device not in clocks and data.is_measured:
-                clock = device_clock(data.stamps, data.clock)
+                clock = estimate_device_clock(data.stamps, data.clock)
                 if clock is not None:
                     clocks[data.device] = clock
         return clocks
 
     @property
     def clock_offsets(self) -> Mapping[tuple[str, str], ClockOffset]:
-        """By how much one device's clock was ahead of another's, for each pair of devices of one speed."""
-        return offsets_between(self.clocks)
+        """Offset between the clocks of each pair of devices of equal speed."""
+        return pairwise_offsets(self.clocks)
 
     @property
     def duration(self) -> float:
-        """Seconds (of analysis time) from the first sample to the last."""
+        """Time of analysis from the first sample to the last, s."""
         return max((float(data.t[-1]) for data in self.streams if len(data)), default=0.0)
 
 
-def unambiguous(attachments: Mapping[str, bytes], ambiguous: Collection[str]) -> dict[str, bytes]:
-    """Attachments but for those of whose names a file holds several."""
+def without_ambiguous(attachments: Mapping[str, bytes], ambiguous: Collection[str]) -> dict[str, bytes]:
+    """Attachments without those with ambiguous names."""
     return {name: content for name, content in attachments.items() if name not in ambiguous}
 
 
 def topic_of(device: str, stream: Stream) -> str:
-    """The topic of a stream, for messages."""
+    """Topic of a stream, for messages."""
     return f"/{printable_name(device)}/{printable_name(stream.name)}"

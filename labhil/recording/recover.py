@@ -1,4 +1,7 @@
-"""A good recording out of a broken one: every whole message, what was lost in words, nothing overwritten."""
+"""Recovery of a damaged recording: all complete messages in a new file, with a report of the losses.
+
+``salvage.py`` reads the damaged file, ``reorder.py`` puts the messages in order.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +19,43 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from labhil.errors import RecordingError, RecordingFailedError
-from labhil.recording.chunks import is_mcap, scan
-from labhil.recording.mapped import FileBytes, bytes_of, sha256_of
+from labhil.recording.chunks import is_mcap, scan_mcap
+from labhil.recording.memory_maps import FileBytes, bytes_of, sha256_of
 from labhil.recording.message_store import Message
-from labhil.recording.reorder import Ordered, reorder
+from labhil.recording.reorder import OrderedMessages, reorder
 from labhil.recording.salvage import Loss, Salvage, salvage
-from labhil.recording.saved_streams import StreamRecovery, Tally, lines_of
+from labhil.recording.stream_recovery import StreamRecovery, Tally, format_stream
 from labhil.recording.writer import CHUNK_SIZE
 from labhil.version import __version__
 
 METADATA = "recover"
-UNFINISHED = ".saving"
-"""Added to the name until what was written has been looked at; ``.part`` is a recorder's."""
+DRAFT_SUFFIX = ".saving"
+"""Suffix of the new file until it is verified; ``.part`` is a recorder's."""
 
-LARGEST_RECORD = 1 << 32
+MAX_RECORD_SIZE = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved and what was lost; ``nameless`` messages belong to channels nobody describes.
+    """Result of a recovery.
 
-    Exact ``copies`` of messages were dropped, ``moved`` ones were put in order.
+    Attributes:
+        source: the damaged file.
+        sha256: its SHA-256.
+        path: the new file.
+        size: size of the damaged file, bytes.
+        chunks: number of saved chunks.
+        streams: channels.
+        attachments: names of saved attachments.
+        metadata: names of saved metadata.
+        losses: damaged parts.
+        nameless: number of messages without a description of their channel.
+        doubtful: number of saved messages that may be damaged.
+        ended: whether the damaged file has an end.
+        copies: number of dropped exact copies of messages.
+        moved: number of messages that were put in order.
+        notes: lines about the order.
+        spliced: whether channel numbers have several meanings, as in concatenated files.
     """
 
     source: Path
@@ -58,35 +77,36 @@ class Recovery:
 
     @property
     def bytes_lost(self) -> int:
-        """Bytes of the broken file of which nothing could be used, or not all."""
+        """Size of the damaged parts, bytes."""
         return sum(loss.end - loss.start for loss in self.losses)
 
     @property
     def saved(self) -> int:
-        """All messages saved."""
+        """Number of saved messages."""
         return sum(stream.saved for stream in self.streams)
 
     def lines(self) -> list[str]:
-        """What a person wants to know, a line each."""
-        hit = sum(loss.chunk for loss in self.losses)
+        """Describe the result for users, in lines of text."""
+        n_lost_chunks = sum(loss.chunk for loss in self.losses)
         lines = [
             f"{self.source}: {self.size} bytes; saved {self.saved} messages of {self.chunks} whole chunks, "
             f"{len(self.attachments)} attachments, {len(self.metadata)} metadata records"
         ]
         lines += [
-            f"lost: bytes {loss.start} to {loss.end} ({loss.end - loss.start}): {loss.what}{_of_index(loss)}"
+            f"lost: bytes {loss.start} to {loss.end} ({loss.end - loss.start}): {loss.what}"
+            f"{_index_count(loss)}"
             for loss in self.losses
         ]
         if self.losses:
-            lines.append(f"lost altogether: {self.bytes_lost} bytes, {hit} chunks hit")
+            lines.append(f"lost in total: {self.bytes_lost} bytes, {n_lost_chunks} damaged chunks")
         if not self.ended:
             lines.append("the file had no end (footer): its recorder was killed, or it is cut")
         if self.nameless:
             lines.append(f"lost: {self.nameless} messages of channels that nothing in the file describes")
         if self.spliced:
             lines.append(
-                "the file is pieced together from several: it gives the number of a channel to different "
-                "ones; each keeps its own messages"
+                "the file is joined from several: it uses the number of a channel for different ones; "
+                "each keeps its own messages"
             )
         if self.doubtful:
             lines.append(
@@ -94,17 +114,17 @@ class Recovery:
                 "their values may be wrong"
             )
         if self.copies:
-            lines.append(f"mended: {self.copies} exact copies of messages were dropped")
+            lines.append(f"repaired: {self.copies} exact copies of messages were dropped")
         if self.moved:
-            lines.append(f"mended: {self.moved} messages stood behind later ones, and were put in order")
+            lines.append(f"repaired: {self.moved} messages were behind later ones, and were put in order")
         lines += self.notes
-        lines += [line for stream in self.streams for line in lines_of(stream)]
+        lines += [line for stream in self.streams for line in format_stream(stream)]
         if not self.losses and self.ended:
             lines.append("nothing was lost")
         return lines
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain JSON data."""
+        """The result as ``labhil.recover/1``."""
         return {
             "schema": "labhil.recover/1",
             "source": str(self.source),
@@ -147,11 +167,22 @@ class Recovery:
 
 
 def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery:
-    """Save every whole message of a broken MCAP file into a new one, and read that back.
+    """Save the complete messages, attachments and metadata of a damaged MCAP file in a new file.
 
-    Metadata and attachments go with it, and the metadata ``recover`` tells what was lost. RecordingError
-    when there is no such file, when it is no MCAP file or holds no whole message, or when ``out`` exists;
-    RecordingFailedError when ``out`` cannot be written, or is not what was meant to be written.
+    The metadata ``recover`` of the new file describe the losses. The new file is verified.
+
+    Args:
+        source: the damaged file.
+        out: the new file.
+        keep_doubtful: whether to keep messages of chunks with a wrong checksum, whose values may be wrong.
+
+    Returns:
+        What was saved and lost.
+
+    Raises:
+        RecordingError: The source cannot be read, is no MCAP file, or has no complete message; or ``out``
+            exists.
+        RecordingFailedError: ``out`` cannot be written, or cannot be read back.
     """
     data = _bytes_of(source)
     if out.exists():
@@ -168,11 +199,11 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
         messages = [message for message in salvaged.messages if message.channel in salvaged.channels]
     if not messages:
         raise RecordingError(
-            f"{source}: expected messages to save, found none that is whole in {len(data)} bytes; "
+            f"{source}: expected messages to save, found no complete one in {len(data)} bytes; "
             "nothing was written"
         )
     ordered = reorder(messages, salvaged.channels)
-    result = _account(source, data, out, salvaged, ordered, nameless)
+    result = _summarise(source, data, out, salvaged, ordered, nameless)
     _write(salvaged, ordered.messages, result, out)
     return result
 
@@ -187,18 +218,18 @@ def _bytes_of(source: Path) -> FileBytes:
     return data
 
 
-def _account(
-    source: Path, data: FileBytes, out: Path, salvaged: Salvage, ordered: Ordered, nameless: int
+def _summarise(
+    source: Path, data: FileBytes, out: Path, salvaged: Salvage, ordered: OrderedMessages, nameless: int
 ) -> Recovery:
     tallies: defaultdict[int, Tally] = defaultdict(Tally)
     for message in ordered.messages:
-        tallies[message.channel].take(message)
+        tallies[message.channel].add(message)
     origin = min(tally.first for tally in tallies.values())
-    # the statistics of a file that is pieced together count by numbers that mean several things
-    counted = salvaged.statistics is not None and not salvaged.spliced
-    counts = salvaged.statistics.channel_message_counts if salvaged.statistics and counted else {}
+    # in concatenated files the statistics count by ambiguous numbers
+    has_counts = salvaged.statistics is not None and not salvaged.spliced
+    counts = salvaged.statistics.channel_message_counts if salvaged.statistics and has_counts else {}
     if any(tally.count > counts.get(number, 0) for number, tally in tallies.items()):
-        counts = {}  # they are those of a part of it only
+        counts = {}  # statistics of a part of the file
     indexed: Counter[int] = Counter()
     for loss in salvaged.losses:
         indexed.update(loss.messages)
@@ -226,17 +257,17 @@ def _account(
     )
 
 
-def _of_index(loss: Loss) -> str:
+def _index_count(loss: Loss) -> str:
     count = sum(loss.messages.values())
     return f"; its index names {count} messages" if count else ""
 
 
 def _write(salvaged: Salvage, messages: Sequence[Message], result: Recovery, out: Path) -> None:
-    """Write beside ``out``, look at it, and only then give it its name."""
-    part = out.with_name(f"{out.name}{UNFINISHED}")
+    """Write a draft beside ``out``, verify it, and then give it its name."""
+    part = out.with_name(f"{out.name}{DRAFT_SUFFIX}")
     try:
         with part.open("xb") as file:
-            _fill(
+            _write_records(
                 Writer(file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4),
                 salvaged,
                 messages,
@@ -253,7 +284,7 @@ def _write(salvaged: Salvage, messages: Sequence[Message], result: Recovery, out
         raise RecordingFailedError(f"{out}: could not be written: {error}") from error
     try:
         _verify(part, salvaged, messages)
-        os.link(part, out)  # unlike a renaming, refuses a file that has come up there meanwhile
+        os.link(part, out)  # unlike a rename, it does not replace a file that exists meanwhile
     except FileExistsError as error:
         raise RecordingError(f"{out}: expected a new file, found one that exists") from error
     except OSError as error:
@@ -262,7 +293,7 @@ def _write(salvaged: Salvage, messages: Sequence[Message], result: Recovery, out
         part.unlink(missing_ok=True)
 
 
-def _fill(writer: Writer, salvaged: Salvage, messages: Sequence[Message], result: Recovery) -> None:
+def _write_records(writer: Writer, salvaged: Salvage, messages: Sequence[Message], result: Recovery) -> None:
     writer.start(profile=salvaged.profile, library=f"labhil {__version__}")
     schemas = {0: 0}
     numbers: dict[int, int] = {}
@@ -299,18 +330,18 @@ def _fill(writer: Writer, salvaged: Salvage, messages: Sequence[Message], result
 
 
 def _verify(path: Path, salvaged: Salvage, messages: Sequence[Message]) -> None:
-    """Read the new file with mcap's own readers; RecordingFailedError unless all that was saved is there."""
+    """Read the new file with mcap's readers; RecordingFailedError unless everything is there."""
     topics: dict[int, str] = {}
     attachments: list[Attachment] = []
     metadata: list[Metadata] = []
     compared = 0
     try:
         with path.open("rb") as file:
-            for stored in StreamReader(file, validate_crcs=True, record_size_limit=LARGEST_RECORD).records:
+            for stored in StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_SIZE).records:
                 if isinstance(stored, Channel):
                     topics[stored.id] = stored.topic
                 elif isinstance(stored, StoredMessage):
-                    _compare(path, stored, messages[compared], topics, salvaged.channels)
+                    _check_message(path, stored, messages[compared], topics, salvaged.channels)
                     compared += 1
                 elif isinstance(stored, Attachment):
                     attachments.append(stored)
@@ -325,7 +356,7 @@ def _verify(path: Path, salvaged: Salvage, messages: Sequence[Message]) -> None:
     statistics = None if summary is None else summary.statistics
     counted = 0 if statistics is None else statistics.message_count
     rest_matches = (attachments, metadata[:-1]) == (salvaged.attachments, salvaged.metadata)
-    if (compared, counted) != (len(messages), len(messages)) or not rest_matches or _damage(path):
+    if (compared, counted) != (len(messages), len(messages)) or not rest_matches or _find_damage(path):
         raise RecordingFailedError(
             f"{path}: expected {len(messages)} messages, the attachments and the metadata back, found "
             f"{compared} messages ({counted} by its own statistics), {len(attachments)} attachments and "
@@ -333,23 +364,23 @@ def _verify(path: Path, salvaged: Salvage, messages: Sequence[Message]) -> None:
         )
 
 
-def _damage(path: Path) -> str:
-    """What our own reader finds wrong with a file."""
-    return scan(bytes_of(path), lambda _channel, messages: messages.forget()).damage
+def _find_damage(path: Path) -> str:
+    """Damage that ``chunks.py`` finds in a file."""
+    return scan_mcap(bytes_of(path), lambda _channel, messages: messages.clear()).damage
 
 
-def _compare(
+def _check_message(
     path: Path,
     read: StoredMessage,
-    meant: Message,
+    written: Message,
     topics: Mapping[int, str],
     channels: Mapping[int, Channel],
 ) -> None:
-    same = (
-        topics[read.channel_id] == channels[meant.channel].topic
-        and (read.log_time, read.publish_time) == (meant.log_time, meant.publish_time)
-        and read.sequence == meant.sequence
-        and read.data == meant.data
+    is_equal = (
+        topics[read.channel_id] == channels[written.channel].topic
+        and (read.log_time, read.publish_time) == (written.log_time, written.publish_time)
+        and read.sequence == written.sequence
+        and read.data == written.data
     )
-    if not same:
+    if not is_equal:
         raise RecordingFailedError(f"{path}: a message that was read back is not the one that was written")

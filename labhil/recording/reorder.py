@@ -1,4 +1,4 @@
-"""The messages of a broken file in their order, each once."""
+"""Order of the messages of a damaged file, without copies."""
 
 from __future__ import annotations
 
@@ -12,17 +12,21 @@ from mcap.records import Channel
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
 from labhil.recording.message_store import Message
-from labhil.recording.runs import MixedRunsError, late, order_of
+from labhil.recording.runs import MixedRunsError, count_late, order_samples
 
-BLOCK = 1 << 14
-"""Messages that are looked at together."""
+BLOCK_MESSAGES = 1 << 14
+"""Messages that are checked together."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ordered:
-    """Messages in order; ``copies`` were dropped, by channel; ``moved`` ones stood behind later ones.
+class OrderedMessages:
+    """Messages in order.
 
-    ``notes`` say which channels could not be put in order, and which hold several runs.
+    Attributes:
+        messages: the messages.
+        copies: number of dropped exact copies by channel.
+        moved: number of messages that were behind later ones.
+        notes: channels that could not be put in order, or contain several runs.
     """
 
     messages: Sequence[Message]
@@ -31,58 +35,63 @@ class Ordered:
     notes: tuple[str, ...]
 
 
-def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> Ordered:
-    """Put the messages of every stream of ours in order and drop exact copies.
+def reorder(messages: Sequence[Message], channels: Mapping[int, Channel]) -> OrderedMessages:
+    """Put the messages of each stream in order, and drop exact copies.
 
-    The messages of a channel take the places that the channel has in the file. Channels of other programs
-    and events stay as they are: nothing counts them, so that two alike may be two that happened.
+    Messages of a channel only exchange their positions. Foreign channels and events have no sequence numbers
+    and stay unchanged: two equal messages may be two events.
 
     Args:
-        messages: As they stand in the file.
-        channels: What their numbers stand for.
+        messages: messages in the order of the file.
+        channels: channels by number.
+
+    Returns:
+        The messages in order.
     """
     result: list[Message | None] | None = None
     copies, moved, notes = {}, 0, []
-    for number, places in _places(messages, channels).items():
-        if _counts_up(messages, places):
+    for number, indices in _message_indices(messages, channels).items():
+        if _counts_up(messages, indices):
             copies[number] = 0
             continue
-        topic, single = channels[number].topic, list(dict.fromkeys(messages[place] for place in places))
+        topic, single = channels[number].topic, list(dict.fromkeys(messages[index] for index in indices))
         try:
             stamps = stamps_of([message.data for message in single])
-            runs = order_of(*stamps.T)
+            runs = order_samples(*stamps.T)
         except (ProtocolError, MixedRunsError) as error:
-            notes.append(f"{topic}: left as it stood: {error}")
+            notes.append(f"{topic}: left unchanged: {error}")
             continue
         if len(runs) > 1:
             notes.append(f"{topic}: {len(runs)} runs in one channel; --run N of other commands chooses one")
-        copies[number] = len(places) - len(single)
-        moved += sum(late(stamps[np.sort(run), 0]) for run in runs)
-        ordered = [single[place] for place in np.concatenate(runs).tolist()]
+        copies[number] = len(indices) - len(single)
+        moved += sum(count_late(stamps[np.sort(run), 0]) for run in runs)
+        ordered = [single[index] for index in np.concatenate(runs).tolist()]
         result = list(messages) if result is None else result
-        for place, message in zip(places, [*ordered, *[None] * copies[number]], strict=True):
-            result[place] = message
+        for index, message in zip(indices, [*ordered, *[None] * copies[number]], strict=True):
+            result[index] = message
     if result is None:
-        return Ordered(messages, copies, moved, tuple(notes))
-    return Ordered(tuple(message for message in result if message is not None), copies, moved, tuple(notes))
+        return OrderedMessages(messages, copies, moved, tuple(notes))
+    return OrderedMessages(
+        tuple(message for message in result if message is not None), copies, moved, tuple(notes)
+    )
 
 
-def _places(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dict[int, array[int]]:
-    """Where the messages of each stream of ours stand, by its channel."""
-    places: dict[int, array[int]] = {}
+def _message_indices(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dict[int, array[int]]:
+    """Indices of the messages of each stream, by channel."""
+    indices: dict[int, array[int]] = {}
     ours = {number for number, channel in channels.items() if "labhil.stream" in channel.metadata}
-    for place, message in enumerate(messages):
+    for index, message in enumerate(messages):
         if message.channel in ours:
-            places.setdefault(message.channel, array("Q")).append(place)
-    return places
+            indices.setdefault(message.channel, array("Q")).append(index)
+    return indices
 
 
-def _counts_up(messages: Sequence[Message], places: array[int]) -> bool:
-    """Whether the samples at these places count up as they stand: then each stands once, and in order."""
+def _counts_up(messages: Sequence[Message], indices: array[int]) -> bool:
+    """Whether the sequence numbers increase, so that the messages are in order without copies."""
     last = None
-    for start in range(0, len(places), BLOCK):
+    for start in range(0, len(indices), BLOCK_MESSAGES):
         try:
-            seq = stamps_of([messages[place].data for place in places[start : start + BLOCK]])[:, 0]
+            seq = stamps_of([messages[index].data for index in indices[start : start + BLOCK_MESSAGES]])[:, 0]
         except ProtocolError:
             return False
         if not (np.diff(seq) > 0).all() or (last is not None and seq[0] <= last):

@@ -1,4 +1,4 @@
-"""A rig file in a recording: it, and the files that it names, are attached and found again on any machine."""
+"""Rig files in recordings, attached with the files that they name, so that any machine can read them."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ RIG_ATTACHMENT = "rig.toml"
 
 
 def rig_attachments(rig: RigFile, device: str | None = None) -> dict[str, bytes]:
-    """Return what to attach of a rig file: its text, and the files that its ``[known]`` names.
+    """Attachments of a rig file: its text, and the files that its ``[known]`` names.
 
     Args:
-        rig: The rig file.
-        device: Whose it is, where it is not that of the recording's first device.
+        rig: the rig file.
+        device: its device; None for the recording's first device.
 
     Returns:
-        Contents by the names of attachments: ``rig.toml`` or ``rig.<device>.toml``, and beside that
-        ``rig.known.<name><extension>``.
+        Contents by name: ``rig.toml`` or ``rig.<device>.toml``, and ``rig.known.<name><extension>``.
 
     Raises:
         RigFileError: A file that the rig file names cannot be read.
     """
-    name = rig_name(device)
+    name = rig_attachment_name(device)
     files = {
         _file_name(name, key, str(rig.known[key])): file.content
         for key, what in rig.kind.known.items()
@@ -34,21 +33,26 @@ def rig_attachments(rig: RigFile, device: str | None = None) -> dict[str, bytes]
     return {name: rig.text.encode(), **files}
 
 
-def rig_name(device: str | None = None) -> str:
-    """What the rig file of a device is called among the attachments; the first device's for None."""
+def rig_attachment_name(device: str | None = None) -> str:
+    """Name of the attached rig file of a device; None for the first device."""
     return RIG_ATTACHMENT if device is None else f"rig.{device}.toml"
 
 
 def attached_rig(path: Path, attachments: Mapping[str, bytes], device: str | None = None) -> RigFile | None:
-    """Read the rig file that the recording ``path`` carries, with the files that it names.
+    """Read the rig file in a recording, with the files that it names.
+
+    Args:
+        path: the recording, for messages.
+        attachments: its attachments by name.
+        device: the device; None for the first device.
 
     Returns:
-        The rig file; None when the recording carries none, or one whose simulator is a Python file.
+        The rig file; None without one, or if its simulator is a Python file.
 
     Raises:
-        RecordingError: It carries one that cannot be used.
+        RecordingError: The rig file cannot be used.
     """
-    name = rig_name(device)
+    name = rig_attachment_name(device)
     if name not in attachments:
         return None
     try:
@@ -61,7 +65,7 @@ def attached_rig(path: Path, attachments: Mapping[str, bytes], device: str | Non
         }
         return parse_rig(text, place, files) if files else rig
     except OwnSimulatorError:
-        return None  # code that came with data is not run: who analyses it names the rig file
+        return None  # code in data is not executed; users of the recording name the rig file themselves
     except (UnicodeDecodeError, RigFileError) as error:
         raise RecordingError(f"{path}: its attached rig file cannot be used: {error}") from error
 

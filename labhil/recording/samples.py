@@ -1,4 +1,4 @@
-"""The samples of a file's channels, decoded block by block while it is read, so that no file is too large."""
+"""Decoder of the samples of a file, block by block, so that any size of file fits into memory."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from mcap.records import Channel
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import ProtocolError
 from labhil.recording.chunks import Messages
-from labhil.recording.mapped import Spool
+from labhil.recording.memory_maps import Spool
 from labhil.signals import Batch, FloatArray, IntArray
 
-IN_MEMORY = 1 << 28
-"""Bytes of values (256 MiB) of one channel that are kept in memory; more go to a temporary file."""
+MAX_BYTES_IN_MEMORY = 1 << 28
+"""Size of the values of a channel in memory, bytes (256 MiB); larger ones are in a temporary file."""
 
 
 @dataclass(slots=True)
-class _Blocks:
-    """What has been decoded of one channel; values stand in ``values`` until they are too many."""
+class _ChannelData:
+    """Decoded samples of a channel; many values move from ``values`` to ``spool``."""
 
     codec: Codec
     stamps: list[tuple[IntArray, IntArray, IntArray]] = field(default_factory=list)
@@ -31,7 +31,7 @@ class _Blocks:
         self.stamps.append((batch.seq, batch.t_acq_ns, batch.t_hw_ns))
         self.values.append(batch.values)
         self.size += batch.values.nbytes
-        if self.size > IN_MEMORY:
+        if self.size > MAX_BYTES_IN_MEMORY:
             self.spool = Spool(batch.values.shape[1]) if self.spool is None else self.spool
             for values in self.values:
                 self.spool.add(values)
@@ -44,32 +44,32 @@ class _Blocks:
 
 
 class Samples:
-    """Decodes messages as they come; used by one reading of one file."""
+    """Decoder of the messages of a file while it is read."""
 
     def __init__(self) -> None:
-        self._blocks: dict[int, _Blocks] = {}
-        self._refused: set[int] = set()
+        self._blocks: dict[int, _ChannelData] = {}
+        self._invalid: set[int] = set()
 
-    def take(self, channel: Channel, messages: Messages) -> None:
-        """Decode what has been read of a channel so far, and keep only that; channels of others stay."""
-        if "labhil.stream" not in channel.metadata or channel.id in self._refused:
+    def decode(self, channel: Channel, messages: Messages) -> None:
+        """Decode the messages of a channel read so far, and clear them; ignores foreign channels."""
+        if "labhil.stream" not in channel.metadata or channel.id in self._invalid:
             return
         try:
             self._decode(channel, messages)
         except (ProtocolError, ValueError):
-            self._refused.add(channel.id)  # :meth:`batch` raises it again, where it is known which file it is
+            self._invalid.add(channel.id)  # :meth:`batch` raises the error again, for a message with the file
 
     def batch(self, channel: Channel, messages: Messages) -> Batch:
-        """Return all samples of a channel; ProtocolError or ValueError where they are none of its stream."""
+        """All samples of a channel; ProtocolError or ValueError if they do not match its stream."""
         self._decode(channel, messages)
         return self._blocks.pop(channel.id).batch()
 
     def _decode(self, channel: Channel, messages: Messages) -> None:
         blocks = self._blocks.get(channel.id)
         if blocks is None:
-            blocks = _Blocks(Codec(stream_from_json(channel.metadata["labhil.stream"])))
+            blocks = _ChannelData(Codec(stream_from_json(channel.metadata["labhil.stream"])))
             self._blocks[channel.id] = blocks
         rows = messages.rows(blocks.codec.size)
         decode = blocks.codec.decode(messages.payloads()) if rows is None else blocks.codec.decode_rows(rows)
         blocks.add(decode)
-        messages.forget()
+        messages.clear()

@@ -1,4 +1,4 @@
-"""The stamps of a stream's samples, and by which of a device's clocks its streams are timed."""
+"""Stamps of a stream's samples, and the choice of the clock that times it."""
 
 from __future__ import annotations
 
@@ -6,26 +6,28 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labhil.recording.clock import ClockFit, keeps_its_rate
-from labhil.recording.timeline import stretches
+from labhil.recording.clock import ClockFit, keeps_declared_rate
+from labhil.recording.timeline import increasing_stretches
 from labhil.signals import IntArray
 
 HOST_CLOCK = "host_clock_offset_ns"
-"""What a stream's metadata name where the host stamped by a clock that nobody sets
-(:mod:`labhil.host_clock`):
-Unix time less that clock, ns."""
+"""Metadata key of a stream whose host stamped by a monotonic clock (:mod:`labhil.host_clock`).
 
-
-SAME_CLOCK = 10.0
-"""s; stamps of another stream of a device that lie further off are of another clock than the device's."""
+The value is Unix time minus that clock, ns.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """The stamps of one stream, (n,) each, and what is known of them.
+    """Stamps of the samples of one stream.
 
-    ``rate`` (Hz) is the declared one, ``speed`` that of the device's world; ``steady_host`` says that the
-    host stamped by a clock that nobody sets (:mod:`labhil.host_clock`).
+    Attributes:
+        seq: sequence numbers, (n,).
+        t_hw_ns: the device's clock, (n,).
+        t_acq_ns: the host's clock, (n,).
+        rate: declared sampling rate, Hz.
+        speed: seconds of the device's world per second of the host.
+        steady_host: whether the host stamped by a monotonic clock (:mod:`labhil.host_clock`).
     """
 
     seq: IntArray
@@ -36,35 +38,47 @@ class Stamps:
     steady_host: bool = False
 
     @property
-    def keep_rate(self) -> bool:
+    def keeps_rate(self) -> bool:
         """Whether the device's clock keeps its declared rate."""
-        return keeps_its_rate(self.t_hw_ns, self.seq, self.rate)
+        return keeps_declared_rate(self.t_hw_ns, self.seq, self.rate)
 
     @property
-    def are_one(self) -> bool:
-        """Whether host and device stamped by the same clock, as in an imported table."""
+    def share_clock(self) -> bool:
+        """Whether both stamps are from one clock, as in an imported table."""
         return bool(np.array_equal(self.t_hw_ns, self.t_acq_ns))
 
 
-def in_time_of(stamps: Stamps, own_clock: ClockFit, main: ClockFit | None, *, measured: bool) -> ClockFit:
-    """Return the times of a stream by the clock ``main`` of its device; ``own`` where that is another one.
+def with_device_time(
+    stamps: Stamps,
+    own_clock: ClockFit,
+    main: ClockFit | None,
+    *,
+    measured: bool,
+    max_clock_difference: float = 10.0,
+) -> ClockFit:
+    """Time a stream by the clock of its device, unless its stamps are from another clock.
 
     Args:
-        stamps: The stamps of the stream.
-        own: What they say by themselves.
-        main: The clock of the device's longest stream, None where it has none.
-        measured: Whether the device made the stamps, or its host worked them out from the newest sample.
+        stamps: the stamps of the stream.
+        own_clock: the clock fitted to them alone.
+        main: the clock of the device's longest stream; None if it has none.
+        measured: whether the device made the stamps; else its host derived them from the newest sample.
+        max_clock_difference: largest median difference of stamps from one clock, s.
+
+    Returns:
+        ``main`` with the times of the stream, or ``own_clock``.
     """
     if main is None or main.map is None or own_clock is main or not len(stamps.seq):
         return own_clock
     host = (stamps.t_acq_ns - main.map.origin_ns) * 1e-9
     x = main.map.elapsed(stamps.t_hw_ns)
     if not measured:
-        # where the newest sample was late or the host was set, these go astray
-        rows = max(stretches(x), key=len)
+        # they are wrong where the newest sample was late or the host's clock was set
+        rows = max(increasing_stretches(x), key=len)
         x = np.interp(np.arange(len(x)), rows, x[rows])
     elif (
-        not (np.diff(stamps.t_hw_ns) > 0).all() or abs(float(np.median(host - main.map.host(x)))) > SAME_CLOCK
+        not (np.diff(stamps.t_hw_ns) > 0).all()
+        or abs(float(np.median(host - main.map.host(x)))) > max_clock_difference
     ):
         return own_clock
     begin = float(main.map.steady_host(np.zeros(1))[0])

@@ -1,4 +1,7 @@
-"""The tables of others, ours out: columns by the rig file's rules, in our names and in SI units."""
+"""Import of foreign tables: columns by the rules of a rig file, as signals in SI units.
+
+``format_detection.py`` reads the file, ``time_column.py`` orders its rows, ``bad_rows.py`` drops bad ones.
+"""
 
 from __future__ import annotations
 
@@ -13,31 +16,31 @@ from numpy.typing import NDArray
 
 from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
-from labhil.recording.bad_rows import WHY, bad_rows, finite_rows
-from labhil.recording.channel_keys import with_channel_keys, with_stated_hold
-from labhil.recording.columns import read_columns
+from labhil.recording.bad_rows import REASONS, find_bad_rows, finite_rows
+from labhil.recording.channel_keys import apply_channel_keys, with_declared_hold
+from labhil.recording.format_detection import read_foreign_table
 from labhil.recording.formats.time_text import TimeKind
 from labhil.recording.recording import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments
-from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.slow_channels import fill_slow
+from labhil.recording.sheet import MappedSignal, Sheet, SignalValues
+from labhil.recording.slow_channels import fill_slow_channels
 from labhil.recording.stated_units import check_units
-from labhil.recording.time_column import Clock, Ordered, best_clock, order_rows, read_clock, time_notes
+from labhil.recording.time_column import (
+    RowTimes,
+    TimeColumn,
+    choose_time_column,
+    order_rows,
+    read_time_column,
+    time_notes,
+)
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import RigFile
 from labhil.rig_sections import Channel, Column
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
 
 TIME_COLUMNS = ("t", "time", "timestamp")
-UNSTEADY = 0.02
-"""A mean rate that differs from the median one by more than this share is reported."""
-
-SMALLER_UNITS = (1e-3, 1e-6, 1e-9)
-SLOWEST = 2.0
-"""Units of time, of which a message proposes the first that brings the usual step below so many s."""
-
-LONGEST_TIME = 9e9
-"""s; what fits into int64 nanoseconds."""
+MAX_TIME = 9e9
+"""Longest time that fits into int64 nanoseconds, s."""
 
 EDGE = "edge"
 PART = "part"
@@ -47,14 +50,24 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class ImportedTable:
-    """A table in our names and SI units.
+    """A table as signals in SI units.
 
-    ``t`` (n,) is in s from the first kept row, which stood at ``time_origin`` in the file; ``values`` has
-    shape (n, stream.width); ``row`` (n,) is each kept row's number among the ``rows`` of the file, so
-    that what was dropped is a hole in it. ``dropped`` counts bad rows by reason, ``outside`` for each
-    limited signal the kept rows that lie outside its limits, and ``flagged`` (n,) marks these. ``notes`` say
-    what served as the time, and how the rows came to be; ``first_bad`` quotes the first bad row by reason.
-    ``time_column`` is what the column of the time is called in the file, "" where there is none.
+    Attributes:
+        source: the file.
+        sha256: its SHA-256.
+        rig: the rig file.
+        stream: the signals.
+        row: numbers of the n kept rows in the file, (n,).
+        t: times from the first kept row, (n,) s.
+        values: samples, (n, stream.width).
+        time_origin: time of the first kept row in the file, s.
+        rows: number of rows in the file.
+        dropped: number of dropped rows by reason.
+        outside: number of kept rows outside the limits, by signal.
+        flagged: kept rows outside any limits, (n,).
+        notes: lines about the choice of time and rows.
+        first_bad: description of the first bad row by reason.
+        time_column: name of the time in the file; "" without one.
     """
 
     source: Path
@@ -78,34 +91,44 @@ class ImportedTable:
 
 
 def import_table(data: Path, rig: RigFile) -> ImportedTable:
-    """Read a table by the rules of ``[table]`` and ``[channels]`` in a rig file.
+    """Read a table by the sections ``[table]`` and ``[channels]`` of a rig file.
 
-    TableError names the file, the column, what was expected and what was found: where a column is missing,
-    where no row is good, where the time is ambiguous or units differ, for any bad row if the rig file says
-    ``bad_rows = "fail"``, and for many of them unless it says ``"drop"``.
+    Args:
+        data: the file.
+        rig: the rig file.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: A column is missing, the time is ambiguous, units differ, no row is good, there is a bad
+            row with ``bad_rows = "fail"``, or there are many without ``"drop"``. It names file and column.
     """
-    content, sha256 = _content(data)
-    sheet = Sheet(data, read_columns(data, content, rig.table, _wanted_columns(rig)), rig)
-    mapped, clock = _signals(sheet), _clock(sheet)
-    timed = [clock.mapped] if clock is not None and clock.kind is TimeKind.NUMBER else []
+    content, sha256 = _read_content(data)
+    sheet = Sheet(data, read_foreign_table(data, content, rig.table, _wanted_columns(rig)), rig)
+    mapped, time_column = _map_signals(sheet), _find_time_column(sheet)
+    timed = [time_column.mapped] if time_column is not None and time_column.kind is TimeKind.NUMBER else []
     units = check_units(sheet, [*timed, *mapped])
-    taken = [(column, _scale(sheet, column)) for column in mapped]
-    ordered = _order_in_time(sheet, clock, taken)
-    filled = fill_slow(sheet, taken, ordered.t)
-    time = [] if clock is None else [(clock.mapped, clock.seconds[:, None])]
-    finite = finite_rows(sheet, [*time, *filled.taken])
-    followed = np.isfinite(ordered.t)
+    signals = [(signal, _signal_values(sheet, signal)) for signal in mapped]
+    times = _row_times(sheet, time_column, signals)
+    filled = fill_slow_channels(sheet, signals, times.t)
+    time = [] if time_column is None else [(time_column.mapped, time_column.seconds[:, None])]
+    finite = finite_rows(sheet, [*time, *filled.signals])
+    followed = np.isfinite(times.t)
     row = np.flatnonzero(finite & followed)
-    excused = filled.edge | ordered.elsewhere
-    bad = bad_rows(sheet, [*time, *filled.taken], finite, followed, excused)
-    t = _seconds(sheet, row, ordered.t)
-    notes = [*sheet.columns.notes, *units, *ordered.notes, *filled.notes]
-    notes += [_rate_note(sheet)] if clock is None else time_notes(sheet, clock, t, row)
+    excused = filled.edge | times.other_parts
+    bad = find_bad_rows(sheet, [*time, *filled.signals], finite, followed, excused)
+    t = _times_from_first(sheet, row, times.t)
+    notes = [*sheet.columns.notes, *units, *times.notes, *filled.notes]
+    if time_column is None:
+        notes.append(f"time: no column; rows come at [table] rate = {rig.table.rate:g} Hz")
+    else:
+        notes += time_notes(sheet, time_column, t, row)
     stream = Stream("state", tuple(column.signal for column in mapped), float(1.0 / np.median(np.diff(t))))
-    values = np.hstack([scaled for _, scaled in filled.taken])[row]
-    values, applied = with_channel_keys(stream, rig.channels, t, values)
-    outside, flagged = _outside(stream, values, rig)
-    also = {EDGE: filled.edge & ~ordered.elsewhere, PART: ordered.elsewhere & sheet.columns.complete}
+    values = np.hstack([signal_values for _, signal_values in filled.signals])[row]
+    values, key_notes = apply_channel_keys(stream, rig.channels, t, values)
+    outside, flagged = _outside_limits(stream, values, rig)
+    unused = {EDGE: filled.edge & ~times.other_parts, PART: times.other_parts & sheet.columns.complete}
     return ImportedTable(
         source=data,
         sha256=sha256,
@@ -114,25 +137,36 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         row=row,
         t=t,
         values=values,
-        time_origin=0.0 if clock is None else float(clock.seconds[row[0]]),
+        time_origin=0.0 if time_column is None else float(time_column.seconds[row[0]]),
         rows=len(finite),
         dropped={
             **bad.counts,
-            **{reason: int(np.count_nonzero(mask)) for reason, mask in also.items() if mask.any()},
+            **{reason: int(np.count_nonzero(mask)) for reason, mask in unused.items() if mask.any()},
         },
         outside=outside,
         flagged=flagged,
-        notes=(*notes, *applied),
+        notes=(*notes, *key_notes),
         first_bad=bad.first,
-        time_column=_name_of(sheet, clock),
+        time_column=_time_column_name(sheet, time_column),
     )
 
 
 def write_import(table: ImportedTable, out: Path) -> Path:
-    """Write an imported table as a recording, in place of one that is there; returns its path.
+    """Write an imported table as a recording with its rig file and the numbers of dropped rows.
 
-    The device bears the name of the rig's kind; the rig file and the counts of what was dropped go with
-    it. The same table always makes the same bytes: the host's time is the table's, from 0.
+    The device has the name of the rig kind. The same table always makes the same bytes, since the host's time
+    is that of the table, from 0.
+
+    Args:
+        table: the table.
+        out: the recording.
+
+    Returns:
+        Its path.
+
+    Raises:
+        RecordingError: The recording exists.
+        DiskFailedError: The disk failed, and nothing was written.
     """
     t_ns = np.rint(table.t * 1e9).astype(np.int64)
     metadata = {
@@ -155,7 +189,7 @@ def write_import(table: ImportedTable, out: Path) -> Path:
             writer.write(channel, Batch(table.row, t_ns, t_ns, table.values))
             writer.finish()
         except RecordingFailedError as failure:
-            # half an import is worth nothing: the table is still there
+            # a partial import is useless, since the table still exists
             writer.part.unlink(missing_ok=True)
             raise DiskFailedError(
                 f"{out}: the disk failed, nothing was imported: {failure.__cause__}; make room and try again"
@@ -163,22 +197,30 @@ def write_import(table: ImportedTable, out: Path) -> Path:
     return out
 
 
-def describe_import(table: ImportedTable) -> list[str]:
-    """What a person wants to know of an import, a line each."""
+def describe_import(table: ImportedTable, *, max_rate_difference: float = 0.02) -> list[str]:
+    """Describe an import for users.
+
+    Args:
+        table: the imported table.
+        max_rate_difference: relative difference of mean and median rate from which both are shown.
+
+    Returns:
+        Lines of text.
+    """
     signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in table.stream.signals)
     extent = f"{table.t[-1]:.6g} s at {table.stream.rate:.6g} Hz"
     mean = (len(table) - 1) / table.t[-1]
-    if abs(mean / table.stream.rate - 1.0) > UNSTEADY:
+    if abs(mean / table.stream.rate - 1.0) > max_rate_difference:
         extent += f" (by the median step; {mean:.4g} rows a second on average)"
     lines = [f"{table.source}: {len(table)} of {table.rows} rows, {extent}", f"signals: {signals}"]
     lines += table.notes
     why = {
-        **WHY,
+        **REASONS,
         EDGE: "before the first or after the last sample of a slower channel",
         PART: "in other parts",
     }
     lines += [
-        f"dropped: {count} rows {why[reason]}{_first_of(table, reason)}"
+        f"dropped: {count} rows {why[reason]}{_first_bad(table, reason)}"
         for reason, count in table.dropped.items()
         if count
     ]
@@ -188,12 +230,12 @@ def describe_import(table: ImportedTable) -> list[str]:
     return lines
 
 
-def _first_of(table: ImportedTable, reason: str) -> str:
+def _first_bad(table: ImportedTable, reason: str) -> str:
     return f", the first in {table.first_bad[reason]}" if reason in table.first_bad else ""
 
 
-def _content(path: Path) -> tuple[bytes, str]:
-    """The bytes of a file and their SHA-256; of a folder none, and the SHA-256 over its files by name."""
+def _read_content(path: Path) -> tuple[bytes, str]:
+    """Content of a file and its SHA-256; of a folder b"", and the SHA-256 of its files and their names."""
     try:
         if not path.is_dir():
             content = read_file(path)
@@ -208,7 +250,7 @@ def _content(path: Path) -> tuple[bytes, str]:
 
 
 def _wanted_columns(rig: RigFile) -> tuple[str, ...]:
-    """The column names that the rig file asks for: the time, the outputs, the others."""
+    """Names of columns in the rig file: time, outputs, other signals."""
     kind = rig.kind
     signals = (*kind.outputs, *kind.inputs, *kind.optional, *kind.auxiliary)
     if not rig.channels:
@@ -218,10 +260,10 @@ def _wanted_columns(rig: RigFile) -> tuple[str, ...]:
     return tuple(source for source in sources if isinstance(source, str))
 
 
-def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
-    """The signals that are in the file, with their columns."""
+def _map_signals(sheet: Sheet) -> tuple[MappedSignal, ...]:
+    """Signals in the file, with their columns."""
     mapped = tuple(
-        _map_signal(sheet, with_stated_hold(signal, channel), channel)
+        _map_signal(sheet, with_declared_hold(signal, channel), channel)
         for signal in sheet.rig.kind.signals()
         if (channel := _channel_of(sheet, signal)) is not None
     )
@@ -229,21 +271,23 @@ def _signals(sheet: Sheet) -> tuple[Mapped, ...]:
     kind = sheet.rig.kind
     outputs = [signal.name for signal in kind.outputs]
     if not any(present >= set(names) for names in kind.driven_by):
-        raise TableError(_missing(sheet, "an input", [" and ".join(names) for names in kind.driven_by]))
+        raise TableError(
+            _missing_message(sheet, "an input", [" and ".join(names) for names in kind.driven_by])
+        )
     if not present & set(outputs):
-        raise TableError(_missing(sheet, "an output", outputs))
+        raise TableError(_missing_message(sheet, "an output", outputs))
     return mapped
 
 
 def _channel_of(sheet: Sheet, signal: Signal) -> Channel | None:
-    """Where a signal stands: as [channels] says, or without that in the columns that bear its name."""
+    """Columns of a signal, by [channels] or, without that section, by name; None without them."""
     if sheet.rig.channels:
         return sheet.rig.channels.get(signal.name)
     columns: list[Column] = list(signal.columns())
     return Channel(columns=columns) if any(map(sheet.columns.find, signal.columns())) else None
 
 
-def _missing(sheet: Sheet, what: str, names: list[str]) -> str:
+def _missing_message(sheet: Sheet, what: str, names: list[str]) -> str:
     expected = f"{sheet.path}: {what} is missing: expected {' or '.join(names)}"
     if sheet.rig.channels:
         return f"{expected} in [channels] of {sheet.rig.path}, found {', '.join(sheet.rig.channels)}"
@@ -253,14 +297,14 @@ def _missing(sheet: Sheet, what: str, names: list[str]) -> str:
     )
 
 
-def _clock(sheet: Sheet) -> Clock | None:
-    """The column of the time, or None where the rows come at a rate."""
+def _find_time_column(sheet: Sheet) -> TimeColumn | None:
+    """Column of the time; None if the rig file states a rate instead."""
     time = Signal("t", "s", Direction.STATUS)
     if "t" in sheet.rig.channels:
-        return read_clock(sheet, _map_signal(sheet, time, sheet.rig.channels["t"]))
+        return read_time_column(sheet, _map_signal(sheet, time, sheet.rig.channels["t"]))
     names = [name for name in TIME_COLUMNS if sheet.columns.find(name)]
     if names:
-        return best_clock(sheet, [_map_signal(sheet, time, Channel(column=name)) for name in names])
+        return choose_time_column(sheet, [_map_signal(sheet, time, Channel(column=name)) for name in names])
     if sheet.rig.table.rate is None:
         raise TableError(
             f"{sheet.path}: no time: expected a column {' or '.join(TIME_COLUMNS)} (s), a [channels] entry "
@@ -269,71 +313,66 @@ def _clock(sheet: Sheet) -> Clock | None:
     return None
 
 
-def _name_of(sheet: Sheet, clock: Clock | None) -> str:
+def _time_column_name(sheet: Sheet, time_column: TimeColumn | None) -> str:
     names = sheet.columns.names
-    return "" if clock is None or names is None else names[clock.mapped.columns[0]]
+    return "" if time_column is None or names is None else names[time_column.mapped.columns[0]]
 
 
-def _order_in_time(sheet: Sheet, clock: Clock | None, taken: list[tuple[Mapped, FloatArray]]) -> Ordered:
-    """The rows in time: by the column of the time, or one after another at the rate of ``[table]``."""
+def _row_times(sheet: Sheet, time_column: TimeColumn | None, signals: SignalValues) -> RowTimes:
+    """Times of the rows, by their column or by the rate in ``[table]``."""
     rows = len(sheet.columns.counts)
-    if clock is None:
-        return Ordered(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
-    values = np.hstack([scaled for _, scaled in taken])
+    if time_column is None:
+        return RowTimes(np.arange(rows) / float(sheet.rig.table.rate or 1.0), np.zeros(rows, dtype=np.bool_))
+    values = np.hstack([signal_values for _, signal_values in signals])
     copied = np.zeros(rows, dtype=np.bool_)
     same = (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
     copied[1:] = same.all(axis=1)
-    return order_rows(sheet, clock, copied)
+    return order_rows(sheet, time_column, copied)
 
 
-def _rate_note(sheet: Sheet) -> str:
-    return f"time: no column; rows come at [table] rate = {sheet.rig.table.rate:g} Hz"
-
-
-def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> Mapped:
+def _map_signal(sheet: Sheet, signal: Signal, channel: Channel) -> MappedSignal:
     sources = channel.sources()
     if len(sources) != signal.width:
         raise TableError(
             f"{sheet.rig.path}: channels.{signal.name}: expected {signal.width} columns, found {len(sources)}"
         )
-    places = tuple(_place(sheet, signal.name, source) for source in sources)
-    scale, offset = (np.broadcast_to(factor, len(places)) for factor in (channel.scale, channel.offset))
-    return Mapped(signal, places, np.asarray(scale, float), np.asarray(offset, float))
+    columns = tuple(_find_column(sheet, signal.name, source) for source in sources)
+    scale, offset = (np.broadcast_to(factor, len(columns)) for factor in (channel.scale, channel.offset))
+    return MappedSignal(signal, columns, np.asarray(scale, float), np.asarray(offset, float))
 
 
-def _place(sheet: Sheet, name: str, source: Column) -> int:
-    """The number of a column that is given by name or by number."""
+def _find_column(sheet: Sheet, name: str, source: Column) -> int:
+    """Number of a column that is given by name or number."""
     names = sheet.columns.names or ()
     if isinstance(source, int):
         if source < sheet.columns.width:
             return source
         raise TableError(f"{sheet.path}: {name}: expected a column {source}, found {sheet.available()}")
-    places = sheet.columns.find(source)
-    if len(places) == 1:
-        return places[0]
-    if places:
-        same = ", ".join(names[place] for place in places)
+    numbers = sheet.columns.find(source)
+    if len(numbers) == 1:
+        return numbers[0]
+    if numbers:
+        same = ", ".join(names[number] for number in numbers)
         raise TableError(f"{sheet.path}: {name}: expected one column {source!r}, found several: {same}")
     near = suggestion(source, names)
     raise TableError(f"{sheet.path}: {name}: expected a column {source!r}{near}, found {sheet.available()}")
 
 
-def _scale(sheet: Sheet, mapped: Mapped) -> FloatArray:
+def _signal_values(sheet: Sheet, mapped: MappedSignal) -> FloatArray:
     raw = np.column_stack([sheet.columns.numbers(column, mapped.signal.hold) for column in mapped.columns])
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite makes a bad row
-        return mapped.in_ours(raw)
+    return mapped.to_signal_unit(raw)
 
 
-def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
-    """Times of the kept rows in s, from the first."""
+def _times_from_first(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
+    """Times (n,) of the kept rows from the first, s; a message on too large ones proposes a unit."""
     if len(row) < 2:
         raise TableError(
             f"{sheet.path}: expected two good rows or more with increasing times, found {len(row)}"
         )
     seconds: FloatArray = t[row] - t[row[0]]
-    if seconds[-1] > LONGEST_TIME:
+    if seconds[-1] > MAX_TIME:
         step = float(np.median(np.diff(seconds)))
-        scale = next((factor for factor in SMALLER_UNITS if step * factor < SLOWEST), None)
+        scale = next((factor for factor in (1e-3, 1e-6, 1e-9) if step * factor < 2.0), None)
         hint = "" if scale is None else f"; with scale = {scale:g} they span {seconds[-1] * scale:g} s"
         raise TableError(
             f"{sheet.path}: expected times in s, found a span of {seconds[-1]:g} s; [channels] t can have a "
@@ -342,7 +381,7 @@ def _seconds(sheet: Sheet, row: IntArray, t: FloatArray) -> FloatArray:
     return seconds
 
 
-def _outside(stream: Stream, values: FloatArray, rig: RigFile) -> tuple[dict[str, int], Mask]:
+def _outside_limits(stream: Stream, values: FloatArray, rig: RigFile) -> tuple[dict[str, int], Mask]:
     flagged = np.zeros(len(values), dtype=np.bool_)
     counts = {}
     for signal in stream.signals:

@@ -1,194 +1,214 @@
-"""The time of a table: which column it is, and the rows that follow one another in it."""
+"""Time of a table: choice of its column, and times of the rows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import TableError
 from labhil.recording import timeline
-from labhil.recording.bad_rows import MOST_DROPPED
+from labhil.recording.bad_rows import MAX_DROPPED
 from labhil.recording.formats.time_text import DAY, TimeKind
-from labhil.recording.sheet import Mapped, Sheet
-from labhil.recording.stated_units import channel_line
+from labhil.recording.sheet import MappedSignal, Sheet
+from labhil.recording.stated_units import format_channel
 from labhil.recording.units import Unit
 from labhil.signals import FloatArray, IntArray
 
 Mask = NDArray[np.bool_]
 
-SLOWEST_RATE, FASTEST_RATE = 0.5, 1e5
-"""Hz; such rigs are sampled between these. Outside, the times are likely not in s."""
-
-USUAL_RATE = 100.0
-"""Hz; of several units that give a likely rate, the one that comes nearest counts as the likely one."""
+MIN_RATE, TYPICAL_RATE, MAX_RATE = 0.5, 100.0, 1e5
+"""Sampling rates of rigs, Hz. The likely unit of times gives a rate in this range, near the typical one."""
 
 TIME_UNITS = {"ms": 1e-3, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "days": DAY}
 
-COUNTERS = (2.0**16, 2.0**32)
+COUNTER_PERIODS = (2.0**16, 2.0**32)
 HOUR = 3600.0
-MOST_OUT_OF_ORDER = 0.1
-"""Share of rows outside all stretches of increasing times beyond which these are not what was recorded."""
-
-MOST_HOLES = 3
-"""Holes that are listed, the longest first."""
+MAX_OUT_OF_ORDER = 0.1
+"""Largest fraction of rows outside all stretches of increasing times; beyond it the rows are not sorted."""
 
 
 @dataclass(frozen=True)
-class Clock:
-    """A column that holds the time: ``seconds`` (rows,), NaN where there is none.
+class TimeColumn:
+    """A column of times.
 
-    ``passed_over`` says which other columns could have been it, and what speaks against them.
+    Attributes:
+        mapped: the column.
+        seconds: times (rows,), s; NaN where there is none.
+        raw: values in the file, (rows,).
+        kind: kind of these values.
+        alternatives: other columns that could be the time, and what is against them.
     """
 
-    mapped: Mapped
+    mapped: MappedSignal
     seconds: FloatArray
     raw: FloatArray
     kind: TimeKind
-    passed_over: str = ""
+    alternatives: str = ""
 
     def label(self, sheet: Sheet) -> str:
-        """The column and its unit, for messages."""
+        """Column and unit, for messages."""
         scale = float(self.mapped.scale[0])
         unit = "s" if scale == 1.0 else f"s, × {scale:g}"
         if self.kind is not TimeKind.NUMBER:
-            unit = f"{self.kind}, UTC where no zone stands" if self.kind is TimeKind.DATE else str(self.kind)
+            unit = f"{self.kind}, UTC without a time zone" if self.kind is TimeKind.DATE else str(self.kind)
         return f"column {sheet.column(self.mapped.columns[0])} ({unit})"
 
 
 @dataclass(frozen=True)
-class Ordered:
-    """The rows in time: ``t`` (rows,) in s from any zero, NaN where a row does not follow the others.
+class RowTimes:
+    """Times of the rows.
 
-    ``elsewhere`` (rows,) are rows of stretches that were not asked for; ``notes`` say what was done.
+    Attributes:
+        t: times (rows,) from any zero, s; NaN for a row that does not follow the others.
+        other_parts: rows (rows,) of stretches that were not selected.
+        notes: what was changed.
     """
 
     t: FloatArray
-    elsewhere: Mask
+    other_parts: Mask
     notes: tuple[str, ...] = ()
 
 
-def read_clock(sheet: Sheet, mapped: Mapped) -> Clock:
-    """Read one column as a time."""
-    stamps = sheet.columns.times(mapped.columns[0])
-    raw = stamps.values
-    seconds = mapped.in_ours(raw[:, None])[:, 0] if stamps.kind is TimeKind.NUMBER else raw
-    return Clock(mapped, np.where(sheet.columns.complete, seconds, np.nan), raw, stamps.kind)
+def read_time_column(sheet: Sheet, mapped: MappedSignal) -> TimeColumn:
+    """Read a column of times."""
+    values = sheet.columns.times(mapped.columns[0])
+    raw = values.values
+    seconds = mapped.to_signal_unit(raw[:, None])[:, 0] if values.kind is TimeKind.NUMBER else raw
+    return TimeColumn(mapped, np.where(sheet.columns.complete, seconds, np.nan), raw, values.kind)
 
 
-def best_clock(sheet: Sheet, candidates: Sequence[Mapped]) -> Clock:
-    """Choose the column that is complete and increases, a clock rather than a counter of the rows."""
-    clocks = [read_clock(sheet, mapped) for mapped in candidates]
-    if len(clocks) == 1:
-        return clocks[0]
-    most = max(int(np.count_nonzero(np.isfinite(clock.seconds))) for clock in clocks)
-    merits = [_merits(clock, most) for clock in clocks]
-    best = max(range(len(clocks)), key=lambda number: (tuple(merits[number].values()), -number))
-    chosen = clocks[best]
+def choose_time_column(sheet: Sheet, candidates: Sequence[MappedSignal]) -> TimeColumn:
+    """Choose the time among several columns: complete and increasing, a clock, no counter of the rows.
+
+    Args:
+        sheet: the table.
+        candidates: the columns.
+
+    Returns:
+        The time, with the reasons against the other columns.
+    """
+    columns = [read_time_column(sheet, mapped) for mapped in candidates]
+    if len(columns) == 1:
+        return columns[0]
+    most = max(int(np.count_nonzero(np.isfinite(column.seconds))) for column in columns)
+    criteria = [_criteria(column, most) for column in columns]
+    best = max(range(len(columns)), key=lambda number: (tuple(criteria[number].values()), -number))
     others = []
-    for clock, merit in zip(clocks, merits, strict=True):
-        if clock is not chosen:
-            worse = [why for why, good in merit.items() if not good and merits[best][why]]
-            others.append(
-                f"{sheet.column(clock.mapped.columns[0])} is not used{': it ' + worse[0] if worse else ''}"
-            )
-    return Clock(chosen.mapped, chosen.seconds, chosen.raw, chosen.kind, "; ".join(others))
+    for column, met in zip(columns, criteria, strict=True):
+        if column is not columns[best]:
+            worse = [why for why, good in met.items() if not good and criteria[best][why]]
+            reason = f": it {worse[0]}" if worse else ""
+            others.append(f"{sheet.column(column.mapped.columns[0])} is not used{reason}")
+    return replace(columns[best], alternatives="; ".join(others))
 
 
-def _merits(clock: Clock, most: int) -> dict[str, bool]:
-    """What speaks for a column, weightiest first, each named by what it says against one without it."""
-    known = clock.seconds[np.isfinite(clock.seconds)]
-    rising = np.diff(known) > 0
-    usual = timeline.median_step(known)
-    rate = 1.0 / usual if usual > 0 else 0.0
-    raw = clock.raw[np.isfinite(clock.raw)]
+def _criteria(time_column: TimeColumn, most: int) -> dict[str, bool]:
+    """Criteria of a time, the most important first, by what messages say if they are not met."""
+    finite = time_column.seconds[np.isfinite(time_column.seconds)]
+    rising = np.diff(finite) > 0
+    typical = timeline.median_step(finite)
+    rate = 1.0 / typical if typical > 0 else 0.0
+    raw = time_column.raw[np.isfinite(time_column.raw)]
     return {
-        "is not complete": len(known) >= (1.0 - MOST_DROPPED) * most,
-        "does not increase from row to row": len(rising) > 0 and bool(np.mean(rising) >= 1.0 - MOST_DROPPED),
-        "counts the rows": clock.kind is not TimeKind.NUMBER or not _counts(raw),
-        "has an unlikely rate": SLOWEST_RATE <= rate <= FASTEST_RATE,
+        "is not complete": len(finite) >= (1.0 - MAX_DROPPED) * most,
+        "does not increase from row to row": len(rising) > 0 and bool(np.mean(rising) >= 1.0 - MAX_DROPPED),
+        "counts the rows": time_column.kind is not TimeKind.NUMBER or not _counts_rows(raw),
+        "has an unlikely rate": MIN_RATE <= rate <= MAX_RATE,
     }
 
 
-def _counts(raw: FloatArray) -> bool:
-    """Whether numbers go up by one from row to row."""
-    return len(raw) > 1 and bool(np.mean(np.diff(raw) == 1.0) >= 1.0 - MOST_DROPPED)
+def _counts_rows(raw: FloatArray) -> bool:
+    """Whether values increase by 1 from row to row."""
+    return len(raw) > 1 and bool(np.mean(np.diff(raw) == 1.0) >= 1.0 - MAX_DROPPED)
 
 
-def order_rows(sheet: Sheet, clock: Clock, copied: Mask) -> Ordered:
-    """Find the rows that follow one another in time, undo wraps, and spread repeated stamps.
+def order_rows(sheet: Sheet, time_column: TimeColumn, copied: Mask) -> RowTimes:
+    """Determine the times of the rows: undo wraps, spread repeated times, select a stretch.
 
-    ``copied`` (rows,) marks rows whose values are those of the row before. TableError names the cause and
-    the way out where stamps repeat without order, run backwards, or begin anew.
+    Args:
+        sheet: the table.
+        time_column: its time.
+        copied: rows (rows,) with the values of the row before.
+
+    Returns:
+        The times.
+
+    Raises:
+        TableError: Times repeat irregularly, run backwards or restart; it names the cause and the remedy.
     """
-    rows = np.flatnonzero(np.isfinite(clock.seconds))
-    times = clock.seconds[rows] - (clock.mapped.offset[0] if clock.kind is TimeKind.NUMBER else 0.0)
-    nowhere = np.zeros(len(clock.seconds), dtype=np.bool_)
+    rows = np.flatnonzero(np.isfinite(time_column.seconds))
+    times = time_column.seconds[rows] - (
+        time_column.mapped.offset[0] if time_column.kind is TimeKind.NUMBER else 0.0
+    )
+    other_parts = np.zeros(len(time_column.seconds), dtype=np.bool_)
     if len(rows) < 2:
-        return Ordered(clock.seconds, nowhere)
-    _refuse_backwards(sheet, clock, rows, times)
+        return RowTimes(time_column.seconds, other_parts)
+    _refuse_backwards(sheet, time_column, rows, times)
     notes = []
-    wrap = timeline.find_wrap(times, _periods(clock))
+    wrap = timeline.find_wrap(times, _wrap_periods(time_column))
     if wrap is not None:
         times = timeline.unwrap(times, wrap)
-        notes.append(_wrap_note(sheet, clock, rows, wrap))
+        notes.append(_wrap_note(sheet, time_column, rows, wrap))
     repeated = np.flatnonzero(np.diff(times) == 0) + 1
-    if len(repeated) > max(1.0, MOST_DROPPED * len(rows)):
-        rows, times, note = _resolve_repeats(sheet, clock, rows, times, bool(copied[rows[repeated]].all()))
+    if len(repeated) > max(1.0, MAX_DROPPED * len(rows)):
+        rows, times, note = _resolve_repeats(
+            sheet, time_column, rows, times, bool(copied[rows[repeated]].all())
+        )
         notes.append(note)
-    runs = timeline.stretches(times)
-    chosen, elsewhere = _choose_stretch(sheet, clock, rows, times, runs, notes)
-    t = np.full(len(clock.seconds), np.nan)
-    t[rows[chosen]] = times[chosen]
-    nowhere[rows[elsewhere]] = True
-    return Ordered(t, nowhere, tuple(notes))
+    stretches = timeline.increasing_stretches(times)
+    selected, others = _select_stretch(sheet, time_column, rows, times, stretches, notes)
+    t = np.full(len(time_column.seconds), np.nan)
+    t[rows[selected]] = times[selected]
+    other_parts[rows[others]] = True
+    return RowTimes(t, other_parts, tuple(notes))
 
 
-def _refuse_backwards(sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray) -> None:
+def _refuse_backwards(sheet: Sheet, time_column: TimeColumn, rows: IntArray, times: FloatArray) -> None:
     steps = np.diff(times)
     if len(steps) > 1 and np.mean(steps < 0) > 0.9:
         raise TableError(
-            f"{sheet.path}: expected times that increase, found {clock.label(sheet)} running backwards from "
-            f"{sheet.place(int(rows[0]))} on: the newest row stands first; sort the rows by time"
+            f"{sheet.path}: expected times that increase, found {time_column.label(sheet)} running backwards "
+            f"from {sheet.place(int(rows[0]))} on: the newest row is the first; sort the rows by time"
         )
 
 
-def _periods(clock: Clock) -> list[tuple[float, float | None]]:
-    """The clocks that begin anew, as (period, reading at which they do), in s."""
+def _wrap_periods(time_column: TimeColumn) -> list[tuple[float, float | None]]:
+    """Period and reading at a restart (None: any) of the clocks that may have made the times, s."""
     day: list[tuple[float, float | None]] = [(DAY, DAY)]
-    if clock.kind is TimeKind.DATE:
+    if time_column.kind is TimeKind.DATE:
         return [(HOUR, None)]
-    if clock.kind is TimeKind.OF_DAY:
+    if time_column.kind is TimeKind.OF_DAY:
         return [*day, (DAY / 2, 13 * HOUR), (HOUR, HOUR), (HOUR, None)]
-    of_counters = [(turns * unit, turns * unit) for turns in COUNTERS for unit in (1e-6, 1e-3)]
-    whole = clock.raw[np.isfinite(clock.raw)]
-    if (whole == np.rint(whole)).all():
-        scale = float(clock.mapped.scale[0])
-        # counters with a sign begin anew at half their period
-        of_counters += [(turns * scale, turns * scale / part) for turns in COUNTERS for part in (1, 2)]
-    return day + of_counters
+    counters = [(counts * unit, counts * unit) for counts in COUNTER_PERIODS for unit in (1e-6, 1e-3)]
+    finite = time_column.raw[np.isfinite(time_column.raw)]
+    if (finite == np.rint(finite)).all():
+        scale = float(time_column.mapped.scale[0])
+        # signed counters restart at half their period
+        counters += [(n * scale, n * scale / part) for n in COUNTER_PERIODS for part in (1, 2)]
+    return day + counters
 
 
-def _wrap_note(sheet: Sheet, clock: Clock, rows: IntArray, wrap: timeline.Wrap) -> str:
-    names = {DAY: "the clock of a day passes midnight", DAY / 2: "a clock of twelve hours begins anew"}
-    if clock.kind is not TimeKind.NUMBER:
-        names[HOUR] = "the hour is set back, as at the end of summer time, or begins anew"
+def _wrap_note(sheet: Sheet, time_column: TimeColumn, rows: IntArray, wrap: timeline.Wrap) -> str:
+    names = {DAY: "the clock of a day passes midnight", DAY / 2: "a clock of twelve hours restarts"}
+    if time_column.kind is not TimeKind.NUMBER:
+        names[HOUR] = "the hour is set back, as at the end of summer time, or restarts"
     cause = names.get(wrap.period)
     if cause is None:
-        scale = float(clock.mapped.scale[0])
+        scale = float(time_column.mapped.scale[0])
         bits = 32 if any(np.isclose(wrap.period, 2.0**32 * unit) for unit in (scale, 1e-3, 1e-6)) else 16
-        cause = f"a counter of {bits} bits begins anew"
+        cause = f"a counter of {bits} bits restarts"
     times = "" if len(wrap.at) == 1 else f" and {len(wrap.at) - 1} times more"
     place = sheet.place(int(rows[wrap.at[0]]))
     return f"time goes back by {wrap.period:.10g} s in {place}{times}: {cause}; this is undone"
 
 
 def _resolve_repeats(
-    sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, copies: bool
+    sheet: Sheet, time_column: TimeColumn, rows: IntArray, times: FloatArray, copies: bool
 ) -> tuple[IntArray, FloatArray, str]:
-    """Rows and their times where stamps repeat: at the stated rate, spread, or the first of each stamp."""
+    """Rows with times, and a note: at the stated rate, spread evenly, or the first row of each time."""
     repeats = timeline.find_repeats(times)
     rate, dropping = sheet.rig.table.rate, sheet.rig.table.bad_rows == "drop"
     if rate is not None:
@@ -202,117 +222,133 @@ def _resolve_repeats(
     if dropping:
         first = np.concatenate(([True], np.diff(times) != 0))
         return rows[first], times[first], f"time repeats ({repeats.text}): the first row of each stamp stays"
-    line = sheet.place(int(rows[np.flatnonzero(np.diff(times) == 0)[0] + 1]))
+    place = sheet.place(int(rows[np.flatnonzero(np.diff(times) == 0)[0] + 1]))
     what = "copies of the same row" if copies else "no even number to spread"
     span = float(times[-1] - times[0])
     likely = (len(rows) - int(repeats.sizes[-1])) / span if span > 0 else 0.0
     example = f" = {likely:.4g}" if likely else ""
     raise TableError(
-        f"{sheet.path}: expected a time for each row, found a time that repeats in {clock.label(sheet)}, "
-        f"the first in {line}: {repeats.text}, {what}. In {sheet.rig.path}, [table] rate{example} (Hz) puts "
-        'the rows at that rate, or [table] bad_rows = "drop" keeps the first row of each stamp'
+        f"{sheet.path}: expected a time for each row, found a time that repeats in "
+        f"{time_column.label(sheet)}, the first in {place}: {repeats.text}, {what}. In {sheet.rig.path}, "
+        f"[table] rate{example} (Hz) puts the rows at that rate, or "
+        '[table] bad_rows = "drop" keeps the first row of each stamp'
     )
 
 
-def _choose_stretch(
-    sheet: Sheet, clock: Clock, rows: IntArray, times: FloatArray, runs: list[IntArray], notes: list[str]
+def _select_stretch(
+    sheet: Sheet,
+    time_column: TimeColumn,
+    rows: IntArray,
+    times: FloatArray,
+    stretches: list[IntArray],
+    notes: list[str],
 ) -> tuple[IntArray, IntArray]:
-    """The stretch that counts, and the rows of the others."""
+    """Indices of the selected stretch and of all others; adds a note about the choice."""
     part = sheet.rig.table.part
-    if sum(map(len, runs)) < (1.0 - MOST_OUT_OF_ORDER) * len(rows) and sheet.rig.table.bad_rows != "drop":
+    if sum(map(len, stretches)) < (1.0 - MAX_OUT_OF_ORDER) * len(rows) and sheet.rig.table.bad_rows != "drop":
         back = np.flatnonzero(np.diff(times) < 0) + 1
         raise TableError(
             f"{sheet.path}: expected times that increase from row to row, found {len(back)} steps back in "
-            f"{clock.label(sheet)}, the first in {sheet.place(int(rows[back[0]]))}: are the rows sorted by "
-            "time?"
+            f"{time_column.label(sheet)}, the first in {sheet.place(int(rows[back[0]]))}: are the rows "
+            "sorted by time?"
         )
-    if part is not None and part > len(runs):
+    if part is not None and part > len(stretches):
         raise TableError(
-            f"{sheet.rig.path}: table.part: expected a part from 1 to {len(runs)} of {sheet.path}, "
+            f"{sheet.rig.path}: table.part: expected a part from 1 to {len(stretches)} of {sheet.path}, "
             f"found {part}"
         )
-    if len(runs) == 1:
-        return runs[0], np.zeros(0, dtype=np.int64)
+    if len(stretches) == 1:
+        return stretches[0], np.zeros(0, dtype=np.int64)
     listed = [
-        f"part {number}: {len(run)} rows, {sheet.columns.row_word}s {sheet.columns.lines[rows[run[0]]]} to "
-        f"{sheet.columns.lines[rows[run[-1]]]}"
-        for number, run in enumerate(runs, 1)
+        f"part {number}: {len(part_rows)} rows, {sheet.columns.row_word}s "
+        f"{sheet.columns.lines[part_rows[0]]} to {sheet.columns.lines[part_rows[-1]]}"
+        for number, part_rows in enumerate((rows[stretch] for stretch in stretches), 1)
     ]
     shown = "; ".join(listed[:6]) + (f"; and {len(listed) - 6} more" if len(listed) > 6 else "")
-    restart = int(runs[1][0])
+    restart = int(stretches[1][0])
     cause = (
-        f"time goes back from {times[runs[0][-1]]:.10g} to {times[restart]:.10g} s in "
-        f"{sheet.place(int(rows[restart]))} ({_cause(times, runs)})"
+        f"time goes back from {times[stretches[0][-1]]:.10g} to {times[restart]:.10g} s in "
+        f"{sheet.place(int(rows[restart]))} ({_restart_cause(times, stretches)})"
     )
     if part is None and sheet.rig.table.bad_rows != "drop":
         raise TableError(
-            f"{sheet.path}: expected one stretch of increasing times in {clock.label(sheet)}, found "
-            f"{len(runs)}: {cause}: {shown}. Choose one in {sheet.rig.path} with [table] part = 1, …"
+            f"{sheet.path}: expected one stretch of increasing times in {time_column.label(sheet)}, found "
+            f"{len(stretches)}: {cause}: {shown}. Choose one in {sheet.rig.path} with [table] part = 1, …"
         )
-    number = part - 1 if part is not None else int(np.argmax([len(run) for run in runs]))
+    number = part - 1 if part is not None else int(np.argmax([len(stretch) for stretch in stretches]))
     notes.append(f"{cause}; part {number + 1} is taken: {shown}")
-    spans = [np.arange(run[0], run[-1] + 1) for place, run in enumerate(runs) if place != number]
-    return runs[number], np.concatenate(spans)
+    others = [np.arange(s[0], s[-1] + 1) for other, s in enumerate(stretches) if other != number]
+    return stretches[number], np.concatenate(others)
 
 
-def _cause(times: FloatArray, runs: list[IntArray]) -> str:
-    before, after = float(times[runs[0][-1]]), float(times[runs[1][0]])
-    near = timeline.REACH * timeline.median_step(times)
-    if len(runs) > len(times) // (4 * timeline.LONGEST_SLIP):
+def _restart_cause(times: FloatArray, stretches: list[IntArray]) -> str:
+    before, after = float(times[stretches[0][-1]]), float(times[stretches[1][0]])
+    near = timeline.MAX_STEP * timeline.median_step(times)
+    if len(stretches) > len(times) // (4 * timeline.MAX_WRONG_ROWS):
         return "again and again: are the rows sorted by time?"
-    if abs(after - float(times[runs[0][0]])) <= near or abs(after) <= near:
-        return "the clock begins anew: a restart, or two recordings in one file"
+    if abs(after - float(times[stretches[0][0]])) <= near or abs(after) <= near:
+        return "the clock restarts: a reboot, or two recordings in one file"
     for period, name in ((DAY, "a day"), (HOUR, "an hour, as at the end of summer time")):
         if abs(before - after - period) <= 0.01 * period:
             return f"by about {name}"
     return "the clock was set back"
 
 
-def time_notes(sheet: Sheet, clock: Clock, t: FloatArray, row: IntArray) -> list[str]:
-    """Which column served as time, its unit, rate and holes; and a doubt where the rate is an unlikely one.
+def time_notes(sheet: Sheet, time_column: TimeColumn, t: FloatArray, row: IntArray) -> list[str]:
+    """Describe the time of a table: column, unit, rate and holes, and a doubt about an unlikely rate.
 
-    ``t`` and ``row`` (n,) are the times and numbers of the rows that were kept.
+    Args:
+        sheet: the table.
+        time_column: its time.
+        t: times of the imported rows, (n,) s.
+        row: numbers of these rows, (n,).
+
+    Returns:
+        Lines for users.
     """
     rate = 1.0 / float(np.median(np.diff(t)))
-    line = f"time: {clock.label(sheet)}, {rate:.6g} Hz, {_holes(sheet, t, row)}"
-    notes = [f"{line}; {clock.passed_over}" if clock.passed_over else line]
-    if clock.kind is not TimeKind.NUMBER:
+    line = f"time: {time_column.label(sheet)}, {rate:.6g} Hz, {_describe_holes(sheet, t, row)}"
+    notes = [f"{line}; {time_column.alternatives}" if time_column.alternatives else line]
+    if time_column.kind is not TimeKind.NUMBER:
         return notes
-    raw = clock.raw[row]
-    if not SLOWEST_RATE <= rate <= FASTEST_RATE:
-        notes.append(f"are times in s? The median step is {1.0 / rate:.4g} s{_likely(sheet, clock, rate)}")
-    elif clock.mapped.scale[0] == 1.0 and _counts(raw):
+    raw = time_column.raw[row]
+    if not MIN_RATE <= rate <= MAX_RATE:
+        notes.append(
+            f"are times in s? The median step is {1.0 / rate:.4g} s{_likely_unit(sheet, time_column, rate)}"
+        )
+    elif time_column.mapped.scale[0] == 1.0 and _counts_rows(raw):
+        line = format_channel(sheet, time_column.mapped, Unit("s", 1e-3))
         notes.append(
             "are times in s? They go up by one from row to row, as milliseconds at 1 kHz do, for which "
-            f"[channels] needs {channel_line(sheet, clock.mapped, Unit('s', 1e-3))}, or a counter of rows"
+            f"[channels] needs {line}, or a counter of rows"
         )
     return notes
 
 
-def _holes(sheet: Sheet, t: FloatArray, row: IntArray) -> str:
-    after = timeline.hole_steps(t)
+def _describe_holes(sheet: Sheet, t: FloatArray, row: IntArray, max_listed: int = 3) -> str:
+    after = timeline.rows_after_holes(t)
     if not len(after):
         return "no holes"
     lengths = t[after] - t[after - 1]
-    longest = np.argsort(-lengths, kind="stable")[:MOST_HOLES]
+    longest = np.argsort(-lengths, kind="stable")[:max_listed]
     shown = ", ".join(
         f"{lengths[number]:.6g} s before {sheet.place(int(row[after[number]]))}" for number in sorted(longest)
     )
     if len(after) == 1:
         return f"1 hole: {shown}"
-    return f"{len(after)} holes, {'the longest ' if len(after) > MOST_HOLES else ''}{shown}"
+    return f"{len(after)} holes, {'the longest ' if len(after) > max_listed else ''}{shown}"
 
 
-def _likely(sheet: Sheet, clock: Clock, rate: float) -> str:
-    """Which unit the numbers of a time are likely in, with the line that says so; or nothing."""
-    per_unit = rate * float(clock.mapped.scale[0])  # rows per unit of the column
+def _likely_unit(sheet: Sheet, time_column: TimeColumn, rate: float) -> str:
+    """Likely unit of the times, with its line in the rig file, for messages; empty if there is none."""
+    per_unit = rate * float(time_column.mapped.scale[0])  # rows per unit of the column
     likely = {
-        name: abs(np.log10(per_unit / unit / USUAL_RATE))
+        name: abs(np.log10(per_unit / unit / TYPICAL_RATE))
         for name, unit in TIME_UNITS.items()
-        if SLOWEST_RATE <= per_unit / unit <= FASTEST_RATE
+        if MIN_RATE <= per_unit / unit <= MAX_RATE
     }
     if not likely:
         return ""
     name = min(likely, key=lambda unit: likely[unit])
-    line = channel_line(sheet, clock.mapped, Unit("s", TIME_UNITS[name]))
+    line = format_channel(sheet, time_column.mapped, Unit("s", TIME_UNITS[name]))
     return f"; in {name} they would come at {per_unit / TIME_UNITS[name]:.4g} Hz: [channels] {line}"

@@ -1,6 +1,6 @@
-"""What the stamps of a table say of its rows: which follow one another, and where a clock wraps or repeats.
+"""Order of the rows of a table by their times: stretches, wraps of a clock, repeated times and holes.
 
-Nothing here knows files or units: times are arrays in s, finite, in the order of the rows.
+Times are finite arrays in s, in the order of the rows. ``time_column.py`` reads them from a table.
 """
 
 from __future__ import annotations
@@ -12,164 +12,186 @@ import numpy as np
 
 from labhil.signals import FloatArray, IntArray
 
-REACH = 100
-"""Median steps: a longer one is a hole. It counts only where rows are jumped over as well."""
+MAX_STEP = 100
+"""Largest step, in median steps; a larger one is a hole where rows with wrong times are skipped."""
 
-LONGEST_SLIP = 10
-"""Rows with wrong stamps in succession: a damaged block of a log. More are a stretch of their own."""
-
-SLOWEST = 0.25
-"""Median steps per row that must have passed where rows are jumped over: else the clock was set."""
-
-ODD_HOLE = 3
-"""Rows that a hole beside wrong stamps has to save: of two readings the one with fewer oddities counts."""
-
-NO_PAUSE = 1e6
-"""Times the length of all the rest: a few stamps so far away at an end are no pause but wrong."""
-
-COINCIDENCE = 1e-3
-"""Share of a clock's period: a step back that ends so near to one period is a wrap, else chance."""
+MAX_WRONG_ROWS = 10
+"""Largest number of consecutive rows with wrong times (a damaged block of a log); more are a stretch."""
 
 
 @dataclass(frozen=True)
 class Wrap:
-    """A clock of this ``period`` (s) began anew at the rows ``at``."""
+    """Wraps of a clock.
+
+    Attributes:
+        period: period of the clock, s.
+        at: rows at which it restarts.
+    """
 
     period: float
     at: IntArray
 
 
 def median_step(times: FloatArray) -> float:
-    """The median of the steps forward, s; 0 where there is none."""
+    """Median of the positive steps of times (n,), s; 0 without one."""
     steps = np.diff(times)
     rising = steps[steps > 0]
     return float(np.median(rising)) if len(rising) else 0.0
 
 
 def find_wrap(times: FloatArray, periods: Sequence[tuple[float, float | None]]) -> Wrap | None:
-    """Find the clock that explains most steps back.
+    """Find the clock whose wraps explain the most negative steps.
 
-    ``periods`` are pairs (period, top) in s: ``top`` is the reading at which the clock begins anew, or None
-    where it may do so at any reading. A wrap is a step back that is an ordinary one with the period added.
+    Args:
+        times: times (n,), s.
+        periods: period of each possible clock and reading at which it restarts (None: any), s.
+
+    Returns:
+        The wraps, negative steps that are ordinary ones if the period is added; None without one.
     """
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
-    usual = median_step(times)
+    typical = median_step(times)
     candidates = [
-        Wrap(period, back[_wraps(times[back], steps[back], period, top, usual)] + 1)
+        Wrap(period, back[_is_wrap(times[back], steps[back], period, top, typical)] + 1)
         for period, top in (periods if len(back) else ())
     ]
     best = max(candidates, key=lambda wrap: len(wrap.at), default=None)
     return best if best is not None and len(best.at) else None
 
 
-def _wraps(
-    before: FloatArray, steps: FloatArray, period: float, top: float | None, usual: float
+def _is_wrap(
+    before: FloatArray,
+    steps: FloatArray,
+    period: float,
+    top: float | None,
+    typical: float,
+    max_period_error: float = 1e-3,
 ) -> np.ndarray:
-    near = min(max(2.5 * usual, min(REACH * usual, COINCIDENCE * period)), period / 4.0)
-    wraps = (steps + period > 0.0) & (steps + period <= near)
-    return wraps if top is None else wraps & (before > top - near) & (before <= top)
+    """Whether each step is a wrap, with an error of the period below ``max_period_error``."""
+    tolerance = min(max(2.5 * typical, min(MAX_STEP * typical, max_period_error * period)), period / 4.0)
+    wraps = (steps + period > 0.0) & (steps + period <= tolerance)
+    return wraps if top is None else wraps & (before > top - tolerance) & (before <= top)
 
 
 def unwrap(times: FloatArray, wrap: Wrap) -> FloatArray:
-    """The times of a clock that goes on where it wrapped."""
+    """Times (n,) without the wraps, s."""
     turns = np.zeros(len(times))
     turns[wrap.at] = 1.0
     return np.asarray(times + wrap.period * np.cumsum(turns), dtype=np.float64)
 
 
-def stretches(times: FloatArray) -> list[IntArray]:
-    """Divide the rows into stretches of increasing times, in the order of the rows.
+def increasing_stretches(times: FloatArray) -> list[IntArray]:
+    """Divide rows into stretches of increasing times.
 
-    Each is given by the indices of its rows. A hole in increasing times begins no stretch. Up to
-    ``LONGEST_SLIP`` rows in succession with wrong stamps are jumped over and are in none; where a clock was
-    set back for more rows than that, another stretch begins. ``times`` (n,) must be finite.
+    A hole does not end a stretch. Up to ``MAX_WRONG_ROWS`` consecutive rows with wrong times are skipped and
+    are in no stretch. If a clock was set back for more rows, another stretch begins.
+
+    Args:
+        times: times (n,), s, finite.
+
+    Returns:
+        Rows of each stretch, in order.
     """
-    runs: list[IntArray] = []
-    todo = [(0, len(times))]
-    usual = median_step(times)
-    while todo:
-        first, end = todo.pop()
-        run = first + _longest_run(times[first:end], usual)
-        runs.append(run)
-        todo += [
+    stretches: list[IntArray] = []
+    remaining = [(0, len(times))]
+    typical = median_step(times)
+    while remaining:
+        first, stop = remaining.pop()
+        stretch = first + _longest_increasing(times[first:stop], typical)
+        stretches.append(stretch)
+        remaining += [
             side
-            for side in ((first, int(run[0])), (int(run[-1]) + 1, end))
-            if side[1] - side[0] > LONGEST_SLIP
+            for side in ((first, int(stretch[0])), (int(stretch[-1]) + 1, stop))
+            if side[1] - side[0] > MAX_WRONG_ROWS
         ]
-        if len(runs) > 1 + len(times) // LONGEST_SLIP:
+        if len(stretches) > 1 + len(times) // MAX_WRONG_ROWS:
             break
-    long_runs = [run for run in runs if len(run) > LONGEST_SLIP] or runs[:1]
-    return sorted((_trim_far_ends(run, times) for run in long_runs), key=lambda run: int(run[0]))
+    long_ones = [stretch for stretch in stretches if len(stretch) > MAX_WRONG_ROWS] or stretches[:1]
+    return sorted((_trim_far_ends(stretch, times) for stretch in long_ones), key=lambda rows: int(rows[0]))
 
 
-def _trim_far_ends(run: IntArray, times: FloatArray) -> IntArray:
-    """A stretch without a few stamps at its ends that are nowhere near the others."""
-    steps = np.diff(times[run])
-    for hole in np.flatnonzero(steps > REACH * np.median(steps)) if len(steps) > 2 * LONGEST_SLIP else ():
-        before, after = run[: hole + 1], run[hole + 1 :]
+def _trim_far_ends(stretch: IntArray, times: FloatArray, max_pause: float = 1e6) -> IntArray:
+    """The stretch without a few times at an end that are further away than ``max_pause`` durations."""
+    steps = np.diff(times[stretch])
+    if len(steps) <= 2 * MAX_WRONG_ROWS:
+        return stretch
+    for hole in np.flatnonzero(steps > MAX_STEP * np.median(steps)):
+        before, after = stretch[: hole + 1], stretch[hole + 1 :]
         near, far = (before, after) if len(before) > len(after) else (after, before)
-        if len(far) <= LONGEST_SLIP and steps[hole] > NO_PAUSE * (times[near[-1]] - times[near[0]]):
+        if len(far) <= MAX_WRONG_ROWS and steps[hole] > max_pause * (times[near[-1]] - times[near[0]]):
             return near
-    return run
+    return stretch
 
 
-def _longest_run(times: FloatArray, usual: float) -> IntArray:
-    """The indices of the best run of increasing times, by dynamic programming.
+def _longest_increasing(times: FloatArray, typical: float) -> IntArray:
+    """Rows of the best increasing subsequence, by dynamic programming.
 
-    Each row follows the best of the ``LONGEST_SLIP`` + 1 before it. Only rows shortly after a step back, or
-    after a hole, need a look at them all; further on the row before is the best.
+    The predecessor of a row is the best of the ``MAX_WRONG_ROWS`` + 1 rows before it. All of these are
+    compared only shortly after a negative step or a hole; further on it is the row before.
     """
     n = len(times)
     steps = np.diff(times)
     if (steps > 0).all():
         return np.arange(n)
     back = np.concatenate(([False], steps <= 0))
-    contested = np.convolve(back, np.ones(2 * LONGEST_SLIP + 1))[LONGEST_SLIP:][:n] > 0
+    near_step_back = np.convolve(back, np.ones(2 * MAX_WRONG_ROWS + 1))[MAX_WRONG_ROWS:][:n] > 0
     score = np.ones(n)
-    before = np.full(n, -1, dtype=np.int64)
-    breaks = np.flatnonzero(~((steps > 0) & (steps <= REACH * usual))) + 1
+    predecessor = np.full(n, -1, dtype=np.int64)
+    breaks = np.flatnonzero(~((steps > 0) & (steps <= MAX_STEP * typical))) + 1
     starts = np.concatenate(([0], breaks))
     ends = np.concatenate((breaks, [n]))
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        near = min(end, start + LONGEST_SLIP + 2)
+        near = min(end, start + MAX_WRONG_ROWS + 2)
         for row in range(start, near):
-            _append(row, times, score, before, usual, bool(contested[row]))
+            _link_row(row, times, score, predecessor, typical, bool(near_step_back[row]))
         if near < end:
             score[near:end] = score[near - 1] + np.arange(1, end - near + 1)
-            before[near:end] = np.arange(near - 1, end - 1)
-    run = []
+            predecessor[near:end] = np.arange(near - 1, end - 1)
+    rows = []
     row = int(np.argmax(score))
     while row >= 0:
-        run.append(row)
-        row = int(before[row])
-    return np.array(run[::-1], dtype=np.int64)
+        rows.append(row)
+        row = int(predecessor[row])
+    return np.array(rows[::-1], dtype=np.int64)
 
 
-def _append(
-    row: int, times: FloatArray, score: FloatArray, before: IntArray, usual: float, contested: bool
+def _link_row(
+    row: int,
+    times: FloatArray,
+    score: FloatArray,
+    predecessor: IntArray,
+    typical: float,
+    near_step_back: bool,
+    min_step_per_row: float = 0.25,
+    hole_cost: int = 3,
 ) -> None:
-    """Find the row that ``row`` follows best, and note it; ``contested`` where a step back is near."""
-    first = max(0, row - LONGEST_SLIP - 1)
+    """Store the best predecessor of a row and its score.
+
+    Skipped rows must have taken ``min_step_per_row`` median steps each; otherwise the clock was set. A hole
+    near a step back costs ``hole_cost`` rows, since of two explanations the simpler one counts.
+    """
+    first = max(0, row - MAX_WRONG_ROWS - 1)
     if first == row:
         return
-    steps = times[row] - times[first:row][::-1]  # the nearest first: of equals it wins
-    jumped = np.arange(len(steps))
-    possible = (steps > 0) & ((jumped == 0) | (steps >= SLOWEST * usual * (jumped + 1)))
-    price = np.where((steps > REACH * usual) & contested, ODD_HOLE, 0)
-    scores = np.where(possible, score[first:row][::-1] - price, 0.0)
+    steps = times[row] - times[first:row][::-1]  # the nearest row first, which wins a tie
+    skipped = np.arange(len(steps))
+    possible = (steps > 0) & ((skipped == 0) | (steps >= min_step_per_row * typical * (skipped + 1)))
+    cost = np.where((steps > MAX_STEP * typical) & near_step_back, hole_cost, 0)
+    scores = np.where(possible, score[first:row][::-1] - cost, 0.0)
     best = int(np.argmax(scores))
     if scores[best] > 0:
         score[row] = scores[best] + 1.0
-        before[row] = row - 1 - best
+        predecessor[row] = row - 1 - best
 
 
 @dataclass(frozen=True)
 class Repeats:
-    """Stamps that stand in several rows each.
+    """Times that several consecutive rows share.
 
-    ``sizes`` (stamps,) counts the rows of each; ``spread`` (n,) are the times of the rows spread evenly
-    between stamps, where there is one way to do that, else None.
+    Attributes:
+        sizes: rows of each time, (times,).
+        spread: times (n,) of the rows, spread evenly; None if that is ambiguous.
     """
 
     sizes: IntArray
@@ -177,17 +199,23 @@ class Repeats:
 
     @property
     def text(self) -> str:
-        """How many rows a stamp has, for messages."""
+        """Number of rows per time, for messages."""
         inner = self.sizes[1:-1] if len(self.sizes) > 2 else self.sizes
         low, high = int(inner.min()), int(inner.max())
         return f"{low} rows a stamp" if low == high else f"{low} to {high} rows a stamp"
 
 
 def find_repeats(times: FloatArray) -> Repeats:
-    """How often each stamp stands in succession, and the times of rows that are spread between them.
+    """Count the rows of each time, and spread them evenly.
 
-    There is one way to spread them where all stamps but the first and the last have the same number of rows,
-    and stand at even steps but for holes.
+    That is possible if all times but the first and last have the same number of rows, and equal steps except
+    for holes.
+
+    Args:
+        times: times (n,), s.
+
+    Returns:
+        The repeated times.
     """
     starts = np.concatenate(([0], np.flatnonzero(np.diff(times) != 0) + 1))
     sizes = np.diff(np.concatenate((starts, [len(times)])))
@@ -195,26 +223,22 @@ def find_repeats(times: FloatArray) -> Repeats:
     if len(stamps) < 4:
         return Repeats(sizes, None)
     count, steps = int(sizes[1]), np.diff(stamps)
-    usual = float(np.median(steps))
+    typical = float(np.median(steps))
     same = (sizes[1:-1] == count).all() and sizes[0] <= count and sizes[-1] <= count
-    # rounded stamps may differ by their last digit; a tenth is far from one row more or less
-    even = (steps >= 0.9 * usual).all() and np.mean(steps <= 1.1 * usual) > 0.9
-    if not (same and even and usual > 0):
+    # rounded times differ by their last digit; 10 % is much less than one row
+    even = (steps >= 0.9 * typical).all() and np.mean(steps <= 1.1 * typical) > 0.9
+    if not (same and even and typical > 0):
         return Repeats(sizes, None)
-    place = np.arange(len(times)) - np.repeat(starts, sizes)
-    place[: sizes[0]] += count - sizes[0]  # the first stamp has lost its first rows
-    return Repeats(sizes, np.asarray(times + place * (usual / count), dtype=np.float64))
+    position = np.arange(len(times)) - np.repeat(starts, sizes)
+    position[: sizes[0]] += count - sizes[0]  # the first rows of the first time are missing
+    return Repeats(sizes, np.asarray(times + position * (typical / count), dtype=np.float64))
 
 
-def hole_steps(t: FloatArray) -> IntArray:
-    """The rows before which a hole lies: a step that is longer than usual ones and than their scatter.
-
-    At one and a half steps of an even clock a sample is missing; a clock that jitters needs eight robust
-    standard deviations more.
-    """
+def rows_after_holes(t: FloatArray) -> IntArray:
+    """Rows after holes, steps of over 1.5 median steps and 8 robust standard deviations of times (n,)."""
     steps = np.diff(t)
     if not len(steps):
         return np.zeros(0, dtype=np.int64)
-    usual = float(np.median(steps))
-    scatter = 1.4826 * float(np.median(np.abs(steps - usual)))
-    return np.flatnonzero(steps > 1.5 * usual + 8.0 * scatter) + 1
+    typical = float(np.median(steps))
+    scatter = 1.4826 * float(np.median(np.abs(steps - typical)))
+    return np.flatnonzero(steps > 1.5 * typical + 8.0 * scatter) + 1

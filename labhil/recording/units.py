@@ -1,4 +1,4 @@
-"""Units that tables state: in a line below the header, or in the names of their columns."""
+"""Units in tables: in a line below the header, or in the names of columns."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Unit(NamedTuple):
-    """A unit: value in ours = value · ``scale`` + ``offset``, where ours is the one of ``quantity``."""
+    """A unit: value in the internal unit ``quantity`` = value · ``scale`` + ``offset``."""
 
     quantity: str
     scale: float
@@ -19,14 +19,14 @@ class Unit(NamedTuple):
 TURN = 2.0 * math.pi
 DEGREE = math.pi / 180.0
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "k": 1e3}
-PREFIXED = {"V": "V", "A": "A", "m": "m", "N": "N", "Nm": "N·m", "s": "s", "rad": "rad", "m/s": "m/s"}
-OURS = {"V", "A", "m", "N", "N·m", "s", "rad", "rad/s", "m/s", "m/s²", "rad/s²", "°C"}
+PREFIXABLE = {"V": "V", "A": "A", "m": "m", "N": "N", "Nm": "N·m", "s": "s", "rad": "rad", "m/s": "m/s"}
+INTERNAL_UNITS = {"V", "A", "m", "N", "N·m", "s", "rad", "rad/s", "m/s", "m/s²", "rad/s²", "°C"}
 
 
-def _table() -> Mapping[str, Unit]:
-    units = {name: Unit(ours, 1.0) for name, ours in PREFIXED.items()}
+def _build_units() -> Mapping[str, Unit]:
+    units = {name: Unit(ours, 1.0) for name, ours in PREFIXABLE.items()}
     for prefix, factor in PREFIXES.items():
-        units |= {f"{prefix}{name}": Unit(ours, factor) for name, ours in PREFIXED.items()}
+        units |= {f"{prefix}{name}": Unit(ours, factor) for name, ours in PREFIXABLE.items()}
     for names, quantity, scale in (
         ("sec secs second seconds", "s", 1.0),
         ("msec msecs millis millisecond milliseconds", "s", 1e-3),
@@ -62,20 +62,35 @@ def _table() -> Mapping[str, Unit]:
     return units
 
 
-UNITS = _table()
+UNITS = _build_units()
 
-ROTARY = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
-"""What stands in place of a length, a velocity and a force on an axis that turns."""
+ROTARY_EQUIVALENTS = {"m": "rad", "m/s": "rad/s", "N": "N·m"}
+"""Units on a rotary axis in the place of those on a linear axis."""
 
-_IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]\s*$")
-_BEHIND = re.compile(r"^(?P<name>.+?)(?:_|-|/| in |\s)(?P<unit>[^_\s/-]+(?:/s)?)$")
+_BRACKETED_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]\s*$")
+_UNIT_SUFFIX = re.compile(r"^(?P<name>.+?)(?:_|-|/| in |\s)(?P<unit>[^_\s/-]+(?:/s)?)$")
 
-SURE_BEHIND = {"ms", "us", "µs", "μs", "ns", "mm", "cm", "rpm", "deg", "mA", "mV", "msec", "deg/s", "rad/s"}
-"""Units that count without brackets at the end of a name; ``_s``, ``_a``, ``_min`` may mean other things."""
+UNAMBIGUOUS_UNITS = {
+    "ms",
+    "us",
+    "µs",
+    "μs",
+    "ns",
+    "mm",
+    "cm",
+    "rpm",
+    "deg",
+    "mA",
+    "mV",
+    "msec",
+    "deg/s",
+    "rad/s",
+}
+"""Units that count without brackets at the end of a name; ``_s``, ``_a``, ``_min`` are ambiguous."""
 
 
-def unit_of(text: str) -> Unit | None:
-    """The unit that a text names, with or without brackets, or None."""
+def parse_unit(text: str) -> Unit | None:
+    """Parse a unit, with or without brackets; None if it is unknown."""
     plain = text.strip().strip("\"'").strip().strip("[](){}").strip()
     if plain in UNITS:
         return UNITS[plain]
@@ -86,33 +101,41 @@ def unit_of(text: str) -> Unit | None:
 
 
 def unit_in_name(name: str) -> tuple[str, Unit] | None:
-    """The unit that a column's name states (``time [ms]``, ``speed (rpm)``, ``pot_mm``), as text and unit."""
+    """Text and unit in a column's name, like ``time [ms]``, ``speed (rpm)``, ``pot_mm``; None without."""
     name = name.strip()
-    if match := _IN_BRACKETS.match(name):
-        unit = unit_of(match["unit"])
+    if match := _BRACKETED_UNIT.match(name):
+        unit = parse_unit(match["unit"])
         return (match["unit"].strip(), unit) if unit else None
-    if name in SURE_BEHIND and (unit := unit_of(name)):
+    if name in UNAMBIGUOUS_UNITS and (unit := parse_unit(name)):
         return name, unit
-    if (match := _BEHIND.match(name)) and match["unit"] in SURE_BEHIND and (unit := unit_of(match["unit"])):
+    if (
+        (match := _UNIT_SUFFIX.match(name))
+        and match["unit"] in UNAMBIGUOUS_UNITS
+        and (unit := parse_unit(match["unit"]))
+    ):
         return match["unit"], unit
     return None
 
 
 def without_unit(name: str) -> str:
-    """The name of a column without the unit that it states: ``time`` for ``time [ms]`` and ``time_ms``."""
+    """Name of a column without its unit: ``time`` of ``time [ms]`` and ``time_ms``."""
     plain = name.strip()
-    match = _IN_BRACKETS.match(plain) or _BEHIND.match(plain)
+    match = _BRACKETED_UNIT.match(plain) or _UNIT_SUFFIX.match(plain)
     return match["name"] if match and match["name"] and unit_in_name(plain) else name
 
 
 def is_units_line(texts: Sequence[str]) -> bool:
-    """Whether the fields of a line are units: all that are filled are known ones, or stand in brackets.
+    """Whether a line contains units: one known unit, and otherwise known units or texts in brackets.
 
-    One known unit is the least; a line of numbers never is one.
+    Args:
+        texts: fields of the line, of which empty ones are ignored.
+
+    Returns:
+        Whether they are units; False if there is any number.
     """
     filled = [text.strip().strip("\"'").strip() for text in texts]
     filled = [text for text in filled if text and text not in {"-", "1", "%"}]
     bracketed = [text[:1] in "[(" and text[-1:] in "])" for text in filled]
-    known = [unit_of(text) is not None for text in filled]
+    known = [parse_unit(text) is not None for text in filled]
     numbers = [bool(re.fullmatch(r"[\[(]?[\d.,+-]+[\])]?", text)) for text in filled]
     return any(known) and not any(numbers) and all(a or b for a, b in zip(bracketed, known, strict=True))

@@ -1,8 +1,8 @@
-"""Writing a recording: nothing is lost but what came in after the last flush.
+"""Writer of recordings; after a crash only data since the last flush are lost.
 
-While it is written a recording is called ``NAME.mcap.part``; ``finish`` renames it. Every few tenths of
-a second the open chunk is closed and the file forced to the disk. The first error of the disk ends the
-recording: what follows it in the same file could not be found again.
+An unfinished recording is named ``NAME.mcap.part``; ``finish`` renames it. Every few tenths of a second the
+open chunk is closed and the file is forced to the disk. The first disk error ends the recording, since later
+data in the file could not be located.
 """
 
 from __future__ import annotations
@@ -28,25 +28,27 @@ from labhil.signals import Batch, Direction, Stream
 from labhil.version import __version__
 
 FLUSH_INTERVAL = 0.2
-"""Seconds between two flushes; a killed process loses what came since, and what was not yet handed over."""
+"""Time between flushes, s; a killed process loses the data since the last one."""
 
-SMALLEST_FREE_SPACE = 16 * 1024 * 1024
-"""Bytes; with less than that left on the disk the recording ends while it still can."""
+MIN_FREE_SPACE = 16 * 1024 * 1024
+"""Free space on the disk below which a recording ends, so that its end can be written, bytes."""
 
 CHUNK_SIZE = 256 * 1024
-LARGEST_TIME_NS = 2**63 - 1
+MAX_TIME_NS = 2**63 - 1
 EVENT_TOPIC = "event"
 
 
 class RecordingWriter:
-    """Writes one MCAP recording; used by one thread.
+    """Writer of a recording, for one thread.
 
-    What is copied from elsewhere has nothing to lose: with a ``flush_interval`` (s) of infinity the clock has
-    no say in where chunks end, and the same samples make the same bytes.
+    Args:
+        path: the file.
+        flush_interval: time between flushes, s; with infinity the same samples always make the same bytes.
 
-    RecordingError when ``path`` exists already or an unfinished recording of that
-    name lies beside it; RecordingFailedError, from any method, when the disk fails: the recording then
-    stays under its ``.part`` name, readable up to the last flush.
+    Raises:
+        RecordingError: The file or an unfinished recording of its name exists.
+        RecordingFailedError: The disk failed (any method). The ``.part`` file remains, readable up to the
+            last flush.
     """
 
     def __init__(self, path: Path, *, flush_interval: float = FLUSH_INTERVAL) -> None:
@@ -60,17 +62,23 @@ class RecordingWriter:
         self._json_channels: dict[str, int] = {}
         if path.exists():
             raise RecordingError(f"{path}: expected a new file, found one that exists; nothing was written")
-        self._file = _create(self.part)
-        _keep_name(self.part)
+        self._file = _create_draft(self.part)
+        _sync_folder(self.part)
         self._writer = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.LZ4)
         self._flushed_at = time.monotonic()
-        with self._guard():
+        with self._disk_errors():
             self._writer.start(library=f"labhil {__version__}")
 
     def add_stream(self, device: str, stream: Stream, metadata: Mapping[str, str] | None = None) -> int:
-        """Open a channel ``/<device>/<stream>`` and return its id.
+        """Open a channel ``/<device>/<stream>``.
 
-        ``metadata`` says more about the stream, in strings: ``speed``, ``serial``, ``firmware``.
+        Args:
+            device: name of the device.
+            stream: declaration of the stream.
+            metadata: further facts about the stream: ``speed``, ``serial``, ``firmware``.
+
+        Returns:
+            Number of the channel.
         """
         codec = Codec(stream)
         channel_metadata = {
@@ -80,7 +88,7 @@ class RecordingWriter:
             "device": device,
             **{f"labhil.unit.{signal.name}": signal.unit for signal in stream.signals},
         }
-        with self._guard():
+        with self._disk_errors():
             schema = self._writer.register_schema(
                 codec.schema_name, SchemaEncoding.Protobuf, codec.descriptor_set()
             )
@@ -94,9 +102,14 @@ class RecordingWriter:
         return channel
 
     def write(self, channel: int, samples: Batch | Sequence[bytes]) -> None:
-        """Store samples, or messages that are encoded already, as they are.
+        """Write samples.
 
-        ProtocolError, and nothing stored, when a message is none of that stream's.
+        Args:
+            channel: number of the channel.
+            samples: samples, or encoded messages.
+
+        Raises:
+            ProtocolError: A message does not belong to the stream; nothing is written.
         """
         codec = self._codecs[channel]
         payloads = codec.encode(samples) if isinstance(samples, Batch) else samples
@@ -108,20 +121,27 @@ class RecordingWriter:
                     f"stream {codec.stream.name!r}: expected {codec.size} bytes, found {len(payload)}"
                 )
         stamps = stamps_of(payloads)
-        if (stamps < 0).any():  # such a log time makes a file that nobody can read
+        if (stamps < 0).any():  # negative log times make an unreadable file
             raise ProtocolError(f"stream {codec.stream.name!r}: expected stamps of 0 or more, found negative")
-        times = self._log_times.get(channel)  # requested values have no clock of the device
+        times = self._log_times.get(channel)  # requested values have no device clock
         log_ns = stamps[:, 1] if times is None else times.of(stamps[:, 1], stamps[:, 2])
-        with self._guard():
+        with self._disk_errors():
             for payload, seq, t_ns in zip(payloads, stamps[:, 0].tolist(), log_ns.tolist(), strict=True):
                 self._writer.add_message(channel, t_ns, payload, t_ns, seq & 0xFFFFFFFF)
         self.flush_when_due()
 
     def event(self, device: str, t_ns: int, body: Mapping[str, Any], *, topic: str = EVENT_TOPIC) -> None:
-        """Store something that happened, as JSON, on ``/<device>/event`` (or another topic)."""
+        """Write an event as JSON to ``/<device>/<topic>``.
+
+        Args:
+            device: name of the device.
+            t_ns: Unix time, ns.
+            body: fields of the event.
+            topic: last part of the topic.
+        """
         name = f"/{device}/{topic}"
-        t_ns = min(max(int(t_ns), 0), LARGEST_TIME_NS)
-        with self._guard():
+        t_ns = min(max(int(t_ns), 0), MAX_TIME_NS)
+        with self._disk_errors():
             if name not in self._json_channels:
                 schema = self._writer.register_schema(
                     f"labhil.{topic}", SchemaEncoding.JSONSchema, schema_of(topic)
@@ -135,28 +155,28 @@ class RecordingWriter:
         self.flush_when_due()
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a whole file, such as the rig file."""
-        with self._guard():
+        """Attach a file, such as the rig file."""
+        with self._disk_errors():
             self._writer.add_attachment(0, 0, name, media_type, data)
 
     def metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Add a table of strings."""
-        with self._guard():
+        """Add metadata, a table of strings."""
+        with self._disk_errors():
             self._writer.add_metadata(name, {key: str(value) for key, value in data.items()})
 
     def flush_when_due(self) -> None:
-        """Flush if the last time is long enough ago."""
+        """Flush if the last flush was at least ``flush_interval`` ago."""
         if time.monotonic() - self._flushed_at >= self._flush_interval:
             self.flush()
 
     def flush(self) -> None:
         """Close the open chunk and force everything to the disk."""
-        with self._guard():
+        with self._disk_errors():
             self._writer.flush()
             os.fdatasync(self._file.fileno())
             free = shutil.disk_usage(self.part.parent).free
         self._flushed_at = time.monotonic()
-        if free < SMALLEST_FREE_SPACE:
+        if free < MIN_FREE_SPACE:
             self.finish("failed", "disk nearly full")
             self.failure = (
                 f"{self.path}: the recording ended early, because only {free / 1e6:.0f} MB are left on the "
@@ -165,23 +185,31 @@ class RecordingWriter:
             raise RecordingFailedError(self.failure)
 
     def finish(self, exit_status: str = "done", reason: str = "") -> Path:
-        """Write the end of the file and give it its name; returns that. Safe to call twice."""
+        """Write the end of the file and rename it; safe to call twice.
+
+        Args:
+            exit_status: exit status in the metadata ``end``.
+            reason: reason in these metadata.
+
+        Returns:
+            Path of the recording.
+        """
         if self._finished:
             return self.path
         self.metadata("end", {"exit_status": exit_status, "reason": reason})
-        with self._guard():
+        with self._disk_errors():
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())
             self._file.close()
             self.part.replace(self.path)
-            _keep_name(self.path)
+            _sync_folder(self.path)
         self._finished = True
         return self.path
 
     def abandon(self) -> None:
-        """Let go of the file without an end; it stays under its ``.part`` name. Safe to call twice."""
-        # closing writes what is still buffered; a full disk refuses that, and the file is closed all the same
+        """Close the ``.part`` file without an end; safe to call twice."""
+        # close() writes buffered data, which fails on a full disk; the file is closed nevertheless
         with suppress(OSError):
             self._file.close()
 
@@ -199,7 +227,7 @@ class RecordingWriter:
             self.abandon()
 
     @contextmanager
-    def _guard(self) -> Iterator[None]:
+    def _disk_errors(self) -> Iterator[None]:
         if self.failure is not None:
             raise RecordingFailedError(self.failure)
         try:
@@ -214,7 +242,7 @@ class RecordingWriter:
 
 
 def media_type(name: str) -> str:
-    """The media type of an attachment, by the extension of its name."""
+    """Media type of an attachment, by the extension of its name."""
     types = {
         ".toml": "application/toml",
         ".json": "application/json",
@@ -224,19 +252,18 @@ def media_type(name: str) -> str:
     return types.get(Path(name).suffix, "application/octet-stream")
 
 
-def _keep_name(path: Path) -> None:
-    """Force the name of a file to the disk: without it a power failure leaves bytes that nobody finds."""
+def _sync_folder(path: Path) -> None:
+    """Force the name of a file to the disk, so that the file still has it after a power failure."""
     folder = os.open(path.parent, os.O_RDONLY)
     try:
-        with suppress(
-            OSError
-        ):  # some file systems (FUSE, SMB) refuse that of a folder, and keep names by themselves
+        # some file systems (FUSE, SMB) have no fsync of folders, and store names immediately
+        with suppress(OSError):
             os.fsync(folder)
     finally:
         os.close(folder)
 
 
-def _create(part: Path) -> BinaryIO:
+def _create_draft(part: Path) -> BinaryIO:
     if part.exists():
         raise RecordingError(
             f"{part}: expected no unfinished recording of this name, found one; move it away first"

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from labhil.codec import stamps_of
 from labhil.recording.clock import fit_clock
-from labhil.recording.clock_faults import ClockFault, clock_faults
-from labhil.recording.device_clocks import ClockWatch
+from labhil.recording.clock_faults import ClockFault, find_clock_faults
+from labhil.recording.device_clocks import StampCollector
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class RecordedStream:
     steady_host: bool = False
     second: int = 1
     """Samples in one second of the host's clock."""
-    clock: ClockWatch | None = None
+    clock: StampCollector | None = None
     """Where the device's own clock stamps the samples."""
 
     def count(self, payloads: list[bytes]) -> None:
@@ -79,9 +79,9 @@ class RecordedStream:
         if len(stamps.seq) < 3:
             return ()
         fit = fit_clock(
-            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), self.speed, stamps.keep_rate
+            stamps.t_hw_ns, stamps.t_acq_ns, int(stamps.t_acq_ns[0]), self.speed, stamps.keeps_rate
         )
-        return clock_faults(stamps, fit, fit.t - fit.t[0])
+        return find_clock_faults(stamps, fit, fit.t - fit.t[0])
 
     def summary(self) -> StreamSummary:
         """What came of it."""

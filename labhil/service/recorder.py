@@ -32,7 +32,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
 from labhil.host_clock import unix_ns
-from labhil.recording.device_clocks import ClockWatch, DeviceClock, clocks_to_metadata
+from labhil.recording.device_clocks import DeviceClock, StampCollector, clocks_to_metadata
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
 from labhil.service.recorded import RecordedStream, StreamSummary
@@ -329,7 +329,7 @@ class Recorder:
             channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in metadata
             channel.second = max(1, round(stream.rate * channel.speed))
             if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
-                channel.clock = ClockWatch()
+                channel.clock = StampCollector()
             channel.number = self._writer.add_stream(channel.device, stream, metadata)
         except UNEXPLAINED as error:
             # its publisher may not be known here yet, or gone for good

@@ -95,7 +95,7 @@ def _facts(recording: Recording) -> Text:
             f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}"
         )
         text.append(f", {count(data.lost)} lost" if data.lost else ", none lost")
-    for line in recording.losses():
+    for line in recording.warnings():
         text.append(f"\n▲ {line}")
     return text
 

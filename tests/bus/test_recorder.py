@@ -193,7 +193,7 @@ def test_stamps_of_a_clock_that_was_set_are_said_when_the_recording_ends(bus, tm
     assert "bench/state: the host's stamps jump by −0.5 s at 5 s" in warning
     recording = read_recording(path)
     assert warning in [event.body.get("text") for event in recording.events]
-    assert [line.removeprefix(f"{path}: ") for line in recording.losses()] == [warning]
+    assert [line.removeprefix(f"{path}: ") for line in recording.warnings()] == [warning]
 
 
 def test_an_error_in_the_run_still_ends_the_file(bus, tmp_path):

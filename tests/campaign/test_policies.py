@@ -23,8 +23,8 @@ from labhil.campaign.studies.study import Task
 from labhil.campaign.worker import Worker
 from labhil.errors import ExperimentFileError, RecordingError
 from labhil.experiment.lab import load_lab
+from labhil.recording.metadata import read_rig_kinds
 from labhil.recording.rig_attachments import rig_attachments
-from labhil.recording.rigs_in import rigs_in
 from labhil.recording.writer import RecordingWriter
 from labhil.rig import parse_rig
 from labhil.signals import Batch, Direction, Signal, Stream
@@ -65,12 +65,12 @@ def two_rigs(folder: Path) -> Path:
 
 
 def test_kinds_are_read_without_samples(tmp_path: Path) -> None:
-    assert rigs_in(SHIPPED) == {"bench": "ball_beam"}
-    assert rigs_in(two_rigs(tmp_path)) == {"motor": "dc_motor", "beam": "ball_beam"}
+    assert read_rig_kinds(SHIPPED) == {"bench": "ball_beam"}
+    assert read_rig_kinds(two_rigs(tmp_path)) == {"motor": "dc_motor", "beam": "ball_beam"}
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(SHIPPED.read_bytes()[:5000])
     with pytest.raises(RecordingError, match=r"cut\.mcap"):
-        rigs_in(cut)
+        read_rig_kinds(cut)
 
 
 def test_each_device_gets_what_its_kind_of_rig_is_to_get(tmp_path: Path) -> None:

@@ -138,11 +138,11 @@ def test_readers_work_under_a_limit_of_memory_set_for_good(tmp_path: Path) -> No
     savemat(tmp_path / "a.mat", {"t": [[0.0], [1.0], [2.0]]})
     code = (
         "import resource; resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))\n"
-        "from labhil.recording.formats import apart\n"
+        "from labhil.recording.formats import isolated\n"
         "from labhil.rig_sections import Table\n"
         "from pathlib import Path\n"
-        "apart.MEMORY = 8 << 30\n"
-        "print(len(apart.read_apart('mat', Path('a.mat'), Table(), ()).lines))\n"
+        "limits = isolated.ReaderLimits(memory=8 << 30)\n"
+        "print(len(isolated.read_isolated('mat', Path('a.mat'), Table(), (), limits).lines))\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False

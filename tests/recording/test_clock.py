@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labhil.link import Unwrapper
-from labhil.recording.clock import fit_clock, keeps_its_rate
-from labhil.recording.clock_faults import ClockFaultKind, clock_faults
-from labhil.recording.clock_map import delay_line
+from labhil.recording.clock import fit_clock, keeps_declared_rate
+from labhil.recording.clock_faults import ClockFaultKind, find_clock_faults
+from labhil.recording.clock_map import fit_delay_line
 from labhil.recording.stamps import Stamps
 
 START = 1_700_000_000_000_000_000
@@ -47,9 +47,9 @@ def own(t_hw_ns):
 def found_in(t_hw_ns, t_acq_ns, *, seq=None, speed=1.0, rate=RATE, **known):
     """Return the fit of a stream's clock, and what is wrong with it."""
     seq = np.arange(len(t_hw_ns)) if seq is None else seq
-    steady = keeps_its_rate(t_hw_ns, seq, rate)
+    steady = keeps_declared_rate(t_hw_ns, seq, rate)
     fit = fit_clock(t_hw_ns, t_acq_ns, int(t_acq_ns[0]), speed, steady)
-    return fit, clock_faults(Stamps(seq, t_hw_ns, t_acq_ns, rate, speed, **known), fit, fit.t - fit.t[0])
+    return fit, find_clock_faults(Stamps(seq, t_hw_ns, t_acq_ns, rate, speed, **known), fit, fit.t - fit.t[0])
 
 
 @settings(deadline=None, max_examples=40)
@@ -92,7 +92,7 @@ def test_a_clock_that_is_set_stretches_nothing_and_is_named(drift, step, at, spe
     assert np.diff(fit.t) == pytest.approx(np.diff(seq) / RATE, abs=1e-9)
     assert [size for each in fit.steps for size in [each.size]] == pytest.approx([step], abs=0.01)
     (fault,) = faults
-    assert fault.kind is ClockFaultKind.STEP and not fault.bends_time
+    assert fault.kind is ClockFaultKind.STEP and not fault.distorts_time
     assert fault.times[0] == pytest.approx(at * seconds * speed, abs=0.2 * speed)
     assert fit.drift == pytest.approx(drift, abs=5.0 * fit.drift_error)
 
@@ -134,7 +134,7 @@ def test_stated_errors_cover_whatever_delays_the_stamps(seconds):
     misses: dict[str, list[tuple[float, float]]] = {}
     for seed in range(25):
         for name, delay in scenarios(np.random.default_rng(seed), x):
-            line = delay_line(x, delay - 150e-6 * x)
+            line = fit_delay_line(x, delay - 150e-6 * x)
             level = line.level + 150e-6 * line.middle
             slope = (line.slope + 150e-6) / line.slope_error
             misses.setdefault(name, []).append((level, line.level_error, slope))
@@ -199,7 +199,7 @@ def test_a_world_that_paused_keeps_its_own_time_and_is_named():
     fit, faults = found_in(t_hw_ns, START + (host * 1e9).astype(np.int64), seq=seq)
     assert fit.device_clock
     np.testing.assert_allclose(np.diff(fit.t), np.diff(world), atol=1e-9)
-    assert faults and not any(fault.bends_time for fault in faults)
+    assert faults and not any(fault.distorts_time for fault in faults)
     assert "stand" in " ".join(fault.statement for fault in faults) or "stood" in faults[0].statement
 
 
@@ -210,7 +210,7 @@ def test_what_a_short_recording_cannot_tell_is_named_without_a_rate():
     t_hw_ns = np.rint(world * 1e9).astype(np.int64)
     fit, (fault,) = found_in(t_hw_ns, START + (host * 1e9).astype(np.int64))
     assert np.diff(fit.t) == pytest.approx(0.01) and fit.drift == 0.0 and fit.drift_error is None
-    assert "falls behind" in fault.statement and not fault.bends_time
+    assert "falls behind" in fault.statement and not fault.distorts_time
 
 
 def test_a_resonator_is_named_and_its_time_is_kept():
@@ -233,7 +233,7 @@ def test_a_device_clock_that_jumps_against_its_own_count_is_what_is_wrong():
     _, t_hw_ns, t_acq_ns = stamps(0.0, 1e-4, 0.0, 7)
     t_hw_ns[3000:] += 700_000_000
     _, (fault,) = found_in(t_hw_ns, t_acq_ns)
-    assert fault.bends_time and "its own count" in fault.statement and "+0.7" in fault.statement
+    assert fault.distorts_time and "its own count" in fault.statement and "+0.7" in fault.statement
 
 
 def test_where_the_host_is_steady_only_the_device_can_have_stood_still():
@@ -258,7 +258,7 @@ def test_a_step_of_host_stamps_alone_is_named(step):
     t_acq_ns = START + (host * 1e9).astype(np.int64)
     fit, faults = found_in(np.zeros(1000, dtype=np.int64), t_acq_ns)
     (fault,) = (each for each in faults if each.kind is ClockFaultKind.STEP)
-    assert not fit.device_clock and fault.bends_time == (step < 0.0)
+    assert not fit.device_clock and fault.distorts_time == (step < 0.0)
     assert fault.times[0] == pytest.approx(fit.t[400] - fit.t[0])
 
 
@@ -281,6 +281,6 @@ def test_a_table_whose_clock_went_back_is_named_but_not_its_gaps():
     seq = np.delete(np.arange(3000), np.s_[1000:1050])
     t_ns = np.where(seq < 1000, seq, seq - 50) * 10_000_000
     _, (fault,) = found_in(t_ns, t_ns, seq=seq)
-    assert fault.bends_time and "−0.5" in fault.statement
+    assert fault.distorts_time and "−0.5" in fault.statement
     gap_ns = np.where(seq < 1000, seq, seq + 300) * 10_000_000
     assert found_in(gap_ns, gap_ns, seq=seq)[1] == ()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import RecordingError
-from labhil.recording.contents import ending_of
+from labhil.recording.contents import status_from_metadata
 from labhil.recording.listing import list_folder
 from labhil.recording.metadata import read_metadata
 from labhil.recording.reader import read_recording
@@ -111,7 +111,7 @@ def test_metadata_are_read_from_the_end_whatever_the_samples_are(tmp_path: Path)
     path.write_bytes(data)
     assert not read_recording(path).complete
     assert read_metadata(path) == read_metadata(SHIPPED)
-    assert ending_of(read_metadata(path)) == "done"
+    assert status_from_metadata(read_metadata(path)) == "done"
 
 
 def test_metadata_that_are_not_where_the_index_says_are_refused(tmp_path: Path) -> None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from labhil.recording.device_clocks import (
-    LARGEST,
-    ClockWatch,
+    MAX_STAMPS,
+    StampCollector,
     clocks_from_metadata,
     clocks_to_metadata,
-    offsets_between,
+    pairwise_offsets,
 )
 
 START_NS = 1_790_000_000_000_000_000
@@ -26,7 +26,7 @@ def stamps(rng, drift, phase, seconds=60.0, rate=100.0, late=0.03):
 
 
 def watched(*args, **kwargs):
-    watch = ClockWatch()
+    watch = StampCollector()
     acquired, device = stamps(*args, **kwargs)
     for first in range(0, len(acquired), 7):
         watch.add(acquired[first : first + 7], device[first : first + 7])
@@ -38,7 +38,7 @@ def test_two_clocks_200_ppm_apart_are_aligned_within_the_error_that_is_told():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         clocks = {"a": watched(rng, 200e-6, 100.0), "b": watched(rng, 0.0, 5.0)}
-        found = offsets_between(clocks)["a", "b"]
+        found = pairwise_offsets(clocks)["a", "b"]
         elapsed = (found.t_host_ns - START_NS) * 1e-9 - 0.001  # both wires have the same latency
         truth = 95.0 + 200e-6 * elapsed
         assert abs(found.offset - truth) < 1e-4 and found.error < 1e-4
@@ -51,12 +51,12 @@ def test_two_clocks_200_ppm_apart_are_aligned_within_the_error_that_is_told():
 def test_a_host_clock_that_was_set_makes_an_offset_as_unsure_as_it_jumped():
     acquired, device = stamps(np.random.default_rng(3), 0.0, 5.0)
     acquired[4000:] -= 500_000_000
-    watch, sound = ClockWatch(), watched(np.random.default_rng(4), 0.0, 7.0)
+    watch, sound = StampCollector(), watched(np.random.default_rng(4), 0.0, 7.0)
     watch.add(acquired, device)
     clock = watch.clock()
     assert clock.stepped == pytest.approx(0.5, abs=0.01)
     assert clock.drift == pytest.approx(0.0, abs=5 * clock.drift_error)
-    found = offsets_between({"a": clock, "b": sound})["a", "b"]
+    found = pairwise_offsets({"a": clock, "b": sound})["a", "b"]
     assert found.offset == pytest.approx(-2.0, abs=0.01) and found.error > 0.4
 
 
@@ -72,24 +72,24 @@ def test_clocks_come_back_from_the_recordings_metadata():
 
 def test_a_long_recording_keeps_a_bounded_number_of_stamps():
     clock = watched(np.random.default_rng(2), 50e-6, 0.0, seconds=1000.0)
-    assert LARGEST / 2 <= clock.samples <= LARGEST
+    assert MAX_STAMPS / 2 <= clock.samples <= MAX_STAMPS
     assert clock.drift == pytest.approx(50e-6, abs=1e-6)
 
 
 def test_a_clock_that_stands_still_is_none():
-    watch = ClockWatch()
+    watch = StampCollector()
     watch.add(START_NS + np.arange(100, dtype=np.int64), np.zeros(100, dtype=np.int64))
     assert watch.clock() is None
-    assert ClockWatch().clock() is None
+    assert StampCollector().clock() is None
 
 
 def test_stamps_that_come_one_by_one_are_kept_as_those_that_come_together():
     t_hw_ns = np.arange(3000, dtype=np.int64) * 10_000_000
     t_acq_ns = t_hw_ns + 1_700_000_000_000_000_000
-    together, one_by_one = ClockWatch(), ClockWatch()
+    together, one_by_one = StampCollector(), StampCollector()
     together.add(t_acq_ns, t_hw_ns)
     for k in range(len(t_hw_ns)):
         one_by_one.add(t_acq_ns[k : k + 1], t_hw_ns[k : k + 1])
     a, b = together.stamps(100.0), one_by_one.stamps(100.0)
     assert np.array_equal(a.t_hw_ns, b.t_hw_ns) and np.array_equal(a.seq, b.seq)
-    assert len(one_by_one._pieces) < 1000
+    assert len(one_by_one._arrays) < 1000

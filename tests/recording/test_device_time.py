@@ -66,7 +66,7 @@ def test_a_clock_that_was_set_moves_no_sample_and_is_named(tmp_path, step):
     assert command.t == pytest.approx(state.t + 0.002, abs=0.011)
     times = {event.body["text"]: event.t for event in recording.events}
     assert times == pytest.approx({"early": 2.0, "late": 8.0}, abs=0.002)
-    (line,) = recording.losses()
+    (line,) = recording.warnings()
     assert "bench/state: the host's stamps jump by" in line and "at 4 s" in line
     assert recording.clocks["bench"].stepped == pytest.approx(abs(step), abs=0.01)
     (fault,) = detect_faults(record_of(recording, kind_named("ball_beam")))
@@ -78,7 +78,7 @@ def test_without_a_clock_of_the_device_a_step_makes_data_unfit(tmp_path):
     with RecordingWriter(tmp_path / "a.mcap") as writer:
         write_state(writer, "bench", host_times(-0.5), own_clock=False)
     recording = read_recording(tmp_path / "a.mcap")
-    assert "no clock of its own" in recording.losses()[0]
+    assert "no clock of its own" in recording.warnings()[0]
     record = record_of(recording, kind_named("ball_beam"))
     faults = detect_faults(record)
     assert FaultKind.CLOCK_STEP in [fault.kind for fault in faults]
@@ -100,7 +100,7 @@ def test_several_devices_share_the_hosts_time(tmp_path):
         write_state(writer, "late", late, phase=9.0)
     recording = read_recording(tmp_path / "a.mcap")
     fast, other = recording.streams
-    assert recording.losses() == []
+    assert recording.warnings() == []
     for data in (fast, other):
         assert np.diff(data.t) == pytest.approx(0.01, abs=1e-9)
     assert (fast.t[0], other.t[0]) == pytest.approx((0.0, 3.0), abs=1e-3)
@@ -115,5 +115,5 @@ def test_several_devices_share_the_hosts_time(tmp_path):
 def test_a_recording_by_the_steady_clock_blames_no_host(tmp_path):
     with RecordingWriter(tmp_path / "a.mcap") as writer:
         write_state(writer, "bench", host_times(0.4), **{HOST_CLOCK: "0"})
-    (line,) = read_recording(tmp_path / "a.mcap").losses()
+    (line,) = read_recording(tmp_path / "a.mcap").warnings()
     assert "stood still" in line and "clock was set" not in line

@@ -22,7 +22,7 @@ from labhil.codec import Codec, stream_from_json, stream_to_json
 from labhil.errors import ProtocolError, RecordingError, TableError
 from labhil.physics.rigs import record_of
 from labhil.recording import read_recording
-from labhil.recording.formats import apart
+from labhil.recording.formats import isolated
 from labhil.recording.recover import recover
 from labhil.recording.tables import import_table
 from labhil.report.html.report import report_page
@@ -166,35 +166,31 @@ def test_a_data_set_that_was_never_written_is_not_read(tmp_path):
 def test_a_reader_that_crashes_takes_nobody_along_and_the_next_file_is_read(tmp_path):
     pipe = tmp_path / "a.mat"
     os.mkfifo(pipe)  # its reader waits there until it is struck
-    apart._PROCESS._running_child()
-    crash = threading.Timer(0.3, lambda: os.kill(apart._PROCESS._child.pid, signal.SIGSEGV))
+    isolated._PROCESS._running_child(60.0)
+    crash = threading.Timer(0.3, lambda: os.kill(isolated._PROCESS._child.pid, signal.SIGSEGV))
     crash.start()
     with pytest.raises(TableError, match=r"its reader crashed \(SIGSEGV\)"):
-        apart.read_apart("mat", pipe, Table(), ())
+        isolated.read_isolated("mat", pipe, Table(), ())
     crash.join()
     assert len(import_table(sheet(tmp_path / "a.xlsx"), TABLE_RIG)) == ROWS
 
 
 @pytest.mark.extended
-def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path, monkeypatch):
+def test_a_reader_that_takes_too_much_time_or_memory_is_ended(tmp_path):
     path = sheet(tmp_path / "a.xlsx")
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["t"] = [0.0, 1.0]
     with pytest.raises(TableError, match="an input is missing"):
         import_table(tmp_path / "a.h5", TABLE_RIG)  # its library is loaded
-    monkeypatch.setattr(apart, "MEMORY", 1 << 10)
-    monkeypatch.setattr(apart, "MEMORY_PER_BYTE", 0)
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("t", shape=(2 * 10**6,), dtype="f8", chunks=(10**6,))
+    little_memory = isolated.ReaderLimits(memory=1 << 10, memory_per_byte=0)
     with pytest.raises(TableError, match="cannot be read"):
-        import_table(tmp_path / "a.h5", TABLE_RIG)
-    monkeypatch.undo()
+        isolated.read_isolated("hdf5", tmp_path / "a.h5", Table(), (), little_memory)
     pipe = tmp_path / "a.mat"
     os.mkfifo(pipe)
-    monkeypatch.setattr(apart, "WALL_FACTOR", 0.02)
     with pytest.raises(TableError, match="longer than"):
-        apart.read_apart("mat", pipe, Table(), ())
-    monkeypatch.undo()
+        isolated.read_isolated("mat", pipe, Table(), (), isolated.ReaderLimits(wall_factor=0.02))
     assert len(import_table(path, TABLE_RIG)) == ROWS
 
 

@@ -113,7 +113,7 @@ def read_in_every_way(data, folder, original, checksums):
     path.write_bytes(data)
     recording = only_our_errors(read_recording, path)
     if recording is not None:
-        recording.losses()
+        recording.warnings()
         _ = recording.duration, recording.clocks, recording.clock_offsets
     before = [path.name]
     if only_our_errors(recover, path, saved) is not None:

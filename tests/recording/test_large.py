@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import DiskFailedError
-from labhil.recording import chunks, mapped, message_store, samples
+from labhil.recording import chunks, memory_maps, message_store, samples
 from labhil.recording.export import export
 from labhil.recording.message_store import Message, MessageStore
 from labhil.recording.reader import read_recording
@@ -23,12 +23,12 @@ SAMPLES = 30_000
 @pytest.fixture
 def everything_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a file of some megabytes count as large in every respect."""
-    monkeypatch.setattr(mapped, "LARGE", 1)
-    monkeypatch.setattr(mapped, "ROWS", 1000)
-    monkeypatch.setattr(chunks, "STRIDE", 1 << 18)
-    monkeypatch.setattr(chunks, "BLOCK", 1 << 18)
-    monkeypatch.setattr(samples, "IN_MEMORY", 1 << 20)
-    monkeypatch.setattr(message_store, "IN_MEMORY", 1 << 20)
+    monkeypatch.setattr(memory_maps, "MIN_MAPPED_SIZE", 1)
+    monkeypatch.setattr(memory_maps, "BLOCK_ROWS", 1000)
+    monkeypatch.setattr(chunks, "RELEASE_INTERVAL", 1 << 18)
+    monkeypatch.setattr(chunks, "BLOCK_SIZE", 1 << 18)
+    monkeypatch.setattr(samples, "MAX_BYTES_IN_MEMORY", 1 << 20)
+    monkeypatch.setattr(message_store, "MAX_BYTES_IN_MEMORY", 1 << 20)
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_a_large_broken_recording_is_recovered_to_the_last_whole_message(
 
 
 def test_messages_come_back_from_memory_and_from_the_disk(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(message_store, "IN_MEMORY", 2000)
+    monkeypatch.setattr(message_store, "MAX_BYTES_IN_MEMORY", 2000)
     store = MessageStore()
     meant = [Message(k % 3, k, 10 * k, 10 * k + 1, bytes([k]) * (k % 50)) for k in range(200)]
     for message in meant:
@@ -98,4 +98,4 @@ def test_without_room_for_a_temporary_file_it_is_said_what_to_do(monkeypatch: py
 
     monkeypatch.setattr("tempfile.TemporaryFile", full)
     with pytest.raises(DiskFailedError, match=r"No space left on device.*TMPDIR"):
-        mapped.Spool(len(STREAM.signals))
+        memory_maps.Spool(len(STREAM.signals))

@@ -150,7 +150,7 @@ def test_a_killed_writer_loses_nothing_that_was_flushed(tmp_path):
         flushed = int(process.stdout.readline())
         process.send_signal(signal.SIGKILL)
     assert not path.exists()
-    with pytest.raises(RecordingError, match=r"beside it lies .*a\.mcap\.part, which was not finished"):
+    with pytest.raises(RecordingError, match=r"there is an unfinished recording .*a\.mcap\.part"):
         read_recording(path)
     recording = read_recording(tmp_path / "a.mcap.part")
     data = recording.stream_with("ball_position")
@@ -286,7 +286,7 @@ def test_a_disk_nearly_full_ends_the_recording_with_its_name(tmp_path, monkeypat
     writer = RecordingWriter(path)
     channel = writer.add_stream("bench", STATE)
     writer.write(channel, batch(0, 100))
-    monkeypatch.setattr("labhil.recording.writer.SMALLEST_FREE_SPACE", shutil.disk_usage(tmp_path).total)
+    monkeypatch.setattr("labhil.recording.writer.MIN_FREE_SPACE", shutil.disk_usage(tmp_path).total)
     with pytest.raises(RecordingFailedError, match="left on the disk"):
         writer.flush()
     with pytest.raises(RecordingFailedError, match="left on the disk"):

@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 from labhil.errors import RecordingError, RecordingFailedError
 from labhil.recording import RecordingWriter, read_recording
 from labhil.recording.recover import recover
-from labhil.recording.salvage import chunk_header, salvage, sound_checksum
+from labhil.recording.salvage import checksum_matches, parse_chunk_header, salvage
 
 sys.path.insert(0, str(Path(__file__).parent))
 from samples_of_a_bench import RIG, STATE, batch
@@ -161,7 +161,7 @@ def test_a_wrong_checksum_alone_costs_nothing_and_wrong_content_is_left_out_or_m
     place = content.index(bytes([30]) * 40)
     content[place + 7] ^= 1
     assert bytes([30]) * 40 not in [message[3] for message in saved(bytes(content))]
-    assert not sound_checksum(0x01020304, 0x01020000, whole_size=True)
+    assert not checksum_matches(0x01020304, 0x01020000, whole_size=True)
 
 
 @pytest.mark.parametrize("offset", [1, 3, 9, 17, 25, 37, 41, 44], ids=lambda offset: f"byte {offset}")
@@ -234,7 +234,7 @@ def test_messages_that_nothing_describes_are_counted_as_lost(tmp_path):
     first = chunks_of(data)[0]
     end = chunks_of(data)[-1][1]
     (tmp_path / "a.mcap").write_bytes(data[: first[0]] + data[first[1] : end])  # no description, no summary
-    with pytest.raises(RecordingError, match="found none that is whole"):
+    with pytest.raises(RecordingError, match="found no complete one"):
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
     (tmp_path / "c.mcap").write_bytes(data[: first[0]] + data[first[1] :])  # the summary describes them
     assert recover(tmp_path / "c.mcap", tmp_path / "d.mcap").saved >= 100
@@ -249,8 +249,8 @@ NOT_ONES = {
     "empty": (b"", "found an empty file"),
     "text": (b"t,x\n" * 500, "expected an MCAP recording, found a file that begins with"),
     "zeros": (bytes(3000), "expected an MCAP recording"),
-    "magic alone": (b"\x89MCAP0\r\n", "found none that is whole in 8 bytes"),
-    "magic and garbage": (b"\x89MCAP0\r\n" + bytes(range(256)) * 8, "found none that is whole"),
+    "magic alone": (b"\x89MCAP0\r\n", "found no complete one in 8 bytes"),
+    "magic and garbage": (b"\x89MCAP0\r\n" + bytes(range(256)) * 8, "found no complete one"),
 }
 
 
@@ -324,9 +324,9 @@ def test_a_shipped_recording_cut_at_many_places_and_struck_at_many_others(tmp_pa
 
 def test_the_head_of_a_chunk_that_contradicts_itself_is_none(whole):
     start = chunks_of(whole)[0][0]
-    assert chunk_header(whole, start).end == chunks_of(whole)[0][1]
-    assert chunk_header(whole, start + 1) is None
-    assert chunk_header(whole[: start + CHUNK_HEAD], start) is None
+    assert parse_chunk_header(whole, start).end == chunks_of(whole)[0][1]
+    assert parse_chunk_header(whole, start + 1) is None
+    assert parse_chunk_header(whole[: start + CHUNK_HEAD], start) is None
 
 
 def test_an_index_that_one_wrong_bit_has_made_a_message_is_none(whole):

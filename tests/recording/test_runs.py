@@ -13,7 +13,7 @@ from labhil.codec import Codec
 from labhil.errors import RecordingError
 from labhil.recording import RecordingWriter, read_recording
 from labhil.recording.recover import recover
-from labhil.recording.runs import MixedRunsError, order_of
+from labhil.recording.runs import MixedRunsError, order_samples
 from labhil.signals import Batch
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -96,8 +96,8 @@ def test_samples_are_read_and_recovered_in_order_and_once(tmp_path, places, copi
     found = read_recording(path)
     counts = (found.streams[0].copies, found.streams[0].moved)
     assert counts == (copies, moved)
-    assert len(found.losses()) == np.count_nonzero(counts)
-    assert read_recording(tmp_path / "saved.mcap").losses() == []
+    assert len(found.warnings()) == np.count_nonzero(counts)
+    assert read_recording(tmp_path / "saved.mcap").warnings() == []
 
 
 RUNS = {
@@ -143,10 +143,10 @@ def test_channels_that_share_samples_are_one_run(tmp_path):
 def test_a_host_clock_that_was_set_is_no_other_run():
     n = np.arange(500)
     t_acq = n * 10**7 - np.where(n > 250, 10**9, 0)
-    (whole,) = order_of(n, t_acq, n * 10**7)
+    (whole,) = order_samples(n, t_acq, n * 10**7)
     assert whole.tolist() == n.tolist()
     late = ONE_LATE[:300]
-    (whole,) = order_of(late, t_acq[late], late * 10**7)
+    (whole,) = order_samples(late, t_acq[late], late * 10**7)
     assert late[whole].tolist() == list(range(300))
 
 
@@ -155,18 +155,18 @@ def test_runs_that_are_shuffled_into_one_channel_are_refused(tmp_path):
     both = joined(one, Batch(other.seq, other.t_acq_ns, other.t_hw_ns, other.values + 1.0))
     mixed = rows(both, np.arange(600).reshape(2, 300).T.ravel())
     with pytest.raises(MixedRunsError):
-        order_of(mixed.seq, mixed.t_acq_ns, mixed.t_hw_ns)
+        order_samples(mixed.seq, mixed.t_acq_ns, mixed.t_hw_ns)
     path = merged(tmp_path / "a.mcap", mixed)
     with pytest.raises(RecordingError, match=r"/bench/state: .*found 300 of 600 .*nothing tells them apart"):
         read_recording(path)
-    assert any("left as it stood" in line for line in recover(path, tmp_path / "b.mcap").lines())
+    assert any("left unchanged" in line for line in recover(path, tmp_path / "b.mcap").lines())
 
 
 def test_of_rig_files_that_differ_none_is_taken_unless_one_is_given(tmp_path):
     path = merged(tmp_path / "a.mcap", batch(0, 300), rigs=(RIG, RIG + "\n[metric]\nhorizon = 2.0\n"))
     recording = read_recording(path)
     assert recording.rig is None
-    assert "several different attachments of one name: rig.toml" in recording.losses()[0]
+    assert "several different attachments of one name: rig.toml" in recording.warnings()[0]
     with pytest.raises(RecordingError, match="expected one rig file, found several that differ"):
         rig_of(recording, None)
     given = tmp_path / "given.toml"
@@ -176,4 +176,4 @@ def test_of_rig_files_that_differ_none_is_taken_unless_one_is_given(tmp_path):
 
 def test_the_same_rig_file_twice_is_one(tmp_path):
     recording = read_recording(merged(tmp_path / "a.mcap", batch(0, 300), rigs=(RIG, RIG)))
-    assert recording.rig is not None and not recording.losses()
+    assert recording.rig is not None and not recording.warnings()

@@ -11,7 +11,7 @@ import pytest
 from labhil.errors import RigFileError, TableError
 from labhil.recording import describe_import, import_table
 from labhil.recording.formats.notation import Notation
-from labhil.recording.units import unit_in_name, unit_of
+from labhil.recording.units import parse_unit, unit_in_name
 from labhil.rig import parse_rig
 
 N = 300
@@ -311,9 +311,9 @@ def test_units_know_their_factors():
         "min": 60.0,
     }
     for text, factor in factors.items():
-        assert unit_of(text).scale == pytest.approx(factor)
-    assert unit_of("K").offset == -273.15
-    assert unit_of("furlong") is None
+        assert parse_unit(text).scale == pytest.approx(factor)
+    assert parse_unit("K").offset == -273.15
+    assert parse_unit("furlong") is None
 
 
 # slower channels ---------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 
 from labhil.errors import TableError
 from labhil.recording import describe_import, import_table
-from labhil.recording.timeline import stretches
+from labhil.recording.timeline import increasing_stretches
 from labhil.rig import parse_rig
 
 N = 600
@@ -82,7 +82,7 @@ def test_a_wrong_stamp_beside_a_hole_is_dropped_alone(tmp_path):
 def test_a_damaged_block_is_dropped_and_what_comes_before_it_stays():
     garbage = [-0.1, 0.8, 0.0, 2.7e154, -0.03, 47.6, 0.0, 0.0, 0.0]
     times = np.concatenate(([3047.7], garbage, 3048.05 + K * STEP))
-    (run,) = stretches(times)
+    (run,) = increasing_stretches(times)
     assert run.tolist() == [0, *range(10, 10 + N)]
 
 
@@ -120,7 +120,7 @@ def test_counters_begin_anew(tmp_path, unit, bits, signed):
     assert len(table) == N
     assert steps(table) == pytest.approx(STEP, abs=1e-9)
     if bits == 32 and not signed:
-        assert "a counter of 32 bits begins anew; this is undone" in described(table)
+        assert "a counter of 32 bits restarts; this is undone" in described(table)
 
 
 def test_seconds_of_a_counter_that_the_logger_scaled_begin_anew(tmp_path):
@@ -132,7 +132,7 @@ def test_seconds_of_a_counter_that_the_logger_scaled_begin_anew(tmp_path):
 @pytest.mark.parametrize("first", [0.0, 3.0, 86000.0])
 def test_a_restart_is_refused_with_its_line_and_a_choice(tmp_path, first):
     times = np.concatenate([first + K[:350] * STEP, first + K[:250] * STEP])
-    with pytest.raises(TableError, match=r"line 352 \(the clock begins anew: a restart.*\[table\] part = 1"):
+    with pytest.raises(TableError, match=r"line 352 \(the clock restarts: a reboot.*\[table\] part = 1"):
         imported(tmp_path, times)
     with pytest.raises(TableError, match="line 352"):
         imported(tmp_path, times, '[table]\nbad_rows = "fail"')

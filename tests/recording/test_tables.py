@@ -19,7 +19,7 @@ from labhil.recording import (
     read_recording,
     write_import,
 )
-from labhil.recording.timeline import stretches
+from labhil.recording.timeline import increasing_stretches
 from labhil.rig import parse_rig
 
 HEAD = '[rig]\nkind = "ball_beam"\n'
@@ -227,7 +227,7 @@ def test_wrong_stamps_are_jumped_over_and_holes_are_not(n, struck, holes):
     wrong = {place % n for place, _ in struck}
     for place, error in struck:
         times[place % n] += error
-    runs = stretches(times)
+    runs = increasing_stretches(times)
     kept = np.concatenate(runs)
     for run in runs:
         assert (np.diff(run) > 0).all()

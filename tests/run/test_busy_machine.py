@@ -66,7 +66,7 @@ def test_a_run_beside_busy_processes_is_fitted_with_what_the_twin_is_made_of(tmp
     data = recording.stream_with("ball_position")
     assert HOST_CLOCK in data.metadata
     assert np.diff(data.t) == pytest.approx(0.01, abs=1e-9)
-    assert [fault.kind for fault in data.clock_faults if fault.bends_time] == []
+    assert [fault.kind for fault in data.clock_faults if fault.distorts_time] == []
     # a step that is not there can only be a world that paused; the run says what the reader finds
     assert bool(result.warnings) == bool(data.clock_faults)
     assert all(fault.kind is not ClockFaultKind.NO_CLOCK for fault in data.clock_faults)

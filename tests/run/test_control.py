@@ -234,7 +234,7 @@ def test_a_number_in_the_documentation_is_that_of_the_code(page: str, stated: st
 def test_a_disk_that_is_nearly_full_at_the_start_is_the_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labhil.recording.writer.SMALLEST_FREE_SPACE", 2**60)
+    monkeypatch.setattr("labhil.recording.writer.MIN_FREE_SPACE", 2**60)
     (tmp_path / "rig.toml").write_text(RIG)
     experiment = parse_experiment(EXPERIMENT.replace("DURATION", "3.0"), tmp_path / "e.toml")
     result = run_experiment(experiment, tmp_path)

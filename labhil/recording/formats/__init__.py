@@ -1,1 +1,1 @@
-"""The file formats of others, one room each: their tables as columns, our recordings as their files."""
+"""Foreign file formats, a module for each: readers that return tables, and writers of recordings."""

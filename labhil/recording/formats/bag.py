@@ -1,9 +1,9 @@
-"""ROS 2 bags, by rosbags: a folder with ``metadata.yaml``, or one ``.mcap`` or ``.db3`` file of it.
+"""Reader of ROS 2 bags, by rosbags: a folder with ``metadata.yaml``, or one of its ``.mcap``/``.db3`` files.
 
-A column is ``topic.field[.sub][index]``, like ``/wheels.speed[0]``, or ``topic.field.name`` where a message
-names the elements of its arrays, like ``/joint_states.position.elbow_joint``; a stamp (``header.stamp``) is a
-column in s of Unix time. The rows are the messages of one topic, or of one of its publishers where they name
-other joints. Columns of others are taken at the times of these messages.
+A column is named ``topic.field[.sub][index]``, like ``/wheels.speed[0]``, or ``topic.field.name`` if the
+message names the elements of its arrays, like ``/joint_states.position.elbow_joint``. A stamp
+(``header.stamp``) is a column in s of Unix time. The rows are the messages of one topic, or of one of its
+publishers if these name different joints. Other topics are resampled at the times of these messages.
 """
 
 from __future__ import annotations
@@ -18,114 +18,127 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.bag_messages import Named, Source, Way, numbers_in, sources_of
+from labhil.recording.formats.bag_messages import (
+    FieldPath,
+    MessageGroup,
+    Named,
+    group_messages,
+    iterate_numbers,
+)
 from labhil.recording.formats.columns import Columns
 from labhil.signals import FloatArray, Hold
 
 RECEIVED = "received"
-"""The column of the times at which the bag's recorder received the messages of the rows' topic, s."""
+"""Column of the times at which the bag's recorder received the rows, s of Unix time."""
 
-LONGEST_GAP = 100.0
-"""Median steps of another topic; nothing is taken between messages that are further apart."""
-
-MOST_NAMES = 12
-"""Names of joints that a message lists."""
+MAX_NAMES = 12
+"""Number of joints that an error message lists."""
 
 _STEP = re.compile(r"\[([^\[\]]+)\]|\.?([^.\[\]]+)")
 
 
 @dataclass(frozen=True)
 class BagColumns(Columns):
-    """Columns of a bag, at the times of the messages of ``base``, the first of its ``sources``.
+    """Columns of a bag; its rows are the first group of messages.
 
-    ``places`` says of each column in which of the sources it stands (None: not read) and the way there;
-    ``numbered`` which column a place in an array of named elements is, by its plain name; ``refused`` why
-    one is none.
+    Attributes:
+        path: the bag.
+        locations: group (None: not read) and path inside a message of each column.
+        groups: groups of messages.
+        indexed: column of an array index, ``topic.field.2``, where the elements of the array have names.
+        ambiguous: why an array index is no column.
+        used: topics that were resampled.
     """
 
     path: Path
-    places: tuple[tuple[int | None, Way], ...]
-    sources: tuple[Source, ...]
-    numbered: Mapping[str, int]
-    refused: Mapping[str, str]
+    locations: tuple[tuple[int | None, FieldPath], ...]
+    groups: tuple[MessageGroup, ...]
+    indexed: Mapping[str, int]
+    ambiguous: Mapping[str, str]
     used: set[str] = field(default_factory=set)
 
     row_word = "message"
 
     @property
-    def base(self) -> Source:
-        """The messages that give the rows."""
-        return self.sources[0]
+    def base(self) -> MessageGroup:
+        """Messages that are the rows."""
+        return self.groups[0]
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which messages give the rows and which clock the time, and what was taken from others."""
+        """Lines about the choice of rows, their clock, and resampled topics."""
         clock = (
             "the stamps in their headers" if self._has_stamps else "the times at which the bag received them"
         )
-        other_sources = tuple(
-            f"{len(source.rows)} messages of {source.topic} are no rows: "
-            f"they name {_list_names(source.names)}"
-            for source in self.sources[1:]
-            if source.topic == self.base.topic
+        other_groups = tuple(
+            f"{len(group.rows)} messages of {group.topic} are no rows: they name {_list_names(group.names)}"
+            for group in self.groups[1:]
+            if group.topic == self.base.topic
         )
         resampled = tuple(
             f"{name} is another topic: its values are taken at the times of {self.base.topic}"
             for name in sorted(self.used)
         )
-        rows = f"rows are the messages of {self.base.topic}{_with_names(self.base) if other_sources else ''}"
-        return (f"{rows}; without a channel t the time is {clock}", *other_sources, *resampled)
+        rows = f"rows are the messages of {self.base.topic}{_format_names(self.base) if other_groups else ''}"
+        return (f"{rows}; without a channel t the time is {clock}", *other_groups, *resampled)
 
-    def find(self, source: str) -> tuple[int, ...]:
-        """The numbers of the columns that bear this name; the first slash and ``.0`` for ``[0]`` are free.
+    def find(self, name: str) -> tuple[int, ...]:
+        """Find columns by name, with or without the first slash, and with ``.0`` for ``[0]``.
 
-        TableError for a place in an array whose elements change places.
+        Raises:
+            TableError: The name is an index into an array whose elements change their order.
         """
-        plain = _plain(source)
-        places = tuple(place for place, name in enumerate(self.names or ()) if _plain(name) == plain)
-        if places:
-            return places
-        if plain in self.refused:
-            raise TableError(f"{self.path}: {source}: {self.refused[plain]}")
-        return (self.numbered[plain],) if plain in self.numbered else ()
+        wanted = _normalise(name)
+        indices = tuple(index for index, known in enumerate(self.names or ()) if _normalise(known) == wanted)
+        if indices:
+            return indices
+        if wanted in self.ambiguous:
+            raise TableError(f"{self.path}: {name}: {self.ambiguous[wanted]}")
+        return (self.indexed[wanted],) if wanted in self.indexed else ()
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is none.
-
-        Between two messages of another topic the value goes along the straight line or is held.
-        """
-        place, way = self.places[column]
-        if not way:
+        """Values (rows,) of a column, another topic's interpolated by ``hold``; NaN where there is none."""
+        number, field_path = self.locations[column]
+        if not field_path:
             return self._times(self.base)
-        if way == (RECEIVED,):
+        if field_path == (RECEIVED,):
             return self.base.received
-        if place is None:
+        if number is None:
             name = (self.names or ())[column]
             raise TableError(f"{self.path}: column {column}: expected a name in [channels], such as {name!r}")
-        source = self.sources[place]
-        if place == 0:
-            return source.values[way]
-        names = _with_names(source) if source.topic == self.base.topic else ""
-        self.used.add(f"{source.topic}{names}")
-        return _resample(self._times(self.base), self._times(source), source.values[way], hold)
+        group = self.groups[number]
+        if number == 0:
+            return group.values[field_path]
+        names = _format_names(group) if group.topic == self.base.topic else ""
+        self.used.add(f"{group.topic}{names}")
+        return _resample(self._times(self.base), self._times(group), group.values[field_path], hold)
 
     def text(self, column: int, row: int) -> str:
-        """What stands there, for messages."""
+        """Content of a cell, for messages."""
         return f"{self.numbers(column)[row]}"
 
     @property
     def _has_stamps(self) -> bool:
         return self.base.stamps is not None
 
-    def _times(self, source: Source) -> FloatArray:
-        stamps = source.stamps if self._has_stamps else None
-        return source.received if stamps is None else stamps
+    def _times(self, group: MessageGroup) -> FloatArray:
+        stamps = group.stamps if self._has_stamps else None
+        return group.received if stamps is None else stamps
 
 
 def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
-    """Read the topics that ``wanted`` columns stand in; the first of them gives the rows.
+    """Read the topics of some columns of a bag.
 
-    TableError when the bag cannot be read or is empty.
+    Args:
+        path: the bag.
+        wanted: names of columns; the topic of the first one is the rows.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: The bag cannot be read or is empty.
+        MissingExtraError: rosbags is not installed.
     """
     purpose = f"{path}: a ROS 2 bag"
     highlevel = load_optional("rosbags.highlevel", purpose)
@@ -144,39 +157,39 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
 
 
 def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
-    first = {c.topic: _first(reader, c) for c in reversed(reader.connections) if c.msgcount}
-    listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
-    if not listed:
+    first = {c.topic: _first_message(reader, c) for c in reversed(reader.connections) if c.msgcount}
+    available = [(topic, steps) for topic, message in first.items() for steps, _ in iterate_numbers(message)]
+    if not available:
         raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
     requested = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
     topics = {topic.lstrip("/"): topic for topic in first}
-    needed = [topics[name] for name in requested if name in topics] or [listed[0][0]]
-    read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
-    base = _base(read, [_plain(name) for name in wanted])
-    sources = [base, *(source for source in read if source is not base)]
-    places: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
-    for place, source in enumerate(sources):
-        for way in source.values:
-            places.setdefault(_name(source.topic, way), (place, way))
-    read_topics = {source.topic for source in sources}
-    for topic, way in listed:
+    needed = [topics[name] for name in requested if name in topics] or [available[0][0]]
+    groups = [group for topic in needed for group in group_messages(topic, _messages(reader, topic))]
+    base = _choose_rows(groups, [_normalise(name) for name in wanted])
+    groups = [base, *(group for group in groups if group is not base)]
+    locations: dict[str, tuple[int | None, FieldPath]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
+    for number, group in enumerate(groups):
+        for steps in group.values:
+            locations.setdefault(_column_name(group.topic, steps), (number, steps))
+    read_topics = {group.topic for group in groups}
+    for topic, steps in available:
         if topic not in read_topics:
-            places.setdefault(_name(topic, way), (None, way))
-    names = tuple(places)
+            locations.setdefault(_column_name(topic, steps), (None, steps))
+    names = tuple(locations)
     return BagColumns(
         names=names,
         width=len(names),
         lines=base.rows + 1,
         counts=np.full(len(base.rows), len(names)),
         path=path,
-        places=tuple(places.values()),
-        sources=tuple(sources),
-        numbered={plain: names.index(name) for plain, name in _numbered_names(sources)},
-        refused=dict(_refusals(sources)),
+        locations=tuple(locations.values()),
+        groups=tuple(groups),
+        indexed={plain: names.index(name) for plain, name in _unambiguous_names(groups)},
+        ambiguous=dict(_ambiguities(groups)),
     )
 
 
-def _first(reader: Any, connection: Any) -> Any:
+def _first_message(reader: Any, connection: Any) -> Any:
     _, _, raw = next(iter(reader.messages([connection])))
     return reader.deserialize(raw, connection.msgtype)
 
@@ -187,54 +200,54 @@ def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
         yield time_ns, reader.deserialize(raw, connection.msgtype)
 
 
-def _base(sources: Sequence[Source], wanted: Sequence[str]) -> Source:
-    """The source that gives the rows: of the first topic, and there of the first name that only one has."""
-    candidates = [source for source in sources if source.topic == sources[0].topic]
+def _choose_rows(groups: Sequence[MessageGroup], wanted: Sequence[str]) -> MessageGroup:
+    """The group that is the rows: of the first topic, the only one with the first such name."""
+    candidates = [group for group in groups if group.topic == groups[0].topic]
     for name in wanted:
         matching = [
             candidate
             for candidate in candidates
-            if any(_plain(_name(candidate.topic, way)) == name for way in candidate.values)
+            if any(_normalise(_column_name(candidate.topic, steps)) == name for steps in candidate.values)
         ]
         if len(matching) == 1:
             return matching[0]
     return candidates[0]
 
 
-def _by_place(source: Source) -> Iterator[tuple[str, str]]:
-    """Of every array of named elements the plain name of a place in it, and the column it may mean."""
-    for way in source.values:
-        index = next((k for k, step in enumerate(way) if isinstance(step, Named)), None)
-        if index is None:
+def _indexed_names(group: MessageGroup) -> Iterator[tuple[str, str]]:
+    """Names by index of array elements that have names, each with the column that it may mean."""
+    for steps in group.values:
+        position = next((k for k, step in enumerate(steps) if isinstance(step, Named)), None)
+        if position is None:
             continue
-        label = way[index]
-        for labels in source.orders:
-            if isinstance(label, Named) and label.name in labels:
-                place = (*way[:index], labels.index(label.name), *way[index + 1 :])
-                yield _plain(_name(source.topic, place)), _name(source.topic, way)
+        element = steps[position]
+        for labels in group.name_orders:
+            if isinstance(element, Named) and element.name in labels:
+                by_index = (*steps[:position], labels.index(element.name), *steps[position + 1 :])
+                yield _normalise(_column_name(group.topic, by_index)), _column_name(group.topic, steps)
 
 
-def _orders(sources: Sequence[Source], topic: str) -> dict[tuple[str, ...], int]:
-    return {labels: n for source in sources if source.topic == topic for labels, n in source.orders.items()}
+def _name_orders(groups: Sequence[MessageGroup], topic: str) -> dict[tuple[str, ...], int]:
+    return {labels: n for group in groups if group.topic == topic for labels, n in group.name_orders.items()}
 
 
-def _numbered_names(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
-    """Places in arrays of named elements that mean one column, as the names never change places."""
-    for source in sources:
-        if len(_orders(sources, source.topic)) == 1:
-            yield from _by_place(source)
+def _unambiguous_names(groups: Sequence[MessageGroup]) -> Iterator[tuple[str, str]]:
+    """Indices, with their columns, of arrays whose elements keep their order."""
+    for group in groups:
+        if len(_name_orders(groups, group.topic)) == 1:
+            yield from _indexed_names(group)
 
 
-def _refusals(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
-    """Places in arrays of named elements that mean now one column, now another, and why."""
-    for source in sources:
-        orders = _orders(sources, source.topic)
-        if len(orders) == 1:
+def _ambiguities(groups: Sequence[MessageGroup]) -> Iterator[tuple[str, str]]:
+    """Indices of arrays whose elements change their order, with an explanation."""
+    for group in groups:
+        name_orders = _name_orders(groups, group.topic)
+        if len(name_orders) == 1:
             continue
         counts = "; ".join(
-            f"{_list_names(labels) or 'no names'} in {n} messages" for labels, n in orders.items()
+            f"{_list_names(labels) or 'no names'} in {n} messages" for labels, n in name_orders.items()
         )
-        for plain, name in _by_place(source):
+        for plain, name in _indexed_names(group):
             yield (
                 plain,
                 f"expected a name, since the elements change places: {counts}; write the column as {name!r}",
@@ -242,28 +255,30 @@ def _refusals(sources: Sequence[Source]) -> Iterator[tuple[str, str]]:
 
 
 def _list_names(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f"{', '.join(names[:MOST_NAMES])}{more}"
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return f"{', '.join(names[:MAX_NAMES])}{more}"
 
 
-def _with_names(source: Source) -> str:
-    return f" with {_list_names(source.names)}" if source.names else ""
+def _format_names(group: MessageGroup) -> str:
+    return f" with {_list_names(group.names)}" if group.names else ""
 
 
-def _name(topic: str, way: Way) -> str:
-    steps = (f"[{s}]" if isinstance(s, int) else f".{s.name if isinstance(s, Named) else s}" for s in way)
-    return topic + "".join(steps)
+def _column_name(topic: str, steps: FieldPath) -> str:
+    texts = (f"[{s}]" if isinstance(s, int) else f".{s.name if isinstance(s, Named) else s}" for s in steps)
+    return topic + "".join(texts)
 
 
-def _plain(name: str) -> str:
-    """A column's name without what may be written in two ways."""
+def _normalise(name: str) -> str:
+    """A column's name in its only notation: no first slash, and ``.0`` for ``[0]``."""
     topic, dot, rest = name.partition(".")
     steps = [index or part for index, part in _STEP.findall(rest)]
     return ".".join((topic.lstrip("/"), *steps)) if dot else name
 
 
-def _resample(t: FloatArray, times: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:
-    """The values of another topic at the times ``at``; NaN outside of it and in its gaps."""
+def _resample(
+    t: FloatArray, times: FloatArray, values: FloatArray, hold: Hold, max_gap: float = 100.0
+) -> FloatArray:
+    """Values of a topic at times ``t`` (n,); NaN outside it and in gaps of over ``max_gap`` median steps."""
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
     resampled = np.full(len(t), np.nan)
@@ -274,9 +289,9 @@ def _resample(t: FloatArray, times: FloatArray, values: FloatArray, hold: Hold) 
     begin = np.clip(before, 0, len(times) - 2)
     step = times[begin + 1] - times[begin]
     rising = np.diff(times)
-    inside &= step <= LONGEST_GAP * np.median(rising[rising > 0]) if (rising > 0).any() else False
-    held = values[np.clip(before, 0, len(times) - 1)]
-    share = np.divide(t - times[begin], step, out=np.zeros_like(t), where=step > 0)
-    line = values[begin] + share * (values[begin + 1] - values[begin])
-    resampled[inside] = (held if hold is Hold.ZERO else line)[inside]
+    inside &= step <= max_gap * np.median(rising[rising > 0]) if (rising > 0).any() else False
+    previous = values[np.clip(before, 0, len(times) - 1)]
+    fraction = np.divide(t - times[begin], step, out=np.zeros_like(t), where=step > 0)
+    interpolated = values[begin] + fraction * (values[begin + 1] - values[begin])
+    resampled[inside] = (previous if hold is Hold.ZERO else interpolated)[inside]
     return resampled

@@ -1,7 +1,7 @@
-"""Messages of one topic as columns of numbers; arrays go by the names that a message gives their elements.
+"""Messages of a ROS topic as columns of numbers.
 
-A JointState lists the names of its joints beside their positions. The order is the publisher's own and may
-change from one message to the next, and several publishers may share a topic: a number belongs to its name.
+A JointState lists the names of its joints beside their positions. Their order may change from one message to
+the next, and several publishers may share a topic. Such numbers are therefore columns by name.
 """
 
 from __future__ import annotations
@@ -17,70 +17,85 @@ import numpy as np
 
 from labhil.signals import FloatArray, IntArray
 
-LONGEST_ARRAY = 64
-"""Longer arrays (images, point clouds) are no columns."""
+MAX_ARRAY_LENGTH = 64
+"""Longest array that becomes columns; longer ones are images or point clouds."""
 
 Labels = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """The element of an array that bears this name."""
+    """An array element with a name."""
 
     name: str
 
 
-Way = tuple[str | int | Named, ...]
-"""How to get from a message to a number: names of fields, places in arrays, names of elements."""
+FieldPath = tuple[str | int | Named, ...]
+"""Path from a message to a number: names of fields, indices of arrays, names of array elements."""
 
-STAMP: Way = ("header", "stamp")
+STAMP: FieldPath = ("header", "stamp")
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """Messages of one topic that belong together: all of them, or those that name the same joints.
+class MessageGroup:
+    """Messages of a topic: all, or those that name the same joints.
 
-    ``rows`` (n,) are their places in the topic, ``received`` (n,) and ``stamps`` (n,, of their headers) are s
-    of Unix time. ``orders`` says in how many messages the names had which order.
+    Attributes:
+        topic: the topic.
+        rows: positions in the topic, (n,).
+        received: times at which the bag received them, (n,), s of Unix time.
+        values: numbers by path, (n,) each.
+        name_orders: number of messages by order of the names.
     """
 
     topic: str
     rows: IntArray
     received: FloatArray
-    values: Mapping[Way, FloatArray]
-    orders: Mapping[Labels, int]
+    values: Mapping[FieldPath, FloatArray]
+    name_orders: Mapping[Labels, int]
 
     @property
     def stamps(self) -> FloatArray | None:
-        """Stamps of the headers; None where nobody filled them in."""
+        """Stamps of the headers, (n,), s of Unix time; None if they are empty."""
         stamps = self.values.get(STAMP)
         return stamps if stamps is not None and (stamps > 0).all() else None
 
     @property
     def names(self) -> Labels:
-        """All names in its messages, in the order in which they came up."""
-        return tuple(dict.fromkeys(name for labels in self.orders for name in labels))
+        """Names in the messages, in the order of their first appearance."""
+        return tuple(dict.fromkeys(name for labels in self.name_orders for name in labels))
 
 
-def numbers_in(value: Any, way: Way = (), labels: Labels = ()) -> Iterator[tuple[Way, float]]:
-    """Walk a message: every number (a stamp is one, in s) and the way to it."""
+def iterate_numbers(
+    value: Any, path: FieldPath = (), labels: Labels = ()
+) -> Iterator[tuple[FieldPath, float]]:
+    """Yield all numbers of a message with their paths; a stamp is a number in s.
+
+    Args:
+        value: the message, or a part of it.
+        path: path to this part.
+        labels: names of the elements of arrays in this part.
+
+    Yields:
+        Path and number.
+    """
     if isinstance(value, (bool, int, float, np.number, np.bool_)):
-        yield way, float(value)
+        yield path, float(value)
     elif hasattr(value, "sec") and hasattr(value, "nanosec"):
-        yield way, value.sec + 1e-9 * value.nanosec
+        yield path, value.sec + 1e-9 * value.nanosec
     elif isinstance(value, (list, np.ndarray)):
         named = bool(labels) and len(value) == len(labels) and not _parallel_inside(value, len(labels))
-        for place in range(len(value) if len(value) <= LONGEST_ARRAY else 0):
-            step = Named(labels[place]) if named else place
-            yield from numbers_in(value[place], (*way, step), () if named else labels)
+        for index in range(len(value) if len(value) <= MAX_ARRAY_LENGTH else 0):
+            step = Named(labels[index]) if named else index
+            yield from iterate_numbers(value[index], (*path, step), () if named else labels)
     elif dataclasses.is_dataclass(value):
-        inner_labels = labels_of(value) or labels
+        inner_labels = element_names(value) or labels
         for part in dataclasses.fields(value):
-            yield from numbers_in(getattr(value, part.name), (*way, part.name), inner_labels)
+            yield from iterate_numbers(getattr(value, part.name), (*path, part.name), inner_labels)
 
 
-def labels_of(message: Any) -> Labels:
-    """The names that a message gives the elements of its arrays: its field ``name`` or ``…names``."""
+def element_names(message: Any) -> Labels:
+    """Names of array elements in the field ``name`` or ``…names`` of a message; empty without one."""
     for part in dataclasses.fields(message):
         value = getattr(message, part.name)
         if not (part.name == "name" or part.name.endswith("names")) or not isinstance(value, list):
@@ -95,56 +110,61 @@ def labels_of(message: Any) -> Labels:
 
 
 def _parallel_inside(value: Any, count: int) -> bool:
-    """Whether the elements hold arrays as long as the names (points of a trajectory): those bear them."""
+    """Whether the elements contain arrays with ``count`` items, as points of a trajectory do."""
     first = value[0] if len(value) else None
-    if not dataclasses.is_dataclass(first) or labels_of(first):
+    if not dataclasses.is_dataclass(first) or element_names(first):
         return False
     inner = (getattr(first, part.name) for part in dataclasses.fields(first))
     return any(isinstance(values, (list, np.ndarray)) and len(values) == count for values in inner)
 
 
-def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
-    """Read the messages of a topic, each with the time (ns, Unix) at which it was received.
+def group_messages(topic: str, messages: Iterable[tuple[int, Any]]) -> list[MessageGroup]:
+    """Read the messages of a topic, and group them by publisher.
 
-    Messages whose names have none in common come from several publishers, and are several sources.
+    Args:
+        topic: the topic.
+        messages: Unix times (ns) of reception and messages.
+
+    Returns:
+        Groups, the largest first. Messages without a common name are of different publishers.
     """
     received: list[int] = []
     labels: list[Labels] = []
-    columns: dict[Way, array[float]] = {}
+    columns: dict[FieldPath, array[float]] = {}
     for time_ns, message in messages:
         count = len(received)
         width = 0
-        for way, number in numbers_in(message):
-            column = columns.get(way)
+        for path, number in iterate_numbers(message):
+            column = columns.get(path)
             if column is None:
-                column = columns[way] = array("d", [np.nan]) * count
+                column = columns[path] = array("d", [np.nan]) * count
             column.append(number)
             width += 1
         received.append(time_ns)
-        labels.append(labels_of(message))
-        if width != len(columns):  # an array may be shorter, or its names others, than in another message
+        labels.append(element_names(message))
+        if width != len(columns):  # a shorter array than in another message, or other names
             for column in columns.values():
                 column.extend([np.nan] * (count + 1 - len(column)))
-    values = {way: np.array(column) for way, column in columns.items()}
+    values = {path: np.array(column) for path, column in columns.items()}
     seconds = np.array(received, dtype=np.float64) * 1e-9
-    sources = []
+    groups = []
     for group in _groups(labels):
         rows = np.array([row for row, order in enumerate(labels) if order in group], dtype=np.int64)
-        orders = Counter(order for order in labels if order in group)
+        name_orders = Counter(order for order in labels if order in group)
         names = {name for order in group for name in order}
-        group_columns = {way: column[rows] for way, column in values.items() if _belongs(way, names)}
-        sources.append(Source(topic, rows, seconds[rows], group_columns, orders))
-    return sources
+        group_columns = {path: column[rows] for path, column in values.items() if _belongs(path, names)}
+        groups.append(MessageGroup(topic, rows, seconds[rows], group_columns, name_orders))
+    return groups
 
 
-def _belongs(way: Way, names: set[str]) -> bool:
-    """Whether messages with these names have the number: the first name on the way is the message's own."""
-    named = [step.name for step in way if isinstance(step, Named)]
+def _belongs(path: FieldPath, names: set[str]) -> bool:
+    """Whether messages with these names contain the number: the first name on the path is the message's."""
+    named = [step.name for step in path if isinstance(step, Named)]
     return not named or not names or named[0] in names
 
 
 def _groups(labels: Sequence[Labels]) -> list[set[Labels]]:
-    """Sets of orders that have names in common, the most frequent first."""
+    """Sets of name orders with common names, the most frequent first."""
     groups: list[set[Labels]] = []
     for order in dict.fromkeys(labels):
         names = set(order)

@@ -1,4 +1,4 @@
-"""Recordings as ROS 2 bags: one topic per stream, with a message type of its own that the bag explains."""
+"""Writer of ROS 2 bags: a topic per stream, with its own message type, whose definition is in the bag."""
 
 from __future__ import annotations
 
@@ -17,9 +17,18 @@ PACKAGE = "labhil_msgs"
 
 
 def write_bag(streams: Sequence[StreamData], out: Path) -> None:
-    """Write streams as a folder with MCAP storage: ``/<device>/<stream>``, stamped by the host's clock.
+    """Write streams as a bag with MCAP storage, topics ``/<device>/<stream>``.
 
-    A message has ``header``, ``seq``, ``t`` (s, the time of analysis) and the signals (SI units).
+    A message has ``header`` (stamp of the host's clock), ``seq``, ``t`` (s, the time of analysis) and the
+    signals (SI units).
+
+    Args:
+        streams: the streams.
+        out: the folder of the bag.
+
+    Raises:
+        UsageError: The folder exists, or its parent does not.
+        MissingExtraError: rosbags is not installed.
     """
     purpose = f"{out}: writing a ROS 2 bag"
     rosbag2 = load_optional("rosbags.rosbag2", purpose)

@@ -1,4 +1,4 @@
-"""What a table is, whatever file it stood in."""
+"""Tables of any file format, column by column."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, stamps_of
+from labhil.recording.formats.time_text import TimeValues, parse_times
 from labhil.recording.units import without_unit
 from labhil.signals import FloatArray, Hold, IntArray
 
 
 @dataclass(frozen=True)
 class Columns(ABC):
-    """A table of others: ``names`` of its columns (None without a header) and how many there are.
+    """A table of a foreign file.
 
-    ``lines`` (rows,) says where each row stands, for messages; ``counts`` (rows,) how many fields it has.
+    Attributes:
+        names: names of the columns; None without a header.
+        width: number of columns.
+        lines: position of each row in the file, for messages, (rows,).
+        counts: number of fields of each row, (rows,).
+        row_word: what messages call a row.
     """
 
     names: tuple[str, ...] | None
@@ -30,126 +35,138 @@ class Columns(ABC):
     counts: IntArray
 
     row_word = "row"
-    """What a row is called in messages."""
 
     @property
     def complete(self) -> NDArray[np.bool_]:
-        """Which rows have the right number of fields, shape (rows,)."""
+        """Rows with the right number of fields, (rows,)."""
         complete: NDArray[np.bool_] = self.counts == self.width
         return complete
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should know of how the rows came to be, a line each."""
+        """Lines about the choice of rows and columns, for users."""
         return ()
 
     @property
-    def left_out(self) -> str:
-        """What is in the file and is no column, with why, for messages; empty where that cannot be."""
+    def skipped(self) -> str:
+        """Content of the file that is no column, and why, for messages; empty if there is none."""
         return ""
 
-    def find(self, source: str) -> tuple[int, ...]:
-        """The numbers of the columns that bear this name: none, one or several.
+    def find(self, name: str) -> tuple[int, ...]:
+        """Find columns by name.
 
-        A column ``Time [ms]`` is found as ``Time``, too, and as ``time`` where none bears that name exactly.
+        Args:
+            name: a name; ``Time`` and ``time`` match a column ``Time [ms]``, too, if none matches exactly.
+
+        Returns:
+            Numbers of the columns: none, one or several.
         """
         names = self.names or ()
-        if places := _places(names, source):
-            return places
-        bare = [without_unit(name) for name in names]
-        return _places(bare, source) or _places([n.casefold() for n in bare], source.casefold())
+        if indices := _indices(names, name):
+            return indices
+        bare = [without_unit(candidate) for candidate in names]
+        return _indices(bare, name) or _indices([n.casefold() for n in bare], name.casefold())
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The texts of a line of units below the header, one for each column; empty where there is none."""
+        """Texts of a line of units below the header, by column; empty if there is none."""
         return ()
 
-    def times(self, column: int) -> Stamps:
-        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
-        return Stamps(self.numbers(column))
+    def times(self, column: int) -> TimeValues:
+        """Times (rows,) in a column; dates and times of day in s."""
+        return TimeValues(self.numbers(column))
 
     def missing(self, column: int) -> NDArray[np.bool_]:
-        """Where a column has no value at all (an empty cell, no text that is no number), shape (rows,)."""
+        """Rows where a column has no value, (rows,): an empty cell or NaN, but no text that is no number."""
         return np.zeros(len(self.counts), dtype=np.bool_)
 
     def readable(self, column: int, notation: Notation) -> int:
-        """How many cells of a column would be numbers in another notation; 0 where the file knows none."""
+        """Number of cells of a column that are numbers in another notation; 0 if the file has no notation."""
         return 0
 
     @abstractmethod
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is no number.
+        """Values of a column.
 
-        ``hold`` says what the signal does between its samples, where they do not come with the rows.
+        Args:
+            column: its number.
+            hold: interpolation between samples that are not taken with the rows.
+
+        Returns:
+            Values (rows,); NaN where there is no number.
         """
 
     @abstractmethod
     def text(self, column: int, row: int) -> str:
-        """What stands there, for messages."""
+        """Content of a cell, for messages."""
 
 
 @dataclass(frozen=True)
 class NumberColumns(Columns):
-    """Columns that are numbers in the file already: ``values`` holds one array of shape (rows,) for each."""
+    """Columns that are numbers in the file already.
+
+    Attributes:
+        values: values of each column, (rows,).
+        texts: cells of the columns that are text in the file, by column.
+    """
 
     values: Sequence[FloatArray]
     texts: Mapping[int, Sequence[Any]] = field(default_factory=dict)
-    """What stands in the columns that are text in the file, by their number."""
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is no number."""
+        """Values (rows,) of a column."""
         return self.values[column]
 
-    def times(self, column: int) -> Stamps:
-        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
-        return read_stamps(self.values[column], [cell_text(cell) for cell in self.texts.get(column, ())])
+    def times(self, column: int) -> TimeValues:
+        """Times (rows,) in a column; dates and times of day in s."""
+        return times_or_numbers(self.values[column], [cell_text(cell) for cell in self.texts.get(column, ())])
 
     def missing(self, column: int) -> NDArray[np.bool_]:
-        """Where a column has no value at all, shape (rows,)."""
+        """Rows where a column has no value, (rows,)."""
         missing = np.isnan(self.values[column])
         if column in self.texts:
             missing &= np.array([cell is None or is_missing(str(cell)) for cell in self.texts[column]])
         return missing
 
     def text(self, column: int, row: int) -> str:
-        """What stands there, for messages."""
+        """Content of a cell, for messages."""
         if column in self.texts:
             return repr(self.texts[column][row])
         return f"{self.values[column][row]}"
 
 
-def _places(names: Sequence[str], wanted: str) -> tuple[int, ...]:
-    return tuple(place for place, name in enumerate(names) if name == wanted)
+def _indices(names: Sequence[str], wanted: str) -> tuple[int, ...]:
+    return tuple(index for index, name in enumerate(names) if name == wanted)
 
 
 def number_columns(
     names: Sequence[str], values: Sequence[FloatArray], texts: Mapping[int, Sequence[Any]] | None = None
 ) -> NumberColumns:
-    """A table with a name and an array of shape (rows,) for each column."""
+    """Make a table of names, values (rows,) and, for columns of text, cells."""
     rows = len(values[0])
     counts = np.full(rows, len(names))
     return NumberColumns(tuple(names), len(names), np.arange(1, rows + 1), counts, values, texts or {})
 
 
-def read_stamps(numbers: FloatArray, texts: Sequence[str]) -> Stamps:
-    """The times of a column: its numbers, or its texts where more of these are dates or times of day."""
+def times_or_numbers(numbers: FloatArray, texts: Sequence[str]) -> TimeValues:
+    """Read a column of times: its numbers, or its texts if more of these are dates or times of day."""
     finite = int(np.count_nonzero(np.isfinite(numbers)))
-    stamps = stamps_of(texts) if finite < len(texts) else None
+    stamps = parse_times(texts) if finite < len(texts) else None
     if stamps is not None and np.count_nonzero(np.isfinite(stamps.values)) > finite:
         return stamps
-    return Stamps(numbers)
+    return TimeValues(numbers)
 
 
 def cell_text(cell: Any) -> str:
-    """The text in a cell, "" where it holds something else."""
+    """Text of a cell; "" for other content."""
     return cell if isinstance(cell, str) else ""
 
 
-def number_of(cell: Any, notation: Notation = Notation()) -> float:  # noqa: B008
-    """The number that a cell means: NaN for what is none; a date in s of Unix time, a duration in s."""
+def parse_cell(cell: Any, notation: Notation = Notation()) -> float:  # noqa: B008
+    """Number of a cell: dates in s of Unix time, durations in s, NaN for anything else."""
     if isinstance(cell, (int, float)):
         return float(cell)
-    if isinstance(cell, datetime):  # without a zone it is taken for UTC, which has no hour twice
+    if isinstance(cell, datetime):  # UTC without a zone, since it has no ambiguous hour
         return (cell if cell.tzinfo else cell.replace(tzinfo=UTC)).timestamp()
     if isinstance(cell, timedelta):
         return cell.total_seconds()

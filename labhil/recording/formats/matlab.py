@@ -1,4 +1,4 @@
-"""MAT files: versions 4 to 7 by scipy, version 7.3 (and other HDF5 files) by h5py."""
+"""MAT files: versions 4 to 7 by scipy, version 7.3 and other HDF5 files by h5py."""
 
 from __future__ import annotations
 
@@ -13,40 +13,49 @@ import numpy as np
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.matlab_objects import advice, objects_in
-from labhil.recording.formats.variables import MOST_PARTS, Part, VariableColumns, table_of, variables_of
+from labhil.recording.formats.matlab_objects import list_objects, object_advice
+from labhil.recording.formats.variables import MAX_ELEMENTS, Node, VariableColumns, list_variables, make_table
 from labhil.signals import FloatArray, Stream
 
-NUMBERS = "iufb"
-"""numpy's letters for kinds of numbers; complex ones are none of a signal's."""
+REAL_KINDS = "iufb"
+"""numpy's kinds of real numbers."""
 
-IN_WORDS = {"char": "text", "cell": "a cell array", "function_handle": "a function", "string": "text"}
-"""What MATLAB calls things that version 7.3 keeps as numbers, and that are none."""
+NON_NUMERIC_CLASSES = {
+    "char": "text",
+    "cell": "a cell array",
+    "function_handle": "a function",
+    "string": "text",
+}
+"""MATLAB classes that version 7.3 stores as numbers though they are none, as messages call them."""
 
-MOST_PARTS_IN_ALL = 10_000
-"""Parts of a file that are looked at; logs have some hundreds."""
+MAX_NODES = 10_000
+"""Largest number of nodes of a file that are read; logs have some hundreds."""
 
-MOST_TEXT = 256
-"""Characters of a text that may be a label."""
+MAX_LABEL_LENGTH = 256
+"""Characters of a label."""
 
 
 def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
-    """Read a MAT file of version 4 to 7: each variable a column, or several (``name_0`` …) for a matrix.
+    """Read a MAT file of version 4 to 7.
 
-    The fields of a struct are variables ``struct.field``, those of a struct array ``array(1).field``.
+    A variable is a column; a matrix is several columns ``name_0`` …. The fields of a struct are variables
+    ``struct.field``, those of a struct array ``array(1).field``.
 
     Args:
-        path: The file.
-        wanted: Names that the rig file asks for; where variables have several lengths, theirs counts.
+        path: the file.
+        wanted: names of columns, whose length is the table's.
+
+    Returns:
+        The table.
 
     Raises:
-        TableError: The file cannot be read, or holds no columns.
+        TableError: The file cannot be read, or has no columns.
     """
     from scipy.io import loadmat
 
     try:
         with warnings.catch_warnings():
-            # scipy calls every object "None"; objects_in finds them by their own names
+            # scipy calls every object "None"; list_objects finds their names
             warnings.filterwarnings("ignore", 'Duplicate variable name "None"')
             refuse_claim("the file", _claimed_bytes(path), path.stat().st_size)
             variables: dict[str, Any] = loadmat(path, struct_as_record=False)
@@ -54,28 +63,40 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
         raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
-    parts = {
-        name: _part(name, value)
+    nodes = {
+        name: _node(name, value)
         for name, value in variables.items()
         if not name.startswith("_") and type(value).__name__ != "MatlabOpaque"
     }
-    parts |= {name: Part(reason=advice(name, kind)) for name, kind in objects_in(path.read_bytes())}
-    return table_of(path, variables_of(parts), wanted)
+    nodes |= {name: Node(reason=object_advice(name, kind)) for name, kind in list_objects(path.read_bytes())}
+    return make_table(path, list_variables(nodes), wanted)
 
 
 def read_hdf5(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
-    """Read a MAT file of version 7.3, or any HDF5 file with columns, as :func:`read_mat` does."""
+    """Read a MAT file of version 7.3, or any HDF5 file with columns.
+
+    Args:
+        path: the file.
+        wanted: names of columns, whose length is the table's.
+
+    Returns:
+        The table, as :func:`read_mat` makes it.
+
+    Raises:
+        TableError: The file cannot be read, or has no columns.
+        MissingExtraError: h5py is not installed.
+    """
     h5py = load_optional("h5py", f"{path}: a MAT file of version 7.3 (HDF5)")
     size = path.stat().st_size
     try:
         with h5py.File(path, "r") as file:
             reader = _Hdf5(file, lambda dtype: h5py.check_ref_dtype(dtype) is h5py.Reference, size)
-            parts = {name: reader.part(name, item) for name, item in file.items() if name[0] != "#"}
+            nodes = {name: reader.node(name, item) for name, item in file.items() if name[0] != "#"}
     except ImplausibleError:
         raise
     except (OSError, RuntimeError, ValueError, KeyError) as error:
         raise TableError(f"{path}: expected an HDF5 file, found one that cannot be read: {error}") from error
-    return table_of(path, variables_of(parts), wanted)
+    return make_table(path, list_variables(nodes), wanted)
 
 
 def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
@@ -88,104 +109,105 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
 
 
 def _claimed_bytes(path: Path) -> int:
-    """Bytes that the variables of a MAT file would take as numbers."""
+    """Size of the variables of a MAT file as numbers, bytes."""
     from scipy.io import whosmat
 
     try:
         variables = whosmat(path)
-    except TypeError:  # scipy finds no shape for MATLAB's objects: the bounds of the reader's process remain
+    except TypeError:  # scipy finds no shape of MATLAB objects; the limits of the reader's process remain
         return 0
     return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
-def _part(name: str, value: Any) -> Part:
-    """What scipy read as the variable ``name``, or as a part of it."""
+def _node(name: str, value: Any) -> Node:
+    """Node of what scipy read as ``name``."""
     if hasattr(value, "_fieldnames"):
         inner = {key: getattr(value, key) for key in value._fieldnames}
-        return Part(fields={key: _part(f"{name}.{key}", field) for key, field in inner.items()})
+        return Node(fields={key: _node(f"{name}.{key}", field) for key, field in inner.items()})
     if not isinstance(value, np.ndarray):
-        return Part(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
+        return Node(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
     if type(value).__name__ == "MatlabOpaque" and value.size:
-        return Part(reason=advice(name, _decode(value.ravel()[0]["s2"])))
+        return Node(reason=object_advice(name, _decode(value.ravel()[0]["s2"])))
     if value.dtype == object and value.size:
         return _elements(name, list(value.ravel(order="F")))
-    if value.dtype.kind in NUMBERS:
-        return Part(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
-    text = "".join(value.ravel().tolist())[:MOST_TEXT] if value.dtype.kind in "US" else ""
+    if value.dtype.kind in REAL_KINDS:
+        return Node(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
+    text = "".join(value.ravel().tolist())[:MAX_LABEL_LENGTH] if value.dtype.kind in "US" else ""
     reasons = {"c": "complex numbers", "O": "empty", "U": "text", "S": "text", "V": "a MATLAB object"}
-    return Part(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
+    return Node(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
 
 
-def _elements(name: str, values: Sequence[Any]) -> Part:
-    """A struct, a struct array or a cell; of many elements no more than tell that they are too many."""
+def _elements(name: str, values: Sequence[Any]) -> Node:
+    """Node of a struct, struct array or cell, with at most one element more than are allowed."""
     cell = not all(hasattr(element, "_fieldnames") for element in values)
     single = not cell and len(values) == 1
     paths = (
-        name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MOST_PARTS + 2)
+        name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MAX_ELEMENTS + 2)
     )
-    parts = [_part(path, element) for path, element in zip(paths, values, strict=False)]
+    nodes = [_node(path, element) for path, element in zip(paths, values, strict=False)]
     if cell:
-        return Part(elements=parts, braces="{}")
-    return parts[0] if single else Part(elements=parts)
+        return Node(elements=nodes, braces="{}")
+    return nodes[0] if single else Node(elements=nodes)
 
 
 class _Hdf5:
-    """Takes an HDF5 file of ``size`` bytes apart.
-
-    ``references`` says whether a dataset's elements point to others.
-    """
+    """Reader of an HDF5 file of ``size`` bytes; ``references`` checks if a dataset's type is references."""
 
     def __init__(self, file: Any, references: Callable[[Any], bool], size: int) -> None:
         self._file = file
         self._references = references
         self._size = size
         self._claimed = 0
-        self._left = MOST_PARTS_IN_ALL
+        self._nodes_left = MAX_NODES
 
-    def part(self, name: str, item: Any) -> Part:
-        """The variable ``name``, or a part of it."""
-        self._left -= 1
-        if self._left < 0:  # parts may point to one another without an end
-            return Part(reason=f"more than {MOST_PARTS_IN_ALL} parts in the file")
+    def node(self, name: str, item: Any) -> Node:
+        """Node of the group or dataset ``item``."""
+        self._nodes_left -= 1
+        if self._nodes_left < 0:  # references may be circular
+            return Node(reason=f"more than {MAX_NODES} parts in the file")
         kind = _decode(item.attrs.get("MATLAB_class", b""))
-        if "MATLAB_object_decode" in item.attrs and kind not in IN_WORDS:
-            return Part(reason=advice(name, kind))
+        if "MATLAB_object_decode" in item.attrs and kind not in NON_NUMERIC_CLASSES:
+            return Node(reason=object_advice(name, kind))
         if not hasattr(item, "dtype"):
-            return _struct({key: self.part(name, inner) for key, inner in item.items()})
+            return _struct({key: self.node(name, inner) for key, inner in item.items()})
         return self._dataset(name, item, kind)
 
-    def _dataset(self, name: str, item: Any, kind: str) -> Part:
+    def _dataset(self, name: str, item: Any, kind: str) -> Node:
         if "MATLAB_empty" in item.attrs or not item.shape or not item.size:
-            return Part(reason="empty")
+            return Node(reason="empty")
         if self._references(item.dtype):
-            inner = self._values(name, item).ravel()[: MOST_PARTS + 1]
-            parts = [
-                self.part(name, self._file[reference]) if reference else Part(reason="empty")
+            inner = self._values(name, item).ravel()[: MAX_ELEMENTS + 1]
+            nodes = [
+                self.node(name, self._file[reference]) if reference else Node(reason="empty")
                 for reference in inner
             ]
-            return Part(elements=parts, braces="{}" if kind == "cell" else "()")
-        if item.dtype.kind not in NUMBERS or kind in IN_WORDS:
-            text = "".join(map(chr, self._values(name, item).ravel()[:MOST_TEXT])) if kind == "char" else ""
-            return Part(reason=IN_WORDS.get(kind, f"HDF5's {item.dtype}"), text=text)
+            return Node(elements=nodes, braces="{}" if kind == "cell" else "()")
+        if item.dtype.kind not in REAL_KINDS or kind in NON_NUMERIC_CLASSES:
+            text = (
+                "".join(map(chr, self._values(name, item).ravel()[:MAX_LABEL_LENGTH]))
+                if kind == "char"
+                else ""
+            )
+            return Node(reason=NON_NUMERIC_CLASSES.get(kind, f"HDF5's {item.dtype}"), text=text)
         value = np.asarray(self._values(name, item), dtype=np.float64)
         # MATLAB writes its columns as HDF5's rows
         turned = value.T if kind or value.ndim > 2 else value
-        return Part(array=turned[:, None] if turned.ndim == 1 else turned)
+        return Node(array=turned[:, None] if turned.ndim == 1 else turned)
 
     def _values(self, name: str, item: Any) -> Any:
-        """Read a dataset; ImplausibleError where all those read claim more than the file can hold."""
+        """Read a dataset; ImplausibleError if all datasets claim more than the file can contain."""
         self._claimed += 8 * math.prod(item.shape)
         refuse_claim(f"the dataset {name!r}", self._claimed, self._size)
         return item[()]
 
 
-def _struct(fields: Mapping[str, Part]) -> Part:
-    """A struct; an array of them where every field has as many elements, as version 7.3 keeps those."""
-    counts = {len(part.elements) if part.braces == "()" else 0 for part in fields.values()}
+def _struct(fields: Mapping[str, Node]) -> Node:
+    """Node of a struct, or of a struct array, whose fields version 7.3 stores as arrays of equal length."""
+    counts = {len(node.elements) if node.braces == "()" else 0 for node in fields.values()}
     if len(counts) != 1 or counts == {0}:
-        return Part(fields=fields)
-    rows = zip(*(part.elements for part in fields.values()), strict=True)
-    return Part(elements=[Part(fields=dict(zip(fields, row, strict=True))) for row in rows])
+        return Node(fields=fields)
+    rows = zip(*(node.elements for node in fields.values()), strict=True)
+    return Node(elements=[Node(fields=dict(zip(fields, row, strict=True))) for row in rows])
 
 
 def _decode(text: Any) -> str:

@@ -1,4 +1,4 @@
-"""Objects of MATLAB's own classes, which only MATLAB can take apart: their names, and what to do."""
+"""MATLAB objects in MAT files, which only MATLAB can read: their names, and how to convert them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ COMPRESSED, MATRIX = 15, 14
 """Types of the elements of a MAT file of version 5."""
 
 OPAQUE = 17
-"""The class of an array that is an object."""
+"""Class of an array that is an object."""
 
 HEADER = 128
 HEAD_OF_ELEMENT = 1024
-"""Bytes in which an element's flags, name and class stand; names have at most 63 characters."""
+"""Bytes that contain an element's flags, name and class; names have at most 63 characters."""
 
 ADVICE = {
     "timetable": "S = table2struct(timetable2table({0}), 'ToScalar', true); "
@@ -28,22 +28,22 @@ ADVICE = {
 }
 
 
-def advice(name: str, kind: str) -> str:
-    """Why an object of the class ``kind`` is no column, and what to type in MATLAB."""
+def object_advice(name: str, kind: str) -> str:
+    """Message that an object ``name`` of the class ``kind`` is no column, with MATLAB code to convert it."""
     what = ADVICE.get(kind, "S = struct({0})").format(name)
     return f"an object of the class {kind}; in MATLAB: {what}; save('plain.mat', '-struct', 'S')"
 
 
-def objects_in(data: bytes) -> list[tuple[str, str]]:
-    """Return name and class of every variable of a MAT file of version 5 that is an object."""
+def list_objects(data: bytes) -> list[tuple[str, str]]:
+    """List name and class of the objects among the variables of a MAT file of version 5."""
     if data[126:128] not in (b"IM", b"MI"):
         return []
     order = "<" if data[126:128] == b"IM" else ">"
-    return [item for head in _heads(data, order) if (item := _object(head, order)) is not None]
+    return [item for head in _array_heads(data, order) if (item := _object(head, order)) is not None]
 
 
-def _heads(data: bytes, order: str) -> Iterator[bytes]:
-    """The first bytes of every array in the file."""
+def _array_heads(data: bytes, order: str) -> Iterator[bytes]:
+    """First bytes of every array in the file."""
     position = HEADER
     while position + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
@@ -61,7 +61,7 @@ def _heads(data: bytes, order: str) -> Iterator[bytes]:
 
 
 def _object(head: bytes, order: str) -> tuple[str, str] | None:
-    """Name and class, where an array is an object: its flags, then its name, "MCOS" and its class."""
+    """Name and class of an object, whose flags are followed by its name, "MCOS" and its class."""
     if len(head) < 24 or struct.unpack_from(f"{order}I", head, 16)[0] & 0xFF != OPAQUE:
         return None
     texts: list[bytes] = []

@@ -1,10 +1,11 @@
-"""Numbers as programs, spreadsheets and people write them in text."""
+"""Notations of numbers in text, by programs, spreadsheets and people."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,23 +15,27 @@ from labhil.rig_sections import Table
 from labhil.signals import FloatArray
 
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))
-"""Characters that typesetting programs put in place of the minus: U+2212, the en dash, small, full width."""
+"""Substitutes of the minus: U+2212, en dash, small and full-width hyphen-minus."""
 
 BLANKS = str.maketrans(dict.fromkeys("\u00a0\u202f\u2009\u2007", " "))
-"""Blanks that do not break a line, and thin ones: all of them group digits."""
+"""No-break and thin spaces, which group digits."""
 
 APOSTROPHES = str.maketrans({"\u2019": "'"})
 
 MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "."})
-"""What programs write where there is no value (in lower case)."""
+"""Texts that stand for a missing value, in lower case."""
 
 
 @dataclass(frozen=True)
 class Notation:
-    """How a file writes numbers: ``decimal`` mark, and what groups thousands (None: nothing does).
+    """Notation of the numbers in a file.
 
-    A mark in another place than its own makes a text no number: ``1.234`` under a decimal comma is
-    neither 1.234 nor 1234 unless the file says that the point groups thousands.
+    A text with a wrong mark is no number: ``1.234`` under a decimal comma is neither 1.234 nor 1234, unless
+    ``thousands`` is the point.
+
+    Attributes:
+        decimal: decimal mark.
+        thousands: separator of thousands; None without one.
     """
 
     decimal: str = "."
@@ -38,31 +43,31 @@ class Notation:
 
     @classmethod
     def of(cls, table: Table) -> Notation:
-        """The notation that ``[table]`` of a rig file states."""
+        """Notation by ``[table]`` of a rig file."""
         return cls(table.decimal, table.thousands)
 
     def number(self, text: str) -> float:
-        """The finite number that a text means, else NaN; in brackets it is negative, as in accounts."""
-        plain = _plain(text)
+        """Parse a number; NaN if it is none. In brackets it is negative, as in accounting."""
+        plain = _normalise(text)
         if plain.startswith("(") and plain.endswith(")"):
             inner = plain[1:-1].strip()
             return math.nan if inner[:1] in {"-", "+"} else -self._value(inner)
         return self._value(plain)
 
     def numbers(self, texts: Sequence[str]) -> FloatArray:
-        """The numbers of many texts, shape (len(texts),); NaN where there is none."""
-        everything = "\n".join(texts)
-        if "_" not in everything and (self.decimal == "." or "." not in everything):
-            quick = texts if self.decimal == "." else everything.replace(self.decimal, ".").split("\n")
-            try:
-                return np.array(list(map(float, quick)), dtype=np.float64)
-            except ValueError:  # not all are numbers as Python writes them: each is read by itself
-                pass
+        """Parse n texts; returns numbers (n,), NaN where a text is none."""
+        joined = "\n".join(texts)
+        if "_" not in joined and (self.decimal == "." or "." not in joined):
+            python_texts = texts if self.decimal == "." else joined.replace(self.decimal, ".").split("\n")
+            # A column with any other text is parsed text by text below. What is no number there becomes NaN,
+            # and find_bad_rows reports its line, its text and the notation in which it is one.
+            with suppress(ValueError):
+                return np.array(list(map(float, python_texts)), dtype=np.float64)
         number = self._with_point if self == Notation() else self.number
         return np.array([number(text) for text in texts], dtype=np.float64)
 
     def _with_point(self, text: str) -> float:
-        """As :meth:`number`, faster where most texts are numbers of the usual kind."""
+        """Same as :meth:`number`, but faster for numbers in Python's notation."""
         try:
             return float(text) if "_" not in text else math.nan
         except ValueError:
@@ -90,12 +95,12 @@ class Notation:
 
 
 def is_missing(text: str) -> bool:
-    """Whether a text stands for no value at all."""
+    """Whether a text stands for a missing value."""
     return text.strip().strip("\"'").lower() in MISSING
 
 
 def other_notations(text: str, notation: Notation) -> list[tuple[Notation, str]]:
-    """The notations in which a text is a number, each with the ``[table]`` keys that state it."""
+    """Notations in which a text is a number, each with a hint which ``[table]`` keys select it."""
     notations = []
     for decimal in (".", ","):
         for thousands in (None, ".", ",", "'", " "):
@@ -108,7 +113,7 @@ def other_notations(text: str, notation: Notation) -> list[tuple[Notation, str]]
     return notations
 
 
-def _plain(text: str) -> str:
+def _normalise(text: str) -> str:
     if text.isascii():
         return text.strip()
     return text.translate(MINUS).translate(BLANKS).translate(APOSTROPHES).strip()

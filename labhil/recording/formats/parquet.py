@@ -10,18 +10,26 @@ import numpy as np
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.columns import NumberColumns, number_columns, number_of
-from labhil.recording.mapped import let_go_of
+from labhil.recording.formats.columns import NumberColumns, number_columns, parse_cell
+from labhil.recording.memory_maps import release_array
 from labhil.signals import FloatArray, Stream
 
 ROW_GROUP = 1 << 18
-"""Rows that are written at a time."""
+"""Rows per written block."""
 
 
 def read_parquet(path: Path) -> NumberColumns:
-    """Read a Parquet file; a column of lists of one length becomes several (``name_0`` …).
+    """Read a Parquet file; a column of lists of equal length becomes several columns (``name_0`` …).
 
-    Nulls and text are NaN; times are in s (Unix time), durations in s. TableError when it cannot be read.
+    Args:
+        path: the file.
+
+    Returns:
+        The table: nulls and text are NaN, times in s of Unix time, durations in s.
+
+    Raises:
+        TableError: The file cannot be read or is empty.
+        MissingExtraError: pyarrow is not installed.
     """
     arrow = load_optional("pyarrow", f"{path}: a Parquet file")
     parquet = load_optional("pyarrow.parquet", f"{path}: a Parquet file")
@@ -50,13 +58,13 @@ def read_parquet(path: Path) -> NumberColumns:
 
 
 def _refuse_claims(metadata: Any, size: int) -> None:
-    """ImplausibleError where the row groups claim more than a file of ``size`` bytes can hold."""
+    """Raise ImplausibleError if the row groups claim more than a file of ``size`` bytes can contain."""
     unpacked = sum(metadata.row_group(number).total_byte_size for number in range(metadata.num_row_groups))
     refuse_claim("the table", max(unpacked, 8 * metadata.num_rows * metadata.num_columns), size)
 
 
 def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
-    """Write the columns ``t`` and the signals', with units in the fields' metadata."""
+    """Write columns ``t`` (n,) and the signals' (n, columns), with units in the fields' metadata."""
     purpose = f"{out}: writing a Parquet file"
     arrow = load_optional("pyarrow", purpose)
     parquet = load_optional("pyarrow.parquet", purpose)
@@ -71,27 +79,27 @@ def write_parquet(stream: Stream, t: FloatArray, values: FloatArray, out: Path) 
             block = slice(start, start + ROW_GROUP)
             columns = [arrow.array(column) for column in (t[block], *values[block].T)]
             writer.write_table(arrow.table(columns, schema=schema))
-            let_go_of(values)
+            release_array(values)
 
 
 def _numbers(arrow: Any, column: Any) -> list[tuple[str, FloatArray]]:
-    """The numbers of a column, with what is added to its name: nothing, or ``_0`` … for lists."""
+    """Suffixes of a column's name ("", or ``_0`` … for lists) with their numbers (rows,)."""
     kind = column.type
     types = arrow.types
     if types.is_fixed_size_list(kind) or types.is_list(kind) or types.is_large_list(kind):
         rows = column.to_pylist()
         width = max((len(row) for row in rows if row is not None), default=0)
         values = np.full((len(rows), width), np.nan)
-        for place, row in enumerate(rows):
+        for index, row in enumerate(rows):
             if row is not None and len(row) == width:
-                values[place] = [number_of(item) for item in row]
+                values[index] = [parse_cell(item) for item in row]
         return [(f"_{number}", values[:, number]) for number in range(width)]
     if types.is_timestamp(kind) or types.is_duration(kind):
         per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[kind.unit]
         return [("", _floats(column.cast(arrow.int64()).to_pylist()) / per_second)]
     if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
         return [("", _floats(column.cast(arrow.float64(), safe=False).to_pylist()))]
-    return [("", np.array([number_of(item) for item in column.to_pylist()], dtype=np.float64))]
+    return [("", np.array([parse_cell(item) for item in column.to_pylist()], dtype=np.float64))]
 
 
 def _floats(items: list[Any]) -> FloatArray:

@@ -1,6 +1,6 @@
-"""The process that reads others' formats: a request a line on stdin, answers as bytes on stdout.
+"""Program of the reader's process: requests as lines on stdin, answers as bytes on stdout.
 
-Started by :mod:`labhil.recording.formats.apart`. Each request sets bounds on memory and processor time.
+:mod:`labhil.recording.formats.isolated` starts it. Each request limits memory and processor time.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from labhil.recording.formats.workbook import read_workbook
 from labhil.rig_sections import Table
 
 IDLE_SECONDS = 60.0
-"""Without a request for that long the process ends; the next one costs half a second to start."""
+"""Time without a request after which the process ends, s; the next one starts in half a second."""
 
 READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
     "mat": lambda path, table, wanted: read_mat(path, wanted),
@@ -39,9 +39,9 @@ READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
 
 
 def main() -> None:
-    """Read files until there are no more."""
+    """Serve requests until the input ends or no request arrives."""
     warnings.simplefilter("ignore")
-    # what a library prints must not get between the answers
+    # output of a library must not mix with the answers
     answers = os.fdopen(os.dup(1), "wb")
     quiet = os.open(os.devnull, os.O_WRONLY)
     os.dup2(quiet, 1)
@@ -57,7 +57,7 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
     path = Path(request["path"])
     try:
         os.chdir(request["folder"])
-        _bound(request["cpu_seconds"], request["memory"])
+        _limit_resources(request["cpu_seconds"], request["memory"])
         table = Table.model_validate(request["table"])
         return {"columns": READERS[request["kind"]](path, table, request["wanted"])}
     except LabhilError as error:
@@ -74,27 +74,27 @@ def _answer(request: dict[str, Any]) -> dict[str, Any]:
         return {"error": "TableError", "text": f"{path}: cannot be read: {error!r:.500}"}
 
 
-def _bound(cpu_seconds: float, memory: int) -> None:
-    """Bound what the next file may take, beyond what the process has taken already."""
+def _limit_resources(cpu_seconds: float, memory: int) -> None:
+    """Limit the resources for the next file, in addition to those used so far."""
     try:
         import resource
     except ImportError:  # not a POSIX system
         return
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    _soften(resource.RLIMIT_CPU, math.ceil(time.process_time() + cpu_seconds))
+    _set_soft_limit(resource.RLIMIT_CPU, math.ceil(time.process_time() + cpu_seconds))
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
     except (OSError, ValueError):
         return
-    _soften(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
+    _set_soft_limit(resource.RLIMIT_AS, pages * resource.getpagesize() + memory)
 
 
-def _soften(what: int, limit: int) -> None:
-    """Set a limit of this process, below the one that somebody else has set for good (`ulimit -v`)."""
+def _set_soft_limit(kind: int, limit: int) -> None:
+    """Set a soft limit, at most the hard limit (``ulimit -v``)."""
     import resource
 
-    hard = resource.getrlimit(what)[1]
-    resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+    hard = resource.getrlimit(kind)[1]
+    resource.setrlimit(kind, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
 def _write(answers: BinaryIO, data: bytes) -> None:

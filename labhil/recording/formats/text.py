@@ -1,4 +1,4 @@
-"""Tables that are text, of any extension, among them the logs of UR's own and others' RTDE recorders."""
+"""Reader of text tables with any extension, among them logs of RTDE recorders."""
 
 from __future__ import annotations
 
@@ -14,24 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.errors import TableError
-from labhil.recording.formats.columns import Columns, read_stamps
+from labhil.recording.formats.columns import Columns, times_or_numbers
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, is_time
+from labhil.recording.formats.time_text import TimeValues, is_time
 from labhil.recording.units import is_units_line
 from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold, IntArray
 
 DELIMITERS: Mapping[str, str | None] = {"comma": ",", "semicolon": ";", "tab": "\t", "whitespace": None}
 SAMPLE_LINES = 50
+"""Lines by which the delimiter is chosen."""
 
 QUOTED = re.compile(r'"[^"]*"')
 QUOTED_NUMBER = re.compile(r'"[^",]*\d[.,\' ]\d[^"]*"')
-"""A number in quotation marks that holds a mark inside."""
+"""A quoted number with a decimal mark or a separator of thousands."""
 
 
 @dataclass(frozen=True)
 class TextColumns(Columns):
-    """Columns of a text file; the rows are kept as fields of text until a column is asked for."""
+    """Columns of a text file, whose fields are parsed when a column is read.
+
+    Attributes:
+        rows: fields of each row.
+        notation: notation of numbers.
+        units: texts of a line of units.
+    """
 
     rows: Sequence[Sequence[str]]
     notation: Notation
@@ -40,25 +47,25 @@ class TextColumns(Columns):
     row_word = "line"
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is no number."""
+        """Values (rows,) of a column; NaN where there is no number."""
         return self.notation.numbers(self._texts(column))
 
-    def times(self, column: int) -> Stamps:
-        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+    def times(self, column: int) -> TimeValues:
+        """Times (rows,) in a column; dates and times of day in s."""
         texts = self._texts(column)
-        return read_stamps(self.notation.numbers(texts), texts)
+        return times_or_numbers(self.notation.numbers(texts), texts)
 
     def missing(self, column: int) -> NDArray[np.bool_]:
-        """Where a column has no value at all in a row with the right number of fields, shape (rows,)."""
+        """Rows with the right number of fields where a column has no value, (rows,)."""
         missing = np.array([is_missing(text) for text in self._texts(column)], dtype=np.bool_)
         return missing & self.complete
 
     def readable(self, column: int, notation: Notation) -> int:
-        """How many cells of a column would be numbers in another notation."""
+        """Number of cells of a column that are numbers in another notation."""
         return int(np.count_nonzero(np.isfinite(notation.numbers(self._texts(column)))))
 
     def text(self, column: int, row: int) -> str:
-        """What stands there, for messages."""
+        """Content of a cell, for messages."""
         fields = self.rows[row]
         return repr(fields[column].strip()) if column < len(fields) else "nothing"
 
@@ -69,10 +76,19 @@ class TextColumns(Columns):
 
 
 def read_text(path: Path, data: bytes, table: Table, wanted: Collection[str]) -> TextColumns:
-    """Read a table that is text: separated by commas, semicolons, tabs or blanks.
+    """Read a text table separated by commas, semicolons, tabs or blanks.
 
-    ``wanted`` are the column names that the rig file asks for: they help to tell a header from data.
-    TableError when there are no rows in it, or it is no text.
+    Args:
+        path: the file, for messages and its extension.
+        data: its content.
+        table: section ``[table]`` of the rig file.
+        wanted: names of columns, by which a header is recognised.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: The file has no rows, or is no text.
     """
     return _read_text(path, _decode(path, data), table, wanted)
 
@@ -89,15 +105,15 @@ def _decode(path: Path, data: bytes) -> str:
 
 
 def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> TextColumns:
-    lines, texts = _lines(text, table)
+    lines, texts = _data_lines(text, table)
     if not texts:
         raise TableError(f"{path}: expected a table, found no rows (after skip_rows = {table.skip_rows})")
-    delimiter = DELIMITERS[table.delimiter or _delimiter(path, texts, table)]
-    _refuse_marks(path, texts, delimiter, table)
+    delimiter = DELIMITERS[table.delimiter or _find_delimiter(path, texts, table)]
+    _refuse_ambiguous_marks(path, texts, delimiter, table)
     try:
         rows = [_split(line, delimiter) for line in texts]
     except csv.Error as error:
-        raise TableError(f"{path}: expected a table, found a field that is none: {error}") from error
+        raise TableError(f"{path}: expected a table, found a field that cannot be read: {error}") from error
     names, units = None, tuple[str, ...]()
     if _has_header(rows[0], table, wanted):
         names = tuple(field.strip().strip("\"'") for field in rows[0])
@@ -113,19 +129,19 @@ def _read_text(path: Path, text: str, table: Table, wanted: Collection[str]) -> 
     return TextColumns(names, width, lines, counts, rows, Notation.of(table), units)
 
 
-def _refuse_marks(path: Path, lines: Sequence[str], delimiter: str | None, table: Table) -> None:
-    """Raise TableError where a mark inside numbers also parts the fields, and nothing is quoted."""
+def _refuse_ambiguous_marks(path: Path, lines: Sequence[str], delimiter: str | None, table: Table) -> None:
+    """Raise TableError if a mark in numbers is also the delimiter, and no number is quoted."""
     for key, mark in (("decimal", table.decimal), ("thousands", table.thousands)):
-        parts = mark is not None and (mark == delimiter or (mark == " " and delimiter is None))
-        if parts and not any(map(QUOTED_NUMBER.search, lines)):
+        is_delimiter = mark is not None and (mark == delimiter or (mark == " " and delimiter is None))
+        if is_delimiter and not any(map(QUOTED_NUMBER.search, lines)):
             raise TableError(
                 f"{path}: [table] delimiter and {key} are both {mark!r}; they must differ, "
                 f"or numbers with {mark!r} must stand in quotation marks"
             )
 
 
-def _lines(text: str, table: Table) -> tuple[IntArray, list[str]]:
-    """Numbers of lines from 1, (n,), and the lines, without skipped, blank and comment lines."""
+def _data_lines(text: str, table: Table) -> tuple[IntArray, list[str]]:
+    """Lines with their numbers from 1, (n,), without skipped, blank and comment lines."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[table.skip_rows :]
     if table.comment:
         lines = [line.split(table.comment, 1)[0] for line in lines]
@@ -133,42 +149,42 @@ def _lines(text: str, table: Table) -> tuple[IntArray, list[str]]:
     return np.flatnonzero(full).astype(np.int64) + 1 + table.skip_rows, list(compress(lines, full))
 
 
-def _delimiter(path: Path, lines: Sequence[str], table: Table) -> str:
-    """Find the delimiter by the extension, and by what the lines hold outside quotation marks.
+def _find_delimiter(path: Path, lines: Sequence[str], table: Table) -> str:
+    """Choose the delimiter by the extension and by the lines, without quoted text.
 
-    Semicolon, comma, tab and blanks are tried in this order. The first one counts that parts the first line,
-    which may be a header, into as many fields as most others: a decimal comma is in no header.
+    The first one of semicolon, comma, tab and blanks counts that splits the first line into as many fields
+    as most others. That line may be a header, which has no decimal commas.
     """
     if path.suffix.lower() in {".tsv", ".tab"}:
         return "tab"
     quoted = any(map(QUOTED_NUMBER.search, lines[:SAMPLE_LINES]))
     sample = [QUOTED.sub("q", line).strip(" ") for line in lines[:SAMPLE_LINES]]
     names = [name for name in DELIMITERS if name != "comma" or table.decimal == "." or quoted]
-    usual: dict[str, int] = {}
+    most_frequent: dict[str, int] = {}
     for name in names:
         counts = Counter(len(line.split(DELIMITERS[name])) for line in sample)
-        usual[name] = counts.most_common(1)[0][0]
+        most_frequent[name] = counts.most_common(1)[0][0]
         if (
-            usual[name] > 1
-            and len(sample[0].split(DELIMITERS[name])) == usual[name]
-            and (name != "whitespace" or counts[usual[name]] == len(sample))
+            most_frequent[name] > 1
+            and len(sample[0].split(DELIMITERS[name])) == most_frequent[name]
+            and (name != "whitespace" or counts[most_frequent[name]] == len(sample))
         ):
             return name
     for name in ("semicolon", "comma"):
-        if usual.get(name, 1) > 1:
+        if most_frequent.get(name, 1) > 1:
             return name
-    return "tab" if _agreement(sample, "\t") > _agreement(sample, None) else "whitespace"
+    return "tab" if _regularity(sample, "\t") > _regularity(sample, None) else "whitespace"
 
 
-def _agreement(lines: Sequence[str], delimiter: str | None) -> float:
-    """The share of lines that have the most frequent number of fields, if that is more than one."""
+def _regularity(lines: Sequence[str], delimiter: str | None) -> float:
+    """Fraction of the lines with the most frequent number of fields; 0 if that is one field."""
     counts = Counter(len(line.split(delimiter)) for line in lines)
     fields, frequency = counts.most_common(1)[0]
     return frequency / len(lines) if fields > 1 else 0.0
 
 
 def _split(line: str, delimiter: str | None) -> tuple[str, ...]:
-    """The fields of a line; a list that ``split`` makes has room for twelve, whatever is in it."""
+    """Fields of a line, as a tuple: a list from ``split`` has room for twelve."""
     if delimiter is not None and '"' in line:
         return tuple(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
     return tuple(line.split(delimiter))

@@ -1,4 +1,4 @@
-"""Dates and times of day that stand in a table as text, as seconds."""
+"""Dates and times of day in text, as seconds."""
 
 from __future__ import annotations
 
@@ -16,34 +16,40 @@ import numpy as np
 from labhil.signals import FloatArray
 
 DAY = 86400.0
-EPOCH = date(1970, 1, 1).toordinal()
-CENTURY = 2000
-"""A year of two digits is one of this century: recordings of the last one are not in such files."""
+_EPOCH = date(1970, 1, 1).toordinal()
+CENTURY_OF_SHORT_YEARS = 2000
+"""Century of a year with two digits."""
 
 MONTHS = {
     **{"jan": 1, "feb": 2, "mar": 3, "apr": 4, "may": 5, "jun": 6, "jul": 7, "aug": 8, "sep": 9, "oct": 10},
     **{"nov": 11, "dec": 12, "mär": 3, "mrz": 3, "mai": 5, "okt": 10, "dez": 12},
 }
 
-CLOCK = r"(?P<h>\d{1,4}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d+))?)?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
-ZONE = r"(?:\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))?"
-REST = rf"(?:,?[T _]+{CLOCK}{ZONE})?"
-
-_YMD = re.compile(rf"(?P<y>\d{{4}})([-/.])(?P<mo>\d{{1,2}})\2(?P<d>\d{{1,2}}){REST}")
-_COMPACT = re.compile(
-    rf"(?P<y>\d{{4}})(?P<mo>\d{{2}})(?P<d>\d{{2}})T(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:[.,](?P<f>\d+))?{ZONE}"
+_CLOCK = (
+    r"(?P<h>\d{1,4}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d+))?)?(?:\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
 )
-_POINTS = re.compile(rf"(?P<d>\d{{1,2}})\.(?P<mo>\d{{1,2}})\.(?P<y>\d{{4}}|\d{{2}}){REST}")
-_DAY_FIRST = re.compile(rf"(?P<d>\d{{1,2}})([-/])(?P<mo>\d{{1,2}})\2(?P<y>\d{{4}}|\d{{2}}){REST}")
-_MONTH_FIRST = re.compile(rf"(?P<mo>\d{{1,2}})([-/])(?P<d>\d{{1,2}})\2(?P<y>\d{{4}}|\d{{2}}){REST}")
-_NAMED = re.compile(rf"(?P<d>\d{{1,2}})[-. ]+(?P<name>[A-Za-zä]{{3,9}})[-., ]+(?P<y>\d{{4}}){REST}")
-_NAME_FIRST = re.compile(rf"(?P<name>[A-Za-zä]{{3,9}})\.? (?P<d>\d{{1,2}}),? (?P<y>\d{{4}}){REST}")
-_OF_DAY = re.compile(rf"(?:(?P<days>\d+) days?,? )?{CLOCK}")
+_ZONE = r"(?:\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))?"
+_CLOCK_AND_ZONE = rf"(?:,?[T _]+{_CLOCK}{_ZONE})?"
+
+_YMD = re.compile(rf"(?P<y>\d{{4}})([-/.])(?P<mo>\d{{1,2}})\2(?P<d>\d{{1,2}}){_CLOCK_AND_ZONE}")
+_COMPACT = re.compile(
+    rf"(?P<y>\d{{4}})(?P<mo>\d{{2}})(?P<d>\d{{2}})T(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:[.,](?P<f>\d+))?{_ZONE}"
+)
+_POINTS = re.compile(rf"(?P<d>\d{{1,2}})\.(?P<mo>\d{{1,2}})\.(?P<y>\d{{4}}|\d{{2}}){_CLOCK_AND_ZONE}")
+_DAY_FIRST = re.compile(rf"(?P<d>\d{{1,2}})([-/])(?P<mo>\d{{1,2}})\2(?P<y>\d{{4}}|\d{{2}}){_CLOCK_AND_ZONE}")
+_MONTH_FIRST = re.compile(
+    rf"(?P<mo>\d{{1,2}})([-/])(?P<d>\d{{1,2}})\2(?P<y>\d{{4}}|\d{{2}}){_CLOCK_AND_ZONE}"
+)
+_NAMED = re.compile(
+    rf"(?P<d>\d{{1,2}})[-. ]+(?P<name>[A-Za-zä]{{3,9}})[-., ]+(?P<y>\d{{4}}){_CLOCK_AND_ZONE}"
+)
+_NAME_FIRST = re.compile(rf"(?P<name>[A-Za-zä]{{3,9}})\.? (?P<d>\d{{1,2}}),? (?P<y>\d{{4}}){_CLOCK_AND_ZONE}")
+_OF_DAY = re.compile(rf"(?:(?P<days>\d+) days?,? )?{_CLOCK}")
 _MINUTES = re.compile(r"(?P<m>\d{1,4}):(?P<s>\d{2})[.,](?P<f>\d+)")
 
 
 class TimeKind(StrEnum):
-    """What the texts of a time column are."""
+    """Kinds of values of a column of times."""
 
     NUMBER = "number"
     DATE = "date and time"
@@ -51,45 +57,56 @@ class TimeKind(StrEnum):
 
 
 @dataclass(frozen=True)
-class Stamps:
-    """Times (rows,) of a column: numbers as they stand, or seconds where they are dates or times of day."""
+class TimeValues:
+    """Times of a column.
+
+    Attributes:
+        values: (rows,), numbers in the unit of the file; dates in s of Unix time, times of day in s.
+        kind: what they are.
+    """
 
     values: FloatArray
     kind: TimeKind = TimeKind.NUMBER
 
 
-class _Reading(NamedTuple):
-    """One way to read the texts of a column."""
+class _Parser(NamedTuple):
+    """A parser of one kind of texts."""
 
     kind: TimeKind
     patterns: tuple[re.Pattern[str], ...]
     seconds: Callable[[re.Match[str]], float]
 
 
-def stamps_of(texts: Sequence[str]) -> Stamps | None:
-    """Read the texts of a column as dates (s of Unix time, UTC where no zone is given) or times of day (s).
+def parse_times(texts: Sequence[str]) -> TimeValues | None:
+    """Parse the texts of a column as dates or times of day.
 
-    All texts are read in one way. Of two orders of day and month the one counts in which more of them are
-    dates, and of two such the one in which they span less time. None where no text is a time.
+    All texts are of one kind. Of both orders of day and month the one counts in which more texts are dates,
+    and then the one with the shorter span of time.
+
+    Args:
+        texts: the texts.
+
+    Returns:
+        Times, UTC for dates without a zone; None if no text is a time.
     """
-    plain = [text.strip().strip("\"'").strip() for text in texts]
+    stripped = [text.strip().strip("\"'").strip() for text in texts]
     best, best_rank = None, (0, -math.inf)
-    for kind, patterns, seconds in _READINGS:
-        values = np.array([_first(patterns, text, seconds) for text in plain], dtype=np.float64)
-        known = values[np.isfinite(values)]
-        if len(known) and (rank := (len(known), -float(np.ptp(known)))) > best_rank:
-            best, best_rank = Stamps(values, kind), rank
-        if len(known) == len(plain) and patterns is _ONE_ORDER:
-            break  # one order of day and month only: no other reading can be better
+    for kind, patterns, seconds in _PARSERS:
+        values = np.array([_parse(patterns, text, seconds) for text in stripped], dtype=np.float64)
+        finite = values[np.isfinite(values)]
+        if len(finite) and (rank := (len(finite), -float(np.ptp(finite)))) > best_rank:
+            best, best_rank = TimeValues(values, kind), rank
+        if len(finite) == len(stripped) and patterns is _UNAMBIGUOUS:
+            break  # no ambiguous order of day and month: no other parser can be better
     return best
 
 
 def is_time(text: str) -> bool:
     """Whether a text is a date or a time of day."""
-    return stamps_of([text]) is not None
+    return parse_times([text]) is not None
 
 
-def _first(
+def _parse(
     patterns: Sequence[re.Pattern[str]], text: str, seconds: Callable[[re.Match[str]], float]
 ) -> float:
     for pattern in patterns:
@@ -98,48 +115,48 @@ def _first(
     return math.nan
 
 
-def _of_date(match: re.Match[str]) -> float:
-    part = match.groupdict()
-    month = MONTHS.get(part["name"].lower()[:3], 0) if part.get("name") else int(part["mo"])
-    year = int(part["y"]) + (CENTURY if len(part["y"]) == 2 else 0)
-    day = _midnight(year, month, int(part["d"]))
-    return day + _clock(part) - _zone(part.get("zone"))
+def _date_seconds(match: re.Match[str]) -> float:
+    fields = match.groupdict()
+    month = MONTHS.get(fields["name"].lower()[:3], 0) if fields.get("name") else int(fields["mo"])
+    year = int(fields["y"]) + (CENTURY_OF_SHORT_YEARS if len(fields["y"]) == 2 else 0)
+    day = _day_seconds(year, month, int(fields["d"]))
+    return day + _clock_seconds(fields) - _zone_seconds(fields.get("zone"))
 
 
-def _of_day(match: re.Match[str]) -> float:
-    part = match.groupdict()
-    if part.get("s") is None and not part.get("half"):
-        return math.nan  # 12:30 alone: hours and minutes, or minutes and seconds?
-    return DAY * int(part.get("days") or 0) + _clock(part)
+def _time_of_day_seconds(match: re.Match[str]) -> float:
+    fields = match.groupdict()
+    if fields.get("s") is None and not fields.get("half"):
+        return math.nan  # 12:30 is ambiguous: hours and minutes, or minutes and seconds
+    return DAY * int(fields.get("days") or 0) + _clock_seconds(fields)
 
 
 @lru_cache(maxsize=64)
-def _midnight(year: int, month: int, day: int) -> float:
+def _day_seconds(year: int, month: int, day: int) -> float:
     try:
-        return DAY * (date(year, month, day).toordinal() - EPOCH)
+        return DAY * (date(year, month, day).toordinal() - _EPOCH)
     except ValueError:
         return math.nan
 
 
-def _clock(part: dict[str, str | None]) -> float:
-    hours, half = int(part.get("h") or 0), (part.get("half") or "").lower()
+def _clock_seconds(fields: dict[str, str | None]) -> float:
+    hours, half = int(fields.get("h") or 0), (fields.get("half") or "").lower()
     if half:
         hours = hours % 12 + (12 if half == "p" else 0)
-    whole = 3600 * hours + 60 * int(part.get("m") or 0) + int(part.get("s") or 0)
-    return whole + float(f"0.{part.get('f') or 0}")
+    seconds = 3600 * hours + 60 * int(fields.get("m") or 0) + int(fields.get("s") or 0)
+    return seconds + float(f"0.{fields.get('f') or 0}")
 
 
-def _zone(zone: str | None) -> float:
+def _zone_seconds(zone: str | None) -> float:
     if zone is None or zone[0] not in "+-":
         return 0.0
     digits = zone[1:].replace(":", "").ljust(4, "0")
     return math.copysign(3600.0 * int(digits[:2]) + 60.0 * int(digits[2:]), int(f"{zone[0]}1"))
 
 
-_ONE_ORDER = (_YMD, _COMPACT, _POINTS, _NAMED, _NAME_FIRST)
-_READINGS = (
-    _Reading(TimeKind.DATE, _ONE_ORDER, _of_date),
-    _Reading(TimeKind.DATE, (_DAY_FIRST,), _of_date),
-    _Reading(TimeKind.DATE, (_MONTH_FIRST,), _of_date),
-    _Reading(TimeKind.OF_DAY, (_OF_DAY, _MINUTES), _of_day),
+_UNAMBIGUOUS = (_YMD, _COMPACT, _POINTS, _NAMED, _NAME_FIRST)
+_PARSERS = (
+    _Parser(TimeKind.DATE, _UNAMBIGUOUS, _date_seconds),
+    _Parser(TimeKind.DATE, (_DAY_FIRST,), _date_seconds),
+    _Parser(TimeKind.DATE, (_MONTH_FIRST,), _date_seconds),
+    _Parser(TimeKind.OF_DAY, (_OF_DAY, _MINUTES), _time_of_day_seconds),
 )

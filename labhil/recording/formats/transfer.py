@@ -1,6 +1,6 @@
-"""Columns as bytes and back, without pickle: what comes from a reader's process is data and nothing else.
+"""Serialisation of tables between processes without pickle, so that data cannot execute code.
 
-Arrays travel as their bytes, everything else as JSON. Only the classes named here are made of it.
+Arrays are bytes, everything else is JSON, from which only the classes below are constructed.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.recording.formats.bag import BagColumns
-from labhil.recording.formats.bag_messages import Named, Source
+from labhil.recording.formats.bag_messages import MessageGroup, Named
 from labhil.recording.formats.columns import NumberColumns
 from labhil.recording.formats.notation import Notation
 from labhil.recording.formats.variables import VariableColumns
 from labhil.recording.formats.workbook import SheetColumns
 
 HEAD = struct.Struct("<QQ")
-"""Before each answer: the bytes of its JSON, and of the arrays after it."""
+"""Head of an answer: sizes of its JSON and of the arrays that follow, bytes."""
 
 _CLASSES = {
     kind.__name__: kind
-    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, Source, Named)
+    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, MessageGroup, Named)
 }
 _DTYPES = ("<f8", "<i8", "|b1")
 _CELLS: dict[str, Callable[[Any], Any]] = {
@@ -41,22 +41,22 @@ _COLLECTIONS: dict[str, Callable[[Any], Any]] = {"tuple": tuple, "set": set}
 
 
 def pack(answer: dict[str, Any]) -> bytes:
-    """Return an answer as bytes, with columns under ``columns`` if it has any."""
+    """Serialise an answer, with the table under ``columns`` if it has one."""
     arrays = _Arrays()
     if "columns" in answer:
-        answer = {**answer, "columns": _plain(answer["columns"], arrays)}
-    text = json.dumps(answer, default=_cell).encode()
+        answer = {**answer, "columns": _to_json(answer["columns"], arrays)}
+    text = json.dumps(answer, default=_cell_to_json).encode()
     return b"".join([HEAD.pack(len(text), arrays.length), text, *arrays.pieces])
 
 
 def parse_answer(text: bytes) -> dict[str, Any]:
-    """Return the JSON part of an answer, with paths and the cells of workbooks as what they are."""
-    answer: dict[str, Any] = json.loads(text, object_hook=_cell_of)
+    """Parse the JSON of an answer, with paths and cells of workbooks as Python objects."""
+    answer: dict[str, Any] = json.loads(text, object_hook=_cell_from_json)
     return answer
 
 
 def unpack_columns(data: Any, arrays: bytes) -> Any:
-    """Return the columns in the JSON of an answer; ``arrays`` holds the bytes of their arrays."""
+    """Restore the table of an answer from its JSON and the bytes of its arrays."""
     if isinstance(data, list):
         tagged = any(isinstance(item, dict) for item in data)
         return [unpack_columns(item, arrays) for item in data] if tagged else data
@@ -79,7 +79,7 @@ class _Arrays:
     length: int = 0
 
     def add(self, array: NDArray[Any]) -> dict[str, Any]:
-        """Keep the bytes of an array; return where they stand and what they mean."""
+        """Store the bytes of an array; returns its type, shape and position as JSON."""
         if array.dtype.str not in _DTYPES:
             raise TypeError(f"expected an array of numbers, found one of {array.dtype}")
         start = self.length
@@ -88,23 +88,23 @@ class _Arrays:
         return {"array": [array.dtype.str, array.shape, start]}
 
 
-def _plain(value: Any, arrays: _Arrays) -> Any:
+def _to_json(value: Any, arrays: _Arrays) -> Any:
     if isinstance(value, np.ndarray):
         return arrays.add(value)
     if dataclasses.is_dataclass(value):
         fields = [(item.name, getattr(value, item.name)) for item in dataclasses.fields(value)]
-        return {type(value).__name__: [[name, _plain(item, arrays)] for name, item in fields]}
+        return {type(value).__name__: [[name, _to_json(item, arrays)] for name, item in fields]}
     if isinstance(value, Mapping):
-        return {"map": [[_plain(key, arrays), _plain(item, arrays)] for key, item in value.items()]}
+        return {"map": [[_to_json(key, arrays), _to_json(item, arrays)] for key, item in value.items()]}
     if isinstance(value, (tuple, set)):
-        return {type(value).__name__: [_plain(item, arrays) for item in value]}
+        return {type(value).__name__: [_to_json(item, arrays) for item in value]}
     if isinstance(value, list) and any(isinstance(item, np.ndarray) for item in value):
-        return [_plain(item, arrays) for item in value]
-    return value  # text, numbers, and lists of cells, which json writes by itself
+        return [_to_json(item, arrays) for item in value]
+    return value  # text, numbers and lists of cells
 
 
-def _cell(value: Any) -> Any:
-    """A cell that JSON has no name for."""
+def _cell_to_json(value: Any) -> Any:
+    """JSON of a cell that is no JSON type."""
     if isinstance(value, (datetime, time)):
         return {"datetime" if isinstance(value, datetime) else "time": value.isoformat()}
     if isinstance(value, Path):
@@ -114,7 +114,7 @@ def _cell(value: Any) -> Any:
     return str(value)
 
 
-def _cell_of(data: dict[str, Any]) -> Any:
+def _cell_from_json(data: dict[str, Any]) -> Any:
     if len(data) == 1:
         ((tag, value),) = data.items()
         if tag in _CELLS:

@@ -1,8 +1,8 @@
-"""Named arrays of a file as the columns of one table; what cannot be one of its columns is named, with why.
+"""Named arrays of a file as columns of a table, with a reason for each array that cannot be a column.
 
-Structs, struct arrays and cells are followed by path, as MATLAB writes it: ``log.x``, ``log(2).x``, ``c{1}``.
-A Simulink scope ("structure with time") is a struct with ``time`` and a struct array ``signals``: its signals
-bear their labels too.
+Names are paths in MATLAB's notation through structs, struct arrays and cells: ``log.x``, ``log(2).x``,
+``c{1}``. A Simulink scope ("structure with time") is a struct with ``time`` and a struct array ``signals``,
+whose elements also have their labels as names.
 """
 
 from __future__ import annotations
@@ -17,28 +17,33 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.recording.formats.columns import NumberColumns
-from labhil.recording.formats.time_text import Stamps
+from labhil.recording.formats.time_text import TimeValues
 from labhil.signals import FloatArray, Hold
 
-MOST_PARTS = 64
-"""Elements of a struct array or a cell that are looked into; more are data of another kind."""
+MAX_ELEMENTS = 64
+"""Largest number of elements of a struct array or cell that are read; larger ones are other data."""
 
-TIME = ("time", "t")
-"""What a struct calls the time of its signals."""
+TIME_FIELDS = ("time", "t")
+"""Fields of a struct that are the time of its signals."""
 
 _INDEX = re.compile(r"\((\d+)\)|\[(\d+)\]|\{(\d+)\}|\.(\d+)(?=\.|$|_)")
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Something inside a file: a struct's ``fields``, ``elements`` of an array or cell, numbers, or neither.
+class Node:
+    """Node of the tree in a file: a struct, an array of structs, a cell, numbers, or something else.
 
-    ``array`` holds numbers with MATLAB's axes. ``text`` is that of a label. Where there are no numbers
-    ``reason`` says what there is. ``braces`` are those of elements.
+    Attributes:
+        fields: fields of a struct.
+        elements: elements of a struct array or cell.
+        array: numbers, with MATLAB's axes.
+        text: text of a label.
+        reason: why there are no numbers.
+        braces: brackets around an element's index.
     """
 
-    fields: Mapping[str, Part] = field(default_factory=dict)
-    elements: Sequence[Part] = ()
+    fields: Mapping[str, Node] = field(default_factory=dict)
+    elements: Sequence[Node] = ()
     array: FloatArray | None = None
     text: str = ""
     reason: str = ""
@@ -47,8 +52,14 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """Numbers of a file by ``name``, a path; ``labels`` name them too; ``owner`` is the path of the struct
-    whose time they have. Without numbers ``reason`` says why.
+    """An array in a file.
+
+    Attributes:
+        name: its path.
+        array: its numbers, if there are any.
+        reason: why there are none.
+        labels: other names.
+        owner: path of the struct whose time is its time.
     """
 
     name: str
@@ -59,13 +70,19 @@ class Variable:
 
     @property
     def shape(self) -> str:
-        """Its size in words."""
+        """Shape for messages, like 1000×3."""
         return "" if self.array is None else "×".join(map(str, self.array.shape))
 
 
 @dataclass(frozen=True)
 class VariableColumns(NumberColumns):
-    """Columns of one table out of many variables, with their ``labels``; ``unused`` ones with the reason."""
+    """A table of variables of equal length.
+
+    Attributes:
+        labels: other names of each column.
+        unused: names and reasons of variables that are no columns.
+        used: columns that were read.
+    """
 
     labels: tuple[tuple[str, ...], ...] = ()
     unused: tuple[tuple[str, str], ...] = ()
@@ -73,71 +90,76 @@ class VariableColumns(NumberColumns):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was not used, and why."""
+        """Lines about variables that were not used, and why."""
         names = self.names or ()
-        idle = [name for place, name in enumerate(names) if place not in self.used]
+        not_requested = [name for index, name in enumerate(names) if index not in self.used]
         by_reason: dict[str, list[str]] = defaultdict(list)
         for name, reason in self.unused:
             by_reason[reason].append(name)
-        if idle:
-            by_reason["no channel asks for it"] = idle
-        return tuple(f"not used: {', '.join(skipped)} ({reason})" for reason, skipped in by_reason.items())
+        if not_requested:
+            by_reason["no channel asks for it"] = not_requested
+        return tuple(f"not used: {', '.join(unused)} ({reason})" for reason, unused in by_reason.items())
 
     @property
-    def left_out(self) -> str:
-        """What is in the file and is no column, for messages."""
+    def skipped(self) -> str:
+        """Content of the file that is no column, and why, for messages."""
         return "; ".join(f"{name} is no column: {reason}" for name, reason in self.unused)
 
-    def find(self, source: str) -> tuple[int, ...]:
-        """The numbers of the columns of that path or, where there is none, of that label or last part."""
+    def find(self, name: str) -> tuple[int, ...]:
+        """Find columns by path or, without such a path, by label or last part of the path."""
         names = self.names or ()
-        wanted = _plain(source)
-        exact = tuple(place for place, name in enumerate(names) if _plain(name) == wanted)
-        return exact or tuple(place for place, labels in enumerate(self.labels) if source in labels)
+        wanted = _normalise(name)
+        exact = tuple(index for index, known in enumerate(names) if _normalise(known) == wanted)
+        return exact or tuple(index for index, labels in enumerate(self.labels) if name in labels)
 
-    def times(self, column: int) -> Stamps:
-        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+    def times(self, column: int) -> TimeValues:
+        """Times (rows,) in a column; dates and times of day in s."""
         self.used.add(column)
         return super().times(column)
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is no number."""
+        """Values (rows,) of a column."""
         self.used.add(column)
         return self.values[column]
 
 
-def variables_of(parts: Mapping[str, Part]) -> list[Variable]:
-    """Return everything that has a name and no parts, in the order of the file."""
-    return [variable for name, part in parts.items() for variable in _walk(name, part, (), "")]
+def list_variables(nodes: Mapping[str, Node]) -> list[Variable]:
+    """List the leaves of trees of nodes, by the names of these, in the order of the file."""
+    return [variable for name, node in nodes.items() for variable in _iterate(name, node, (), "")]
 
 
-def _walk(name: str, part: Part, labels: tuple[str, ...], owner: str) -> Iterator[Variable]:
-    if part.fields:
-        inner_owner = name if any(time in part.fields for time in TIME) else owner
-        label = part.fields["label"].text.strip() if "label" in part.fields else ""
-        for key, inner in part.fields.items():
-            # a scope's label names its values, every other field bears its own name too
-            named = (label, f"{inner_owner}.{label}") if label and key == "values" else (key,)
-            yield from _walk(f"{name}.{key}", inner, named, inner_owner)
-    elif part.elements:
-        if len(part.elements) > MOST_PARTS:
-            yield Variable(name, None, f"{len(part.elements)} elements, at most {MOST_PARTS} are looked into")
+def _iterate(name: str, node: Node, labels: tuple[str, ...], owner: str) -> Iterator[Variable]:
+    if node.fields:
+        inner_owner = name if any(time in node.fields for time in TIME_FIELDS) else owner
+        label = node.fields["label"].text.strip() if "label" in node.fields else ""
+        for key, inner in node.fields.items():
+            # a scope's label is the name of its values; all other fields have their own names
+            inner_labels = (label, f"{inner_owner}.{label}") if label and key == "values" else (key,)
+            yield from _iterate(f"{name}.{key}", inner, inner_labels, inner_owner)
+    elif node.elements:
+        if len(node.elements) > MAX_ELEMENTS:
+            yield Variable(
+                name, None, f"{len(node.elements)} elements, at most {MAX_ELEMENTS} are looked into"
+            )
             return
-        for number, inner in enumerate(part.elements, 1):
-            yield from _walk(f"{name}{part.braces[0]}{number}{part.braces[1]}", inner, labels, owner)
-    elif part.array is None or part.array.size == 0:
-        yield Variable(name, None, part.reason or "empty")
+        for number, inner in enumerate(node.elements, 1):
+            yield from _iterate(f"{name}{node.braces[0]}{number}{node.braces[1]}", inner, labels, owner)
+    elif node.array is None or node.array.size == 0:
+        yield Variable(name, None, node.reason or "empty")
     else:
-        yield Variable(name, part.array, labels=labels, owner=owner)
+        yield Variable(name, node.array, labels=labels, owner=owner)
 
 
-def table_of(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -> VariableColumns:
-    """Make one table: its rows are as many as most numbers have, of those ``wanted`` or else of all.
+def make_table(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -> VariableColumns:
+    """Make a table of the variables whose length is the most frequent one.
 
     Args:
-        path: The file, for messages.
-        variables: All that is in it.
-        wanted: Names that the rig file asks for.
+        path: the file, for messages.
+        variables: all variables of the file.
+        wanted: names of columns; if any exist, only their lengths count.
+
+    Returns:
+        The table.
 
     Raises:
         TableError: No variable holds columns, or those wanted belong to different times.
@@ -146,25 +168,26 @@ def table_of(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -
     if not arrays:
         reasons = "; ".join(f"{variable.name}: {variable.reason}" for variable in variables) or "none"
         raise TableError(f"{path}: expected variables that are columns of numbers, found {reasons}")
-    requested = [variable for name in wanted for variable in arrays if _asks_for(name, variable)]
+    requested = [variable for name in wanted for variable in arrays if _matches(name, variable)]
     _refuse_other_times(path, requested, arrays)
     owner = next((variable.owner for variable in requested if variable.owner and not _is_time(variable)), "")
-    rows = _rows(requested or arrays)
+    rows = _common_length(requested or arrays)
     names: list[str] = []
     columns: list[FloatArray] = []
     labels: list[tuple[str, ...]] = []
     unused = [(variable.name, variable.reason) for variable in variables if variable not in arrays]
     for variable in arrays:
-        upright = _upright(variable, rows)
+        upright = _rows_first(variable, rows)
         if upright is None:
             unused.append((variable.name, f"{variable.shape}, where the table has {rows} rows"))
             continue
         count = upright.shape[1]
         suffixes = [""] if count == 1 else [f"_{column}" for column in range(count)]
         names += [f"{variable.name}{suffix}" for suffix in suffixes]
-        # of several times the one that goes with what is wanted is called just that
-        known = () if owner and _is_time(variable) and variable.owner != owner else variable.labels
-        labels += [tuple(f"{label}{suffix}" for label in known) for suffix in suffixes]
+        # of several times only that of the wanted signals is called "time"
+        is_other_time = owner and _is_time(variable) and variable.owner != owner
+        names_too = () if is_other_time else variable.labels
+        labels += [tuple(f"{label}{suffix}" for label in names_too) for suffix in suffixes]
         columns += list(upright.T)
     counts = np.full(rows, len(names))
     return VariableColumns(
@@ -178,8 +201,8 @@ def table_of(path: Path, variables: Sequence[Variable], wanted: Sequence[str]) -
     )
 
 
-def _rows(arrays: Sequence[Variable]) -> int:
-    """The length that most numbers stand in."""
+def _common_length(arrays: Sequence[Variable]) -> int:
+    """Length of the variables with the most numbers."""
     sizes: Counter[int] = Counter()
     for variable in arrays:
         assert variable.array is not None
@@ -187,11 +210,11 @@ def _rows(arrays: Sequence[Variable]) -> int:
     return sizes.most_common(1)[0][0]
 
 
-def _upright(variable: Variable, rows: int) -> FloatArray | None:
-    """The variable with one row for each of ``rows`` samples, or None.
+def _rows_first(variable: Variable, rows: int) -> FloatArray | None:
+    """The variable as (rows, columns); None if no axis has ``rows`` items.
 
-    Of more than two axes the last counts the samples, as where Simulink logs matrices; the others are run
-    through as MATLAB does, the first axis fastest.
+    With more than two axes the last one is the samples, as Simulink logs matrices. The others become columns
+    in MATLAB's order, the first axis fastest.
     """
     array = variable.array
     assert array is not None
@@ -203,12 +226,12 @@ def _upright(variable: Variable, rows: int) -> FloatArray | None:
 
 
 def _is_time(variable: Variable) -> bool:
-    """Whether these are the times of the struct that they stand in."""
-    return bool(variable.owner) and variable.name.removeprefix(variable.owner)[1:] in TIME
+    """Whether the variable is the time of its struct."""
+    return bool(variable.owner) and variable.name.removeprefix(variable.owner)[1:] in TIME_FIELDS
 
 
 def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Sequence[Variable]) -> None:
-    """TableError where wanted variables have times that differ."""
+    """Raise TableError if wanted variables have different times."""
     times = {variable.owner: variable for variable in arrays if _is_time(variable)}
     signals = [variable.owner for variable in requested if not _is_time(variable)]
     owners = dict.fromkeys(owner for owner in signals if owner in times)
@@ -228,20 +251,20 @@ def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Seque
         )
 
 
-def _asks_for(name: str, variable: Variable) -> bool:
-    plain = _plain(name)
-    names = (_plain(variable.name), *variable.labels)
+def _matches(name: str, variable: Variable) -> bool:
+    plain = _normalise(name)
+    names = (_normalise(variable.name), *variable.labels)
     return any(
         candidate in {name, plain} or re.fullmatch(rf"{re.escape(candidate)}_\d+", name)
         for candidate in names
     )
 
 
-def _plain(name: str) -> str:
-    """A path with every index written as ``(2)``: ``{2}`` counts from 1 too, ``[1]`` and ``.1`` from 0."""
+def _normalise(name: str) -> str:
+    """A path with indices as ``(2)``: ``(2)`` and ``{2}`` count from 1, ``[1]`` and ``.1`` from 0."""
 
-    def plain(match: re.Match[str]) -> str:
+    def index_from_1(match: re.Match[str]) -> str:
         one_based = match[1] or match[3]
         return f"({int(one_based)})" if one_based else f"({int(match[2] or match[4]) + 1})"
 
-    return _INDEX.sub(plain, name)
+    return _INDEX.sub(index_from_1, name)

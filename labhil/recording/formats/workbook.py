@@ -1,4 +1,4 @@
-"""Workbooks (XLSX), by openpyxl."""
+"""Reader and writer of workbooks (XLSX), by openpyxl."""
 
 from __future__ import annotations
 
@@ -19,56 +19,61 @@ from numpy.typing import NDArray
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError, UsageError, suggestion
 from labhil.extras import load_optional
-from labhil.recording.formats.columns import Columns, cell_text, number_of, read_stamps
+from labhil.recording.formats.columns import Columns, cell_text, parse_cell, times_or_numbers
 from labhil.recording.formats.notation import Notation, is_missing
-from labhil.recording.formats.time_text import Stamps, TimeKind
+from labhil.recording.formats.time_text import TimeKind, TimeValues
 from labhil.recording.units import is_units_line
 from labhil.rig_sections import Table
 from labhil.signals import FloatArray, Hold, Stream
 
-LARGEST_SHEET = 1_048_575
-"""Rows below the header that a sheet can hold."""
+MAX_SHEET_ROWS = 1_048_575
+"""Largest number of rows below the header of a sheet."""
 
-FREE_CELLS = 1 << 20
-SPARSEST = 50
-"""Cells that any sheet may spread over, and cells for each that holds something: no table is emptier."""
+FREE_CELLS, MAX_CELLS_PER_VALUE = 1 << 20, 50
+"""Largest area of a sheet in cells: a constant, and a multiple of its filled cells. No table is sparser."""
 
 
 @dataclass(frozen=True)
 class SheetColumns(Columns):
-    """Columns of a sheet; cells stay as they are until a column is asked for."""
+    """Columns of a sheet, whose cells are converted when a column is read.
+
+    Attributes:
+        rows: cells of each row.
+        notation: notation of numbers in text.
+        units: texts of a line of units.
+    """
 
     rows: Sequence[Sequence[Any]]
     notation: Notation
     units: tuple[str, ...] = ()
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
-        """The values of a column, shape (rows,); NaN where there is no number."""
-        return np.array([number_of(cell, self.notation) for cell in self._cells(column)], dtype=np.float64)
+        """Values (rows,) of a column; NaN where there is no number."""
+        return np.array([parse_cell(cell, self.notation) for cell in self._cells(column)], dtype=np.float64)
 
-    def times(self, column: int) -> Stamps:
-        """The values of a column that holds the time, shape (rows,); dates and times of day in s."""
+    def times(self, column: int) -> TimeValues:
+        """Times (rows,) in a column; dates and times of day in s."""
         cells = self._cells(column)
-        stamps = read_stamps(self.numbers(column), [cell_text(cell) for cell in cells])
+        stamps = times_or_numbers(self.numbers(column), [cell_text(cell) for cell in cells])
         if stamps.kind is not TimeKind.NUMBER:
             return stamps
         kinds = {datetime: TimeKind.DATE, time: TimeKind.OF_DAY}
         first = next((cell for cell in cells if cell is not None), None)
-        return Stamps(stamps.values, kinds.get(type(first), TimeKind.NUMBER))
+        return TimeValues(stamps.values, kinds.get(type(first), TimeKind.NUMBER))
 
     def missing(self, column: int) -> NDArray[np.bool_]:
-        """Where a column has no value at all, shape (rows,)."""
+        """Rows where a column has no value, (rows,)."""
         return np.array(
             [cell is None or (isinstance(cell, str) and is_missing(cell)) for cell in self._cells(column)]
         )
 
     def readable(self, column: int, notation: Notation) -> int:
-        """How many cells of a column would be numbers in another notation."""
-        values = np.array([number_of(cell, notation) for cell in self._cells(column)], dtype=np.float64)
+        """Number of cells of a column that are numbers in another notation."""
+        values = np.array([parse_cell(cell, notation) for cell in self._cells(column)], dtype=np.float64)
         return int(np.count_nonzero(np.isfinite(values)))
 
     def text(self, column: int, row: int) -> str:
-        """What stands there, for messages."""
+        """Content of a cell, for messages."""
         cells = self.rows[row]
         cell = cells[column] if column < len(cells) else None
         return "an empty cell" if cell is None else repr(cell)
@@ -78,9 +83,19 @@ class SheetColumns(Columns):
 
 
 def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColumns:
-    """Read one sheet of a workbook: the one that ``[table] sheet`` names, or the first.
+    """Read a sheet of a workbook, with the last calculated values of formulas.
 
-    Formulas count with the value that was calculated last. TableError when there is no such sheet.
+    Args:
+        path: the file.
+        table: section ``[table]`` of the rig file, whose ``sheet`` names the sheet; else it is the first.
+        wanted: names of columns, by which a header is recognised.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: The file cannot be read, or has no such sheet or no rows.
+        MissingExtraError: openpyxl is not installed.
     """
     openpyxl = load_optional("openpyxl", f"{path}: a workbook (XLSX)")
     try:
@@ -112,21 +127,31 @@ def read_workbook(path: Path, table: Table, wanted: Sequence[str]) -> SheetColum
     filled = np.array([len(row) for _, row in cells], dtype=np.int64)
     width = len(names) if names is not None else int(np.bincount(filled).argmax())
     lines = np.array([number for number, _ in cells], dtype=np.int64)
-    # empty cells at the end are not stored: too few of them are empty fields, too many are too many
+    # empty cells at the end are not stored, so missing cells are empty fields
     counts = np.maximum(filled, width)
     rows = [row for _, row in cells]
     return SheetColumns(names, width, lines, counts, rows, Notation.of(table), units)
 
 
 def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> None:
-    """Write one sheet named after the stream: a header, then ``t`` and the signals; empty where not finite.
+    """Write a sheet named after the stream: a header, then ``t`` and the signals; empty where not finite.
 
-    Numbers have 16 significant digits, one less than a double needs to come back to the last bit.
+    Numbers have 16 significant digits; a double needs 17 to be exact.
+
+    Args:
+        stream: the stream.
+        t: times (n,), s.
+        values: samples (n, columns).
+        out: the file.
+
+    Raises:
+        UsageError: There are more samples than a sheet has rows.
+        MissingExtraError: openpyxl is not installed.
     """
     openpyxl = load_optional("openpyxl", f"{out}: writing a workbook (XLSX)")
-    if len(t) > LARGEST_SHEET:
+    if len(t) > MAX_SHEET_ROWS:
         raise UsageError(
-            f"{out}: expected at most {LARGEST_SHEET} samples for one sheet, found {len(t)}; "
+            f"{out}: expected at most {MAX_SHEET_ROWS} samples for one sheet, found {len(t)}; "
             "a .parquet or .csv file holds them all"
         )
     book = openpyxl.Workbook(write_only=True)
@@ -140,7 +165,7 @@ def write_workbook(stream: Stream, t: FloatArray, values: FloatArray, out: Path)
 
 
 def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
-    """Rows with their numbers from 1, without skipped, blank and comment rows and empty cells at the end."""
+    """Rows with their numbers from 1, without skipped, blank and comment rows and trailing empty cells."""
     names = book.sheetnames
     if table.sheet is not None and table.sheet not in names:
         near = suggestion(table.sheet, names)
@@ -160,16 +185,15 @@ def _cells(path: Path, book: Any, table: Table) -> list[tuple[int, list[Any]]]:
 
 
 def _rows(path: Path, sheet: Any) -> Iterator[tuple[int, list[Any]]]:
-    """The rows that a sheet stores, with their numbers from 1, each up to its last cell that holds something.
+    """Stored rows of a sheet with their numbers from 1, each up to its last filled cell.
 
-    openpyxl's own rows run over all cells up to the last one that is stored anywhere, 17 billion of them
-    where one is stored in the last row and column. TableError when the cells up to the last ones are many
-    more than hold something.
+    openpyxl's own rows have all cells up to the last row and column of any stored cell, up to 17 billion.
+    TableError if the cells up to the last filled ones are many more than the filled ones.
     """
     from openpyxl.worksheet._reader import WorkSheetParser
 
     book = sheet.parent
-    stored = made = 0
+    n_filled = area = 0
     with sheet._get_source() as source:
         parser = WorkSheetParser(
             source,
@@ -182,13 +206,13 @@ def _rows(path: Path, sheet: Any) -> Iterator[tuple[int, list[Any]]]:
         for number, cells in parser.parse():
             filled = {cell["column"]: cell["value"] for cell in cells if cell["value"] not in (None, "")}
             width = max(filled, default=0)
-            stored, made = stored + len(filled), made + width
-            if made > FREE_CELLS + SPARSEST * stored:
+            n_filled, area = n_filled + len(filled), area + width
+            if area > FREE_CELLS + MAX_CELLS_PER_VALUE * n_filled:
                 raise TableError(
-                    f"{path}: sheet {sheet.title!r}: expected a table, found {stored} cells that hold "
-                    f"something, spread over {made}; the last of row {number} is in column {width}"
+                    f"{path}: sheet {sheet.title!r}: expected a table, found {n_filled} cells that hold "
+                    f"something, spread over {area}; the last of row {number} is in column {width}"
                 )
-            if 0 < number <= LARGEST_SHEET + 1:
+            if 0 < number <= MAX_SHEET_ROWS + 1:
                 yield number, [filled.get(column) for column in range(1, width + 1)]
 
 
@@ -198,4 +222,4 @@ def _has_header(cells: Sequence[Any], table: Table, wanted: Sequence[str]) -> bo
     texts = {str(cell).strip() for cell in cells if cell is not None}
     if not texts.isdisjoint(wanted):
         return True
-    return all(math.isnan(number_of(cell, Notation.of(table))) for cell in cells)
+    return all(math.isnan(parse_cell(cell, Notation.of(table))) for cell in cells)

@@ -37,7 +37,9 @@ def report_page(path: Path, run: int | None = None) -> Page:
     if is_mcap(data) or path.suffix == ".mcap":
         recording = read_recording(path, run)
         if recording.foreign and not recording.streams:
-            raise RecordingError(f"{path}: expected streams to show, found {recording.no_streams()}")
+            raise RecordingError(
+                f"{path}: expected streams to show, found {recording.describe_missing_streams()}"
+            )
         return recording_page(recording, f"Made from {path}.", Album())
     if run is not None:
         raise UsageError(f"--run {run}: expected a recording, found {path}")

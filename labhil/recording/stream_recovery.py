@@ -1,4 +1,4 @@
-"""What became of each channel of a broken file."""
+"""Saved and lost messages of each channel of a damaged file."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from labhil.recording.message_store import Message
 from labhil.terminal import printable_name
 
-MOST_SPANS = 5
-"""Spans of lost samples that are reported of one stream, the longest first."""
+MAX_SPANS = 5
+"""Number of gaps of a channel that are reported, the longest ones."""
 
-SEQUENCE_WRAPS = 1 << 32
+SEQUENCE_PERIOD = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """``missing`` numbers are not there between two messages; times in s from the first message saved."""
+    """A gap with ``missing`` messages; times in s from the first saved message of the file."""
 
     start: float
     end: float
@@ -25,10 +25,16 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class StreamRecovery:
-    """What became of one channel.
+    """Saved and lost messages of a channel.
 
-    ``expected`` is how many messages the broken file says it held, None where it does not say;
-    ``indexed`` how many were in damaged chunks, by their index; ``spans`` where numbers are missing.
+    Attributes:
+        topic: its topic.
+        saved: number of saved messages.
+        expected: number of messages by the statistics of the file; None without these.
+        indexed: number of messages in damaged chunks, by their index.
+        start: time of the first message, s.
+        end: time of the last message, s.
+        spans: gaps in the sequence numbers.
     """
 
     topic: str
@@ -42,7 +48,7 @@ class StreamRecovery:
 
 @dataclass(slots=True)
 class Tally:
-    """What is known of the messages of one channel, one after another."""
+    """Counter of the messages of a channel and of the gaps between them."""
 
     count: int = 0
     first: int = 0
@@ -50,26 +56,33 @@ class Tally:
     before: Message | None = None
     gaps: list[tuple[int, int, int]] = field(default_factory=list)
 
-    def take(self, message: Message) -> None:
+    def add(self, message: Message) -> None:
         """Count the next message of the channel."""
         self.first = min(self.first, message.log_time) if self.count else message.log_time
         self.last = max(self.last, message.log_time)
         self.count += 1
         if self.before is not None:
-            missing = (message.sequence - self.before.sequence) % SEQUENCE_WRAPS - 1
-            if 0 < missing < SEQUENCE_WRAPS // 2 and message.log_time > self.before.log_time:
+            missing = (message.sequence - self.before.sequence) % SEQUENCE_PERIOD - 1
+            if 0 < missing < SEQUENCE_PERIOD // 2 and message.log_time > self.before.log_time:
                 self.gaps.append((self.before.log_time, message.log_time, missing))
         self.before = message
 
     def recovery(self, topic: str, expected: int | None, indexed: int, origin: int) -> StreamRecovery:
-        """What became of the channel; ``origin`` (ns) is the first message of all, times are s from it."""
+        """Result for the channel.
+
+        Args:
+            topic: its topic.
+            expected: number of messages by the statistics of the file; None without these.
+            indexed: number of messages in damaged chunks, by their index.
+            origin: Unix time from which times are measured, ns.
+        """
         start, end = (self.first - origin, self.last - origin) if self.count else (0, 0)
         spans = tuple(Span((a - origin) * 1e-9, (b - origin) * 1e-9, missing) for a, b, missing in self.gaps)
         return StreamRecovery(topic, self.count, expected, indexed, start * 1e-9, end * 1e-9, spans)
 
 
-def lines_of(stream: StreamRecovery) -> Iterator[str]:
-    """Yield what a person wants to know of a channel, a line each."""
+def format_stream(stream: StreamRecovery) -> Iterator[str]:
+    """Yield lines for users about a channel."""
     line = f"{printable_name(stream.topic)}: {stream.saved} messages saved"
     if stream.saved:
         line += f", {stream.start:.3f} to {stream.end:.3f} s"
@@ -79,8 +92,8 @@ def lines_of(stream: StreamRecovery) -> Iterator[str]:
         line += f"; {stream.indexed} lost with damaged chunks"
     yield line
     longest = sorted(stream.spans, key=lambda span: span.missing, reverse=True)
-    for span in sorted(longest[:MOST_SPANS], key=lambda span: span.start):
+    for span in sorted(longest[:MAX_SPANS], key=lambda span: span.start):
         yield f"  {span.missing} missing between {span.start:.3f} and {span.end:.3f} s"
-    if len(longest) > MOST_SPANS:
-        rest = sum(span.missing for span in longest[MOST_SPANS:])
-        yield f"  {rest} more missing in {len(longest) - MOST_SPANS} shorter gaps"
+    if len(longest) > MAX_SPANS:
+        rest = sum(span.missing for span in longest[MAX_SPANS:])
+        yield f"  {rest} more missing in {len(longest) - MAX_SPANS} shorter gaps"

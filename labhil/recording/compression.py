@@ -1,4 +1,4 @@
-"""The content of a chunk, unpacked, never more of it than the chunk says."""
+"""Decompression of chunks, limited to the size that a chunk states."""
 
 from __future__ import annotations
 
@@ -8,33 +8,36 @@ import lz4.frame
 import zstandard
 
 
-def unpack(compression: str, content: bytes, size: int) -> bytes:
-    """Return the content of a chunk; at most ``size`` bytes and one more are ever made.
+def decompress(compression: str, content: bytes, size: int) -> bytes:
+    """Decompress the content of a chunk, with at most ``size`` + 1 bytes of memory.
 
     Args:
         compression: ``"lz4"``, ``"zstd"`` or ``""``.
-        content: The packed bytes.
-        size: How many bytes the chunk says that they make.
+        content: the compressed bytes.
+        size: their decompressed size by the chunk.
+
+    Returns:
+        The decompressed bytes.
 
     Raises:
-        ValueError: The content makes more, or the compression is none of these.
-        Exception: What lz4 and zstandard raise on content that is damaged.
+        ValueError: The decompressed size is larger, or the compression is unknown.
+        Exception: lz4 and zstandard have their own errors for damaged content.
     """
     if compression == "":
         return content
     if compression == "zstd":
-        # zstandard makes room for what the frame claims, whatever limit it is given
+        # zstandard allocates the size that the frame claims, whatever its limit
         claimed = zstandard.frame_content_size(content)
         if claimed > size:
             raise ValueError(f"its zstd frame claims {claimed} bytes, the chunk {size}")
         return zstandard.ZstdDecompressor().decompress(content, max_output_size=max(size, 1))
     if compression == "lz4":
-        return _unpack_lz4(content, size)
+        return _decompress_lz4(content, size)
     raise ValueError(f"expected the compression lz4, zstd or none, found {compression!r:.40}")
 
 
-def unpack_prefix(compression: str, content: bytes, size: int) -> bytes:
-    """As much as can be had of content that is cut off, at most ``size`` bytes; empty when it is damaged."""
+def decompress_prefix(compression: str, content: bytes, size: int) -> bytes:
+    """Decompress the begin of truncated content, at most ``size`` bytes; empty if it is damaged."""
     if compression == "":
         return content[:size]
     try:
@@ -46,7 +49,7 @@ def unpack_prefix(compression: str, content: bytes, size: int) -> bytes:
         return b""
 
 
-def _unpack_lz4(content: bytes, size: int) -> bytes:
+def _decompress_lz4(content: bytes, size: int) -> bytes:
     packer = lz4.frame.LZ4FrameDecompressor()
     raw = bytes(packer.decompress(content, max_length=size + 1))
     if len(raw) > size:

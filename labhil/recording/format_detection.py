@@ -1,4 +1,4 @@
-"""Which reader a file of others belongs to: chosen by its content, else by its extension."""
+"""Choice of the reader of a foreign file, by its content, and otherwise by its extension."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from pathlib import Path
 
 from labhil.bounds import ImplausibleError
 from labhil.errors import TableError
-from labhil.recording.chunks import is_mcap, scan
-from labhil.recording.formats.apart import read_apart
+from labhil.recording.chunks import is_mcap, scan_mcap
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.isolated import read_isolated
 from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
 from labhil.terminal import printable_name
 
-READ = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
+SUPPORTED = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
 
-NOT_READ = {
+UNSUPPORTED = {
     b"\xd0\xcf\x11\xe0": "an XLS workbook of the old kind: save it as .xlsx",
     b"\x1f\x8b": "a file packed by gzip: unpack it first",
     b"#ROSBAG": "a ROS 1 bag: convert it with `rosbags-convert`",
@@ -25,35 +25,45 @@ NOT_READ = {
 }
 
 MCAP_PROFILE = slice(17, 25)
-"""Where the first record of an MCAP file names its profile: a length (u32), then the text."""
+"""Bytes of an MCAP file with its profile: a length (u32) and a text."""
 
 
-def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
-    """Read a file of others as columns; ``data`` is its content, empty for the folder of a bag.
+def read_foreign_table(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -> Columns:
+    """Read a foreign file as columns.
 
-    ``wanted`` are the column names that the rig file asks for, outputs first: they help to tell a header
-    from data, and which topic of a bag gives the rows. TableError when the file is empty or of a kind
-    that is not read, MissingExtraError when what reads it is not installed.
+    Args:
+        path: the file, or the folder of a bag.
+        data: content of the file; empty for a folder.
+        table: section ``[table]`` of the rig file.
+        wanted: names of columns in the rig file, outputs first, which identify a header and the topic of a
+            bag whose messages are the rows.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: The file is empty or of an unsupported kind.
+        MissingExtraError: The package that reads it is not installed.
     """
     if path.is_dir():
         return _read_folder(path, table, wanted)
     if not data.strip():
         raise TableError(f"{path}: expected a table, found an empty file")
     if data.startswith(b"PK\x03\x04") and _is_workbook(path):
-        return read_apart("workbook", path, table, wanted)
+        return read_isolated("workbook", path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, table, wanted)
-    kind = _kind_of_numbers(path, data)
+    kind = _binary_kind(path, data)
     if kind is not None:
-        return read_apart(kind, path, table, wanted)
-    unreadable = next((what for magic, what in NOT_READ.items() if data.startswith(magic)), "")
+        return read_isolated(kind, path, table, wanted)
+    unreadable = next((what for magic, what in UNSUPPORTED.items() if data.startswith(magic)), "")
     if unreadable:
-        raise TableError(f"{path}: expected one of {READ}, found {unreadable}")
+        raise TableError(f"{path}: expected one of {SUPPORTED}, found {unreadable}")
     return read_text(path, data, table, wanted)
 
 
-def _kind_of_numbers(path: Path, data: bytes) -> str | None:
-    """Which kind of file whose columns have names and numbers, so that [table] has nothing to say."""
+def _binary_kind(path: Path, data: bytes) -> str | None:
+    """Kind of a file whose columns have names and binary numbers; None for other files."""
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and b"\x00" in data[:20]):
         return "mat"
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -68,7 +78,7 @@ def _read_folder(path: Path, table: Table, wanted: Sequence[str]) -> Columns:
             f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, "
             f"found a folder with {content}"
         )
-    return read_apart("bag", path, table, wanted)
+    return read_isolated("bag", path, table, wanted)
 
 
 def _is_workbook(path: Path) -> bool:
@@ -81,7 +91,7 @@ def _is_workbook(path: Path) -> bool:
         ) from error
     if "xl/workbook.xml" not in inside:
         raise TableError(
-            f"{path}: expected one of {READ}, found a zipped file with "
+            f"{path}: expected one of {SUPPORTED}, found a zipped file with "
             f"{', '.join(inside[:3])}: unpack it first"
         )
     return True
@@ -93,15 +103,15 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
             raise TableError(
                 f"{path}: expected a ROS 2 bag's SQLite file to end in .db3, found {path.suffix!r}"
             )
-        return read_apart("bag", path, table, wanted)
+        return read_isolated("bag", path, table, wanted)
     if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2":
-        return read_apart("bag", path, table, wanted)
+        return read_isolated("bag", path, table, wanted)
     try:
-        channels = scan(data).channels.values()
+        channels = scan_mcap(data).channels.values()
     except ImplausibleError as error:
         raise TableError(f"{path}: {error}") from error
     if any("labhil.stream" in channel.metadata for channel in channels):
-        raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
+        raise TableError(f"{path}: expected a table, found a labhil recording, which needs no import")
     topics = ", ".join(
         printable_name(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
         for channel in channels
@@ -110,6 +120,6 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
     cdr = any(channel.message_encoding == "cdr" for channel in channels)
     hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
     raise TableError(
-        f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
+        f"{path}: expected one of {SUPPORTED} (of MCAP files those with the profile ros2 and CDR messages), "
         f"found an MCAP file {description}{hint}"
     )

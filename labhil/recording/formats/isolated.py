@@ -1,8 +1,8 @@
-"""Readers of others' formats, in a process of their own: a file that crashes one does not take us along.
+"""Readers of foreign formats in a separate process, so that a malicious file cannot crash this one.
 
-The libraries behind them parse in C what a stranger wrote. The process has bounds on memory and on processor
-time; what it read comes back as plain data (:mod:`labhil.recording.formats.transfer`). It stays for the next
-file and ends when there has been none for a while, or when we end.
+Their libraries parse untrusted files in C. The process has limits of memory and processor time, and returns
+plain data (:mod:`labhil.recording.formats.transfer`). It stays for further files until it has been idle for a
+while, or this process exits. ``reader_process.py`` is its program.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,59 +27,71 @@ from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
 from labhil.rig_sections import Table
 
-START_SECONDS = 60.0
-"""How long the process may take until it is ready: it imports numpy, on a machine that may be busy."""
-
-CPU_SECONDS = 4.0
-CPU_SECONDS_PER_BYTE = 20e-6
-"""Processor time for a file: a start, and 20 s a megabyte. The slowest reader (XLSX) takes 2 s a megabyte."""
-
-WALL_FACTOR = 4.0
-"""Wall time for a second of processor time, on a machine that does other things beside."""
-
-MEMORY = 512 << 20
-MEMORY_PER_BYTE = 64
-"""Bytes of memory for a file: libraries and 16 MiB of content, and 64 for a byte of it. A cell of a workbook
-takes about 8 bytes in the file and 60 as a Python object."""
-
-
 PACKAGES = {
     "hdf5": ("h5py", "a MAT file of version 7.3 (HDF5)"),
     "parquet": ("pyarrow", "a Parquet file"),
     "workbook": ("openpyxl", "a workbook (XLSX)"),
     "bag": ("rosbags", "a ROS 2 bag"),
 }
-"""What reads a kind of file and need not be installed, and how a message names such a file."""
+"""Optional package that reads each kind of file, and the name of such a file in messages."""
 
 
-def read_apart(kind: str, path: Path, table: Table, wanted: Sequence[str]) -> Columns:
-    """Read a file of others in a process of its own.
+@dataclass(frozen=True, slots=True)
+class ReaderLimits:
+    """Limits of the reader's process.
+
+    Attributes:
+        start_seconds: longest start of the process, s; it imports numpy on a machine that may be busy.
+        cpu_seconds: processor time for any file, s.
+        cpu_seconds_per_byte: further processor time, s/byte; the slowest reader (XLSX) takes 2e-6.
+        wall_factor: wall time per processor time, on a machine with other work.
+        memory: memory for libraries and 16 MiB of content, bytes.
+        memory_per_byte: further memory per byte of the file; a cell of a workbook takes about 8 bytes in the
+            file and 60 as a Python object.
+    """
+
+    start_seconds: float = 60.0
+    cpu_seconds: float = 4.0
+    cpu_seconds_per_byte: float = 20e-6
+    wall_factor: float = 4.0
+    memory: int = 512 << 20
+    memory_per_byte: int = 64
+
+
+def read_isolated(
+    kind: str, path: Path, table: Table, wanted: Sequence[str], limits: ReaderLimits | None = None
+) -> Columns:
+    """Read a foreign file in a separate process.
 
     Args:
-        kind: Which reader: ``mat``, ``hdf5``, ``parquet``, ``workbook`` or ``bag``.
-        path: The file, or the folder of a bag.
-        table: How the rig file says that tables are read.
-        wanted: The column names that the rig file asks for.
+        kind: the reader: ``mat``, ``hdf5``, ``parquet``, ``workbook`` or ``bag``.
+        path: the file, or the folder of a bag.
+        table: section ``[table]`` of the rig file.
+        wanted: names of columns in the rig file.
+        limits: limits of time and memory; None for the defaults.
+
+    Returns:
+        The table.
 
     Raises:
-        TableError: It cannot be read, crashes its reader, or takes more time or memory than its size allows.
-        MissingExtraError: What reads it is not installed.
+        TableError: The file cannot be read, crashes its reader, or exceeds the time or memory for its size.
+        MissingExtraError: The package that reads it is not installed.
     """
     _require_package(kind, path)
-    size = _size(path)
+    size, limits = _size(path), limits or ReaderLimits()
     request = {
         "kind": kind,
         "path": str(path),
         "folder": str(Path.cwd()),
         "table": table.model_dump(mode="json"),
         "wanted": list(wanted),
-        "cpu_seconds": CPU_SECONDS + CPU_SECONDS_PER_BYTE * size,
-        "memory": MEMORY + MEMORY_PER_BYTE * size,
+        "cpu_seconds": limits.cpu_seconds + limits.cpu_seconds_per_byte * size,
+        "memory": limits.memory + limits.memory_per_byte * size,
     }
     with _LOCK:
-        answer = _PROCESS.ask(request, path)
+        answer = _PROCESS.ask(request, path, limits)
     if "error" in answer:
-        raise _error(answer["error"], answer["text"])
+        raise _restore_error(answer["error"], answer["text"])
     try:
         columns = unpack_columns(answer["columns"], answer["arrays"])
     except (ValueError, TypeError, KeyError, IndexError) as error:
@@ -89,24 +102,24 @@ def read_apart(kind: str, path: Path, table: Table, wanted: Sequence[str]) -> Co
 
 
 def _require_package(kind: str, path: Path) -> None:
-    """MissingExtraError where the package is not installed, before a process is started for it."""
+    """Raise MissingExtraError if the package is not installed, before a process starts."""
     if kind in PACKAGES:
         package, what = PACKAGES[kind]
         require(package, f"{path}: {what}")
 
 
-class _Process:
-    """The process that reads, started when there is something to read."""
+class _ReaderProcess:
+    """The reader's process, started when there is a file to read."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[bytes] | None = None
         self._owner = 0
 
-    def ask(self, request: dict[str, Any], path: Path) -> dict[str, Any]:
-        """Send a request and return the answer; TableError where the process ends over it."""
-        child = self._running_child()
+    def ask(self, request: dict[str, Any], path: Path, limits: ReaderLimits) -> dict[str, Any]:
+        """Send a request and return the answer; TableError if the process ends without one."""
+        child = self._running_child(limits.start_seconds)
         assert child.stdin is not None
-        wall = WALL_FACTOR * request["cpu_seconds"]
+        wall = limits.wall_factor * request["cpu_seconds"]
         watch = threading.Timer(wall, child.kill)
         watch.start()
         try:
@@ -116,22 +129,22 @@ class _Process:
         except (EOFError, OSError, ValueError) as error:
             timed_out = not watch.is_alive()
             self.stop()
-            cause = _end(child.returncode, request, wall, timed_out)
+            cause = _exit_cause(child.returncode, request, wall, timed_out)
             raise TableError(f"{path}: cannot be read: {cause}") from error
         finally:
             watch.cancel()
 
     def _answer(self, child: subprocess.Popen[bytes], most: int) -> dict[str, Any]:
-        length, payload = HEAD.unpack(_exactly(child, HEAD.size))
+        length, payload = HEAD.unpack(_read_exactly(child, HEAD.size))
         if length + payload > most:
             raise ValueError("the answer is longer than what may be read")
-        answer = parse_answer(_exactly(child, length))
-        answer["arrays"] = _exactly(child, payload)
+        answer = parse_answer(_read_exactly(child, length))
+        answer["arrays"] = _read_exactly(child, payload)
         return answer
 
-    def _running_child(self) -> subprocess.Popen[bytes]:
+    def _running_child(self, start_seconds: float) -> subprocess.Popen[bytes]:
         child = self._child
-        # a forked process shares the pipes of its parent: it needs a reader of its own
+        # a forked process shares the pipes of its parent, and needs its own reader
         if child is not None and self._owner == os.getpid() and child.poll() is None:
             return child
         if child is not None and self._owner == os.getpid():
@@ -144,10 +157,10 @@ class _Process:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             start_new_session=True,  # Ctrl+C reaches only us
         )
-        watch = threading.Timer(START_SECONDS, child.kill)
+        watch = threading.Timer(start_seconds, child.kill)
         watch.start()
         try:
-            _exactly(child, 1)
+            _read_exactly(child, 1)
         except EOFError as error:
             raise TableError("the process that reads files did not start; try again") from error
         finally:
@@ -156,7 +169,7 @@ class _Process:
         return child
 
     def stop(self) -> None:
-        """End the process, if it is ours."""
+        """End the process unless a parent process owns it."""
         child, self._child = self._child, None
         if child is None or self._owner != os.getpid():
             return
@@ -169,11 +182,11 @@ class _Process:
 
 
 _LOCK = threading.Lock()
-_PROCESS = _Process()
+_PROCESS = _ReaderProcess()
 atexit.register(_PROCESS.stop)
 
 
-def _exactly(child: subprocess.Popen[bytes], count: int) -> bytes:
+def _read_exactly(child: subprocess.Popen[bytes], count: int) -> bytes:
     assert child.stdout is not None
     data = child.stdout.read(count)
     if len(data) < count:
@@ -182,7 +195,7 @@ def _exactly(child: subprocess.Popen[bytes], count: int) -> bytes:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of the files in a folder."""
+    """Size of a file, or of the files in a folder, bytes."""
     try:
         if path.is_dir():
             return sum(inner.stat().st_size for inner in path.iterdir() if inner.is_file())
@@ -191,8 +204,8 @@ def _size(path: Path) -> int:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _end(status: int | None, request: dict[str, Any], wall: float, timed_out: bool) -> str:
-    """Why the process ended, for a message."""
+def _exit_cause(status: int | None, request: dict[str, Any], wall: float, timed_out: bool) -> str:
+    """Why the process ended, for messages."""
     if timed_out:
         return f"its reader took longer than {wall:.0f} s"
     if status == -signal.SIGXCPU:
@@ -206,11 +219,11 @@ def _end(status: int | None, request: dict[str, Any], wall: float, timed_out: bo
     return "its reader ended without an answer"
 
 
-def _error(name: str, text: str) -> LabhilError:
-    """The error that the reader raised, with its own message."""
+def _restore_error(name: str, text: str) -> LabhilError:
+    """The error of the reader, with its message."""
     kind = getattr(errors, name, None)
     if not (isinstance(kind, type) and issubclass(kind, LabhilError)):
         return TableError(text)
-    error = kind.__new__(kind)  # some have constructors of their own; the message is all that matters here
+    error = kind.__new__(kind)  # without __init__, whose parameters differ between errors
     error.args = (text,)
     return error
