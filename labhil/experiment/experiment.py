@@ -15,7 +15,7 @@ from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.checks import CheckSection, no_such_device
 from labhil.experiment.condition import StatedCondition
-from labhil.experiment.excitation.fade import faded
+from labhil.experiment.excitation.fade import apply_fade
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.make import (
     EXCITATIONS,
@@ -215,7 +215,7 @@ class Step(_Section):
         begin. Raises ValueError where a table cannot be read.
         """
         made = make_excitation(self.excitation, self._keys(), self.duration, seed, directory)
-        return made if self.fade is None else faded(made, self.duration, self.fade, self.offset or 0.0)
+        return made if self.fade is None else apply_fade(made, self.duration, self.fade, self.offset or 0.0)
 
     def _keys(self) -> ExcitationKeys:
         return ExcitationKeys(**{field.name: getattr(self, field.name) for field in fields(ExcitationKeys)})

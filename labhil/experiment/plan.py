@@ -13,7 +13,7 @@ from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
 from labhil.experiment.condition import Condition
 from labhil.experiment.continuity import refuse_jumps
-from labhil.experiment.excitation.function import columns_of, sampled
+from labhil.experiment.excitation.function import columns_of, sample_at_rate
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
 from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, Step, TimedStep, WithDevices
 from labhil.plugins import load_driver, load_twin
@@ -214,7 +214,7 @@ def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> Float
     if command.width > 1 and timed.step.stabilise is not None:
         raise ExperimentFileError(f"{place}.stabilise: only for a plain signal, {command.name} is a vector")
     try:
-        return sampled(excitation, timed.step.duration, rate).reshape(-1, command.width)
+        return sample_at_rate(excitation, timed.step.duration, rate).reshape(-1, command.width)
     except (ValueError, OverflowError) as error:
         raise ExperimentFileError(f"{place}: the excitation cannot be calculated: {error}") from error
 

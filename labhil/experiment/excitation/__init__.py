@@ -9,21 +9,21 @@ for a recording as for a simulation.
 
 from __future__ import annotations
 
-from labhil.experiment.excitation.fourier import FourierSeries, fourier, motion
+from labhil.experiment.excitation.fourier import FourierSeries, evaluate_motion, fourier
 from labhil.experiment.excitation.function import (
     Excitation,
     Excitations,
     columns_of,
     crest_factor,
     sample,
-    sampled,
+    sample_at_rate,
 )
 from labhil.experiment.excitation.levels import Hold, Steps, hold, prms, staircase, steps
 from labhil.experiment.excitation.make import EXCITATIONS, ExcitationKeys, make_excitation
 from labhil.experiment.excitation.phases import low_crest_phases, schroeder_phases
 from labhil.experiment.excitation.shift_register import maximum_length_sequence, prbs
 from labhil.experiment.excitation.spectrum import Band, Spectrum, spectrum_of
-from labhil.experiment.excitation.table import Table, file
+from labhil.experiment.excitation.table import Table, read_table
 from labhil.experiment.excitation.tones import Chirp, Tones, chirp, multisine, two_sine
 
 __all__ = [
@@ -42,18 +42,18 @@ __all__ = [
     "chirp",
     "columns_of",
     "crest_factor",
-    "file",
+    "evaluate_motion",
     "fourier",
     "hold",
     "low_crest_phases",
     "make_excitation",
     "maximum_length_sequence",
-    "motion",
     "multisine",
     "prbs",
     "prms",
+    "read_table",
     "sample",
-    "sampled",
+    "sample_at_rate",
     "schroeder_phases",
     "spectrum_of",
     "staircase",

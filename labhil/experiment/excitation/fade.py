@@ -27,7 +27,7 @@ class Faded:
         return self.about + share * (self.excitation(t) - self.about)
 
 
-def faded(
+def apply_fade(
     excitation: Excitation | Excitations, duration: float, fade: float, about: float = 0.0
 ) -> Excitation | Excitations:
     """Fade an excitation, or each of a vector's; ValueError when it is too short for that."""

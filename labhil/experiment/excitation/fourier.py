@@ -93,7 +93,7 @@ def fourier(
     return joints[0] if len(joints) == 1 else Excitations(joints)
 
 
-def motion(
+def evaluate_motion(
     joints: Excitations | FourierSeries, t: Sequence[float] | FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return positions, velocities and accelerations (n, joints) at the times ``t`` (n,) in s.

@@ -47,7 +47,7 @@ def sample(excitation: Excitation | Excitations, t: Sequence[float] | FloatArray
     return np.fromiter((excitation(time) for time in times.tolist()), dtype=np.float64, count=len(times))
 
 
-def sampled(excitation: Excitation | Excitations, duration: float, rate: float) -> FloatArray:
+def sample_at_rate(excitation: Excitation | Excitations, duration: float, rate: float) -> FloatArray:
     """Return the values at ``rate`` Hz over ``duration`` s, the first at t = 0.
 
     ValueError where these are more than ``MOST_SAMPLES``.

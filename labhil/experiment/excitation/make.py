@@ -12,7 +12,7 @@ from labhil.experiment.excitation.fourier import fourier
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.levels import Steps, hold, prms, staircase, steps
 from labhil.experiment.excitation.shift_register import prbs
-from labhil.experiment.excitation.table import Between, file
+from labhil.experiment.excitation.table import Between, read_table
 from labhil.experiment.excitation.tones import PhaseRule, Sweep, chirp, multisine, two_sine
 
 Numbers = tuple[float, ...]
@@ -103,7 +103,7 @@ EXCITATIONS: Mapping[str, Recipe] = {
         ("duration", "seed"),
     ),
     "hold": Recipe(hold, ("level",)),
-    "file": Recipe(file, ("path",), ("between",), ("directory",)),
+    "file": Recipe(read_table, ("path",), ("between",), ("directory",)),
 }
 """How each is made, by name."""
 

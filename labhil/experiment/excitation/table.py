@@ -39,7 +39,7 @@ class Table:
         return self.values[before] + share * (self.values[after] - self.values[before])
 
 
-def file(path: str, between: Between = "linear", directory: Path = Path()) -> Excitation | Excitations:
+def read_table(path: str, between: Between = "linear", directory: Path = Path()) -> Excitation | Excitations:
     """Read a table of comma-separated numbers: t (s), then a value, or one for each column of a vector.
 
     ``path`` is relative to ``directory``. A first line that is no numbers is taken for a header, empty
