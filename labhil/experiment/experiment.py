@@ -183,15 +183,15 @@ class Step(_Section):
         name = data.get("excitation") if isinstance(data, Mapping) else None
         if not isinstance(data, Mapping) or not isinstance(name, str) or name not in EXCITATIONS:
             return data
-        takes = EXCITATIONS[name].understood()
-        of_any_step = [key for key in cls.model_fields if key not in KEYS_OF_EXCITATIONS]
+        own_keys = EXCITATIONS[name].known_keys()
+        common_keys = [key for key in cls.model_fields if key not in KEYS_OF_EXCITATIONS]
         for key in data:
             if key not in cls.model_fields:
-                near = suggestion(str(key), [*takes, *of_any_step])
+                near = suggestion(str(key), [*own_keys, *common_keys])
                 raise unknown_key(
                     str(key),
-                    f"unknown key{near}; excitation {name!r} takes: {', '.join(takes)}; "
-                    f"every step takes: {', '.join(of_any_step)}",
+                    f"unknown key{near}; excitation {name!r} takes: {', '.join(own_keys)}; "
+                    f"every step takes: {', '.join(common_keys)}",
                 )
         return data
 

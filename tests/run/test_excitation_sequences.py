@@ -137,7 +137,7 @@ def test_a_comb_of_many_tones_has_a_low_crest_factor() -> None:
 
 def phase_rate(made: Chirp, t: float) -> float:
     """Frequency (Hz) at ``t``, from the phase's own differences."""
-    turns = made._turns
+    turns = made._cycles
     return (turns(t + 1e-5) - turns(t - 1e-5)) / 2e-5
 
 

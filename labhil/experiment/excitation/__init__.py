@@ -1,10 +1,8 @@
-"""What a rig is moved by: functions of the step's own time, by name, and what each does to a rig.
+"""Excitation signals: functions of the time since a step began, by name, with their spectra.
 
-No excitation is shaped behind the user's back: what stands here is what is requested, from the first
-sample to the last. A rig is kept from jumping by the rate in its limits, and that is recorded.
-
-Nothing here knows a device or a bus: :func:`sample` turns any excitation into values at given times,
-for a recording as for a simulation.
+No excitation is filtered or shaped: a device is requested to follow these values exactly, and the rate limit
+of its rig file, which is recorded, keeps it from jumping. Nothing here depends on a device or the bus;
+:func:`sample` evaluates any excitation at given times. Begin with ``make.py``, which lists them.
 """
 
 from __future__ import annotations
