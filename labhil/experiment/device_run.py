@@ -166,13 +166,13 @@ class DeviceRun:
     def start(self) -> None:
         """Let the steps begin, or go on, at the device's next sample."""
         self.heard_at = time.monotonic()
-        self._controller.forget()
+        self._controller.reset_derivatives()
         self._since_ns = unix_ns()
         self.clock.halt()  # however long the device has rested, its steps go on where they were
         self.rests, self.comes_back = "", False
         self._stalled = ""
-        self._approach.begin()
-        self._waypoints.begin()
+        self._approach.reset()
+        self._waypoints.reset()
         self._resting = self._noticed = self._is_back = False
         self._running = True
 
@@ -232,9 +232,9 @@ class DeviceRun:
         t_hw_ns: int | None = None
         newest_ns = samples[-1][0]
         for t_ns, values in samples:
-            if not self.clock.is_going:
-                requested = self._controller.requested(self.elapsed, values)
-                in_place = self._approach.is_there(requested, values)
+            if not self.clock.is_started:
+                requested = self._controller.setpoints(self.elapsed, values)
+                in_place = self._approach.has_arrived(requested, values)
                 # the steps begin where their first setpoint can act: samples that waited on a busy machine
                 # may be as many as a step is long, and the step would be over before its first setpoint
                 if not in_place or t_ns < newest_ns:
@@ -245,8 +245,8 @@ class DeviceRun:
                     self._put(requested, t_ns)
             t_hw_ns = t_ns
             if self.clock.advance(t_ns, values):
-                self._controller.forget()
-            requested = self._controller.requested(self.elapsed, values, waiting=self.clock.is_waiting)
+                self._controller.reset_derivatives()
+            requested = self._controller.setpoints(self.elapsed, values, waiting=self.clock.is_waiting)
         if self.clock.notes:
             self._changed.set()
         if self.done:

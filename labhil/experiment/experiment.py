@@ -26,7 +26,7 @@ from labhil.experiment.excitation.make import (
 from labhil.experiment.excitation.table import Between
 from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.overlap import refuse_conditions_beside_others, refuse_overlaps
-from labhil.experiment.sweep import MOST_RUNS, SweepSection
+from labhil.experiment.sweep import MAX_RUNS, SweepSection
 from labhil.rig import RigFile, default_rig, is_simulator, load_rig
 from labhil.toml_text import to_toml
 
@@ -64,7 +64,7 @@ class ExperimentSection(_Section):
     sample: str = ""
     notes: str = ""
     tags: tuple[Tag, ...] = ()
-    repeat: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
+    repeat: Annotated[int, Field(ge=1, le=MAX_RUNS)] = 1
     hook: Hook | None = None
 
     def metadata(self) -> dict[str, str | tuple[str, ...]]:

@@ -176,7 +176,7 @@ def _check_conditions(place: str, step: Step, spec: DriverSpec) -> None:
 
 def _check_signals(place: str, condition: Condition, spec: DriverSpec) -> None:
     try:
-        condition.over(spec.stream.columns())
+        condition.bind(spec.stream.columns())
     except UnknownNameError as error:
         raise ExperimentFileError(f"{place}: {error}") from error
 
