@@ -154,11 +154,8 @@ def _compile_term(node: ast.expr, indices: Mapping[str, int]) -> Term:
             inner = _compile_term(part, indices)
             return lambda values: -inner(values)
         case ast.BinOp(left=left, op=op, right=right) if type(op) in ARITHMETIC:
-            first, second, operation = (
-                _compile_term(left, indices),
-                _compile_term(right, indices),
-                ARITHMETIC[type(op)],
-            )
+            operation = ARITHMETIC[type(op)]
+            first, second = _compile_term(left, indices), _compile_term(right, indices)
             return lambda values: operation(first(values), second(values))
         case ast.BinOp(left=left, op=ast.Div(), right=ast.Constant(value=value)) if (
             _is_number(value) and value

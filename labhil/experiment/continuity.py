@@ -1,4 +1,4 @@
-"""Continuity of a path across its steps: each begins where the one before ended, and both are at rest there."""
+"""Continuity of a path across its steps: each begins where the one before ended, at rest."""
 
 from __future__ import annotations
 
@@ -32,9 +32,8 @@ def refuse_jumps(path: Path, spec: DriverSpec, steps: Sequence[TimedStep]) -> No
         ):
             for column, part in zip(names[timed.step.signal], columns_of(timed.make()), strict=False):
                 if column in previous:
-                    _check_transition(
-                        path, column, previous[column], (timed, part), spec.approach[command.name]
-                    )
+                    tolerance = spec.approach[command.name]
+                    _check_transition(path, column, previous[column], (timed, part), tolerance)
                 previous[column] = (timed, part)
 
 
@@ -69,8 +68,8 @@ def _check_transition(
     last_value, first_value = leaving(duration), entering(0.0)
     if abs(first_value - last_value) > tolerance:
         raise ExperimentFileError(
-            f"{place} begins at {first_value:.4g}, but steps.{first.index} ends at {last_value:.4g}: a path has no "
-            "jumps; give both the same `centre` or `offset`, or make two experiments of them"
+            f"{place} begins at {first_value:.4g}, but steps.{first.index} ends at {last_value:.4g}: a path "
+            "has no jumps; give both the same `centre` or `offset`, or make two experiments of them"
         )
     change = max(abs(last_value - leaving(duration - interval)), abs(entering(interval) - first_value))
     speed = change / interval

@@ -24,8 +24,8 @@ def refuse_overlaps(schedule: Sequence[TimedStep]) -> None:
 def refuse_conditions_beside_others(schedule: Sequence[TimedStep], devices: int) -> None:
     """Raise ValueError for a step with a condition that runs beside another step.
 
-    The condition decides in the run when the step begins or ends, and shifts all later steps; a step beside it
-    could not be shifted.
+    The condition decides in the run when the step begins or ends and shifts all later steps. A step beside
+    it could not be shifted.
 
     Args:
         schedule: The steps with their starts.

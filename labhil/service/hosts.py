@@ -108,7 +108,7 @@ class HostProcess:
         how = f" ({signal.Signals(-status).name})" if status is not None and status < 0 else ""
         return BusError(f"{self._child.name} died{how}{self._child.complaint()}")
 
-    def tell_to_end(self) -> None:
+    def request_end(self) -> None:
         """Let the host bring its device to safety and end, without waiting for it."""
         self._child.close_input()
 

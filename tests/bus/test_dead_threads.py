@@ -12,7 +12,7 @@ from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.errors import BusError
-from labhil.experiment.devices import at_once
+from labhil.experiment.devices import run_concurrently
 from labhil.plugins import load_driver
 from labhil.security.roles import Role
 from labhil.service.child import Child
@@ -96,7 +96,7 @@ def test_one_that_looks_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_one_that_stops_a_device_keeps_no_other_from_it() -> None:
     stopped: list[str] = []
-    failed, well = at_once([dies, lambda: stopped.append("other")])
+    failed, well = run_concurrently([dies, lambda: stopped.append("other")])
     assert "SystemExit('struck')" in str(failed) and well is None and stopped == ["other"]
 
 

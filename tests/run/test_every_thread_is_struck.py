@@ -26,7 +26,10 @@ STRUCK = {
         SCREEN,
         "test_a_process_that_hears_nothing_ends",
     ),
-    "labhil/experiment/devices.py at_once": (BUS, "test_one_that_stops_a_device_keeps_no_other_from_it"),
+    "labhil/experiment/devices.py run_concurrently": (
+        BUS,
+        "test_one_that_stops_a_device_keeps_no_other_from_it",
+    ),
     "labhil/experiment/hooks.py Hook": (
         "tests/run/test_when_and_checks.py",
         "test_a_hook_that_raises_before_the_steps_ends_the_run_before_anything_moves",
