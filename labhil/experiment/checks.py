@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from labhil.errors import ConditionError, suggestion
 from labhil.experiment.condition import StatedCondition, format_values
+from labhil.experiment.device_sections import Section
 
 Seconds = Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)]
 
 
-class CheckSection(BaseModel):
+class CheckSection(Section):
     """``[[checks]]``: a condition that has to hold ``at`` "before" or "after" the steps.
 
     The device is in its safe state meanwhile. The condition has to hold for one sample within ``within`` s
     of the device's clock; otherwise the run ends as failed, and one whose check before the steps fails
     moves nothing. ``message`` says what to do then. ``device`` may be left out where there is only one.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     at: Literal["before", "after"]
     condition: StatedCondition

@@ -18,15 +18,14 @@ from pydantic.fields import FieldInfo
 
 from labhil.experiment.checks import CheckSection
 from labhil.experiment.condition import Condition
+from labhil.experiment.device_sections import DeviceSection, TwinSection
 from labhil.experiment.excitation.make import EXCITATIONS
 from labhil.experiment.experiment import (
     KEYS_OF_EXCITATIONS,
-    DeviceSection,
     ExperimentSection,
     RecordSection,
     Stabilise,
     Step,
-    TwinSection,
 )
 from labhil.experiment.sweep import SweepSection
 from labhil.terminal import show

@@ -7,7 +7,6 @@ simulated devices are stopped. Its devices are in ``devices.py``, its states in 
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -31,6 +30,7 @@ from labhil.errors import (
     UsageError,
 )
 from labhil.experiment.around import AroundSteps
+from labhil.experiment.attachments import attach_files, run_metadata
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, host_config, run_concurrently
 from labhil.experiment.experiment import TWIN, Experiment
@@ -42,7 +42,6 @@ from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
-from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.recorder import Recorder
 
 __all__ = [
@@ -169,8 +168,8 @@ class _Run:
         recorder = Recorder(
             bus,
             self._path,
-            attachments=self._attachments(),
-            metadata=self._metadata(),
+            attachments=attach_files(self._plan),
+            metadata=run_metadata(self._plan, self._extra_metadata),
             waits=True,
             on_failure=self._control.changed.set,
         )
@@ -251,21 +250,6 @@ class _Run:
 
     def _is_to_end(self) -> bool:
         return self._interrupted() or self._control.is_to_end()
-
-    def _attachments(self) -> dict[str, bytes]:
-        attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
-        for index, device in enumerate(self._plan.devices):
-            attachments |= rig_attachments(device.rig, device.name if index else None)
-        return attachments
-
-    def _metadata(self) -> dict[str, dict[str, str]]:
-        section = self._plan.experiment.experiment
-        experiment = {"name": section.name, "duration": repr(self._plan.duration)}
-        for key, value in section.metadata().items():
-            if value:
-                experiment[key] = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        extra = {name: dict(table) for name, table in self._extra_metadata.items()}
-        return {"experiment": experiment, **extra}
 
     # running
 

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from labhil.errors import suggestion
+from labhil.experiment.device_sections import Section
 
 MAX_RUNS = 10_000
 """Runs of one campaign at most; more are a typing error."""
@@ -16,7 +17,7 @@ NOT_SWEPT = ("sweep", "record", "experiment.name", "experiment.repeat")
 """Places that name or count the runs, so that they are the same in all of them."""
 
 
-class SweepSection(BaseModel):
+class SweepSection(Section):
     """``[sweep]``: values that differ from run to run; each combination is one recording.
 
     ``over`` maps places of this file, such as ``"steps.0.amplitude"``, to lists of values. ``kind`` "grid"
@@ -24,8 +25,6 @@ class SweepSection(BaseModel):
     second of each. ``on_failure`` "continue" goes on with the next run after one that failed; an
     emergency stop or an interruption always ends the campaign.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Literal["grid", "list"] = "grid"
     over: Annotated[dict[str, tuple[Any, ...]], Field(min_length=1)]

@@ -61,7 +61,7 @@ class Child:
     def _take_line(self, line: str) -> None:
         self._lines.put(line.rstrip("\n"))
 
-    def deafness(self) -> str:
+    def reader_failure(self) -> str:
         """Return why nothing that the child says is heard any more; empty while all is well."""
         return self._reader.failure()
 
@@ -91,7 +91,7 @@ class Child:
             with contextlib.suppress(queue.Empty):
                 return self._lines.get(timeout=POLL_INTERVAL)
             if time.monotonic() > deadline:
-                raise BusError(f"{self.name} said nothing for {timeout:g} s{self.complaint()}")
+                raise BusError(f"{self.name} said nothing for {timeout:g} s{self.last_error()}")
         return None
 
     def next_line(self) -> str:
@@ -103,7 +103,7 @@ class Child:
             self._lines.put(None)  # the end is for whoever waits, too
         return ""
 
-    def complaint(self) -> str:
+    def last_error(self) -> str:
         """Return the last line of what the child wrote to its standard error, for a message of ours."""
         if self._errors.closed:
             return ""

@@ -92,13 +92,13 @@ class HostProcess:
     def failure(self) -> LabhilError | None:
         """Return why the host ended, when it ended without an order; None while it runs."""
         if self._child.exit_status() is None:
-            deaf = self._child.deafness()
+            deaf = self._child.reader_failure()
             return BusError(f"{self._child.name} is not heard any more: {deaf}") if deaf else None
         return self._ending_error(self._last_message())
 
     def _ending_error(self, message: Mapping[str, Any]) -> LabhilError:
         ended = message.get("ended")
-        if deaf := self._child.deafness():
+        if deaf := self._child.reader_failure():
             return BusError(f"{self._child.name} is not heard any more: {deaf}")
         if ended is not None and ended["error"] is not None:
             return error_named(ended["error"], f"{self.config.device}: {ended['reason']}")
@@ -106,7 +106,7 @@ class HostProcess:
             return BusError(f"{self._child.name} ended: {ended['reason']}")
         status = self._child.exit_status()
         how = f" ({signal.Signals(-status).name})" if status is not None and status < 0 else ""
-        return BusError(f"{self._child.name} died{how}{self._child.complaint()}")
+        return BusError(f"{self._child.name} died{how}{self._child.last_error()}")
 
     def request_end(self) -> None:
         """Let the host bring its device to safety and end, without waiting for it."""

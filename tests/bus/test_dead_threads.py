@@ -84,7 +84,7 @@ def test_one_that_reads_what_a_child_says(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(Child, "_take_line", dies)
     with Child("the child", ["sh", "-c", "echo ready; cat"]) as child:
         assert child.line(20.0) is None
-        assert "SystemExit('struck')" in child.deafness()
+        assert "SystemExit('struck')" in child.reader_failure()
 
 
 def test_one_that_looks_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:

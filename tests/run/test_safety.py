@@ -22,7 +22,8 @@ from labhil.bus.keys import setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.errors import CommandRefusedError, RigFileError, UsageError
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.experiment import TwinSection, parse_experiment
+from labhil.experiment.device_sections import TwinSection
+from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.recording.reader import read_recording
