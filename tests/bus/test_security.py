@@ -179,6 +179,7 @@ def test_what_is_wrong_with_a_connection_is_said(authority: Authority, spoil, co
         (["add", "keys", "../anna", "--role", "viewer"], "expected small letters"),
         (["add", "keys", "*", "--role", "viewer"], "expected small letters"),
         (["add", "keys", "anna", "--role", "viewer", "--days", "0"], "--days: expected 1 to 3650, found 0"),
+        (["add", "keys", "anna", "--role", "king"], "any emergency stop), found 'king'"),
         (["revoke", "keys", "nobody"], "expected somebody who has a certificate"),
         (["list", "nowhere"], "expected a folder that `labhil security init` made"),
         (["serve", "nowhere"], "expected a folder that `labhil security init` made"),
