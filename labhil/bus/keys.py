@@ -69,7 +69,7 @@ def event_key(device: str, namespace: str = LAB) -> str:
     return f"{namespace}/{device}/{EVENT}"
 
 
-def key_by(key: str, person: str) -> str:
+def guest_key(key: str, person: str) -> str:
     """Return where ``person`` on another machine says what is said at ``key`` on this one."""
     namespace, device, said = key.split("/", 2)
     return f"{namespace}/{device}/by/{person}/{said}"

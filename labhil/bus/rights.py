@@ -1,7 +1,7 @@
 """Who may say what on a bus that is open to other machines, as zenoh's access control has it.
 
 Everything is forbidden that is not named here. A person is known by the common name of a certificate, and
-asks and commands only under keys with that name in them (:func:`labhil.bus.keys.key_by`): zenoh lets no
+asks and commands only under keys with that name in them (:func:`labhil.bus.keys.guest_key`): zenoh lets no
 other certificate use them, so that whoever answers knows who asked.
 """
 
@@ -10,19 +10,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labhil.bus.keys import ALL_LIVE, ALL_SCHEMAS, ALL_STREAMS, RUN, command_key, key_by, setpoint_key
+from labhil.bus.keys import ALL_LIVE, ALL_SCHEMAS, ALL_STREAMS, RUN, command_key, guest_key, setpoint_key
 from labhil.security.roles import RIGHTS, SETPOINT, Role
 
 
 def asked_keys(person: str, commands: Sequence[str]) -> list[str]:
     """Return where a person asks for these commands, of devices and of a run."""
     # a run's chunk begins with @, which no wildcard matches
-    return [key_by(command_key(device, name), person) for name in commands for device in ("*", RUN)]
+    return [guest_key(command_key(device, name), person) for name in commands for device in ("*", RUN)]
 
 
 def setpoint_keys(person: str) -> list[str]:
     """Return where a person streams setpoints to."""
-    return [key_by(setpoint_key("*"), person)]
+    return [guest_key(setpoint_key("*"), person)]
 
 
 def access_control(people: Mapping[str, Role]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """One process's seat on the bus: a zenoh peer that listens on loopback and nowhere else.
 
 Two other seats reach beyond the loopback, over TLS with certificates on both sides: :func:`open_bus` with the
-folder of a connection is a guest at a lab on another machine, :func:`open_to_others` is where guests come in.
+folder of a connection is a guest at a lab on another machine, :func:`open_to_guests` is where guests come in.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Protocol, Self
 import zenoh
 
 from labhil.bus.authentication import OLDEST, Signer, Verifier, new_key
-from labhil.bus.keys import ARRIVED, key_by
+from labhil.bus.keys import ARRIVED, guest_key
 from labhil.bus.register import is_endpoint, keep_key, key_of
 from labhil.bus.rights import access_control
 from labhil.errors import BusError, CommandRefusedError
@@ -61,7 +61,7 @@ class Bus:
 
     def place(self, key_expression: str) -> str:
         """Return where a command or a question is sent: a guest's key has its name in it."""
-        return key_expression if self.guest is None else key_by(key_expression, self.guest.name)
+        return key_expression if self.guest is None else guest_key(key_expression, self.guest.name)
 
     def unanswered(self, key_expression: str) -> BusError | CommandRefusedError:
         """Return the error for a question that nobody answers; where a right is missing, nobody does."""
@@ -165,7 +165,7 @@ def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
     raise BusError(f"no free port found on 127.0.0.1 in {ATTEMPTS} attempts")
 
 
-def open_to_others(authority: Authority, address: str) -> Bus:
+def open_to_guests(authority: Authority, address: str) -> Bus:
     """Listen at ``address`` for the people of ``authority``, each with the rights of its role.
 
     Nobody gets a link without a certificate of this authority, nor a message through without the right to it.

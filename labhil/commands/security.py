@@ -115,7 +115,7 @@ def serve(
     stay on the loopback themselves. Whoever has no certificate gets no link.
     """
     from labhil.experiment.interruption import Interruption
-    from labhil.service.gateway import keep_open
+    from labhil.service.gateway import serve_guests
 
     with Interruption() as interrupted:
-        keep_open(folder, listen, interrupted, lambda line: tell([line]))
+        serve_guests(folder, listen, interrupted, lambda line: tell([line]))

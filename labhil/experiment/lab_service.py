@@ -28,7 +28,8 @@ from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
 from labhil.memory import give_back
 from labhil.service.hosts import HostProcess
-from labhil.service.recorder import Recorder, RecordingSummary
+from labhil.service.recorded import RecordingSummary
+from labhil.service.recorder import Recorder
 
 CHECK_INTERVAL = 0.2
 """How often devices and the recording are checked, s."""
@@ -88,7 +89,7 @@ class LabService:
             patient = plan.section.reconnect
             host = HostProcess(replace(host_config(plan, address, self._bus.endpoint), patient=patient))
             self._hosts[plan.name] = host
-            if host.wait_or_absent(ended) is None:
+            if host.wait_reported(ended) is None:
                 self._report(f"{plan.name}: {host.absent}; the search goes on as long as this service lasts")
             else:
                 self._report_up(plan.name)
@@ -109,7 +110,7 @@ class LabService:
             raise BusError(f"the service no longer hears everything: {fault}")
         for name, host in list(self._hosts.items()):
             try:
-                if host.absent and host.has_come():
+                if host.absent and host.has_connected():
                     self._report_up(name)
                 failure = host.failure()
             except LabhilError as error:

@@ -12,8 +12,7 @@ from typing import Any
 from labhil.errors import LabhilError
 from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment
-from labhil.service.recorded import StreamSummary
-from labhil.service.recorder import RecordingSummary
+from labhil.service.recorded import RecordingSummary, StreamSummary
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The requests to a host, how each is read, and which of them need the session's key."""
+"""The requests to a host: the model of each, and which have to be signed with the session's key."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ COMMANDS: dict[str, type[Incoming]] = {
     "shutdown": AnyRequest,
 }
 OPEN_TO_ALL = ("status",)
-"""What anybody may ask for. Anybody may press the emergency stop, too."""
+"""Requests without a signature. Pressing the emergency stop needs none either."""
 
 
 def reader_of(name: str) -> Callable[[bytes], Incoming]:
-    """Return what reads the request of a command; a stop counts however badly it is written."""
+    """Return the function that reads the request of a command; a malformed emergency stop counts as one."""
 
     def read(payload: bytes) -> Incoming:
         try:
@@ -44,6 +44,6 @@ def reader_of(name: str) -> Callable[[bytes], Incoming]:
 
 
 def is_guarded(name: str, request: Incoming) -> bool:
-    """Whether a request has to be signed with the session's key."""
-    presses = isinstance(request, EstopRequest) and request.action == "press"
-    return not presses and name not in OPEN_TO_ALL
+    """Return whether a request has to be signed with the session's key."""
+    is_stop = isinstance(request, EstopRequest) and request.action == "press"
+    return not is_stop and name not in OPEN_TO_ALL

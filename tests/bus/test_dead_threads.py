@@ -7,7 +7,7 @@ import time
 import pytest
 
 from labhil.bus.ask import Answering, ask, serve
-from labhil.bus.keys import ALL_STREAMS, command_key, key_by
+from labhil.bus.keys import ALL_STREAMS, command_key, guest_key
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import Subscription, subscribe
@@ -88,7 +88,7 @@ def test_one_that_reads_what_a_child_says(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_one_that_looks_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Search, "_look", dies)
+    monkeypatch.setattr(Search, "_search", dies)
     search = Search(load_driver("ball_beam")("/dev/not-there"))
     with pytest.raises(BusError, match="struck"):
         search.result(20.0)
@@ -104,7 +104,7 @@ def test_one_that_answers_guests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Gateway, "_answer", dies)
     with open_bus() as door, Gateway(door, {"ada": Role.ADMIN}, lambda _: None) as gateway:
         with open_bus(door.endpoint) as guest, pytest.raises(BusError):
-            ask(guest, key_by(command_key("a", "status"), "ada"), {}, 1.0)
+            ask(guest, guest_key(command_key("a", "status"), "ada"), {}, 1.0)
         assert "SystemExit('struck')" in wait_for_failure(door)
         with pytest.raises(BusError, match=r"guests are not heard any more: .*struck"):
-            gateway.look()
+            gateway.poll()
