@@ -40,14 +40,14 @@ def serve_lab(
         show(bus.endpoint)  # what appears in the folder from now on is studied
         done = threading.Event()
         at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
-        bus.attend(at_work)  # the service ends in order where nothing is analysed any more
+        bus.watch(at_work)  # the service ends in order where nothing is analysed any more
         at_work.start()
         service = LabService(lab, bus, place, say)
         try:
             service.run(interrupted)
         finally:
             at_work.end()
-            bus.dismiss(at_work)
+            bus.unwatch(at_work)
             done.set()
             at_work.join()
             worker.close()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus
 from labhil.errors import BusError, LabhilError, RecordingFailedError, RunStoppedError, UsageError
 from labhil.experiment.attachments import attach_rigs
@@ -62,7 +62,7 @@ class LabService:
             LabhilError: All devices have failed, or nothing can be recorded.
         """
         names = [plan.name for plan in self._plans]
-        reachable = registered(LAB, self._lab.lab.name, self._bus.endpoint, names)
+        reachable = register(LAB, self._lab.lab.name, self._bus.endpoint, names)
         with session_clock(), ExitStack() as twins, reachable:
             offer_status(self._bus, self._status, twins)
             try:

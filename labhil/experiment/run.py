@@ -18,7 +18,7 @@ from typing import Any
 from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import (
     BusError,
@@ -158,7 +158,7 @@ class _Run:
         names = [device.name for device in self._plan.devices]
         section = self._plan.experiment.experiment
         with (
-            registered("run", section.name, bus.endpoint, names),
+            register("run", section.name, bus.endpoint, names),
             offer_control(bus, self._control, self._describe, self._refusals),
         ):
             yield

@@ -11,7 +11,7 @@ from labhil.bus.incoming import (
     LeaseRequest,
     SafeRequest,
     SetpointMessage,
-    is_press,
+    is_stop,
     parse,
 )
 from labhil.errors import CommandRefusedError
@@ -36,7 +36,7 @@ def reader_of(name: str) -> Callable[[bytes], Incoming]:
         try:
             return parse(COMMANDS[name], payload, A_SETPOINT if name == "set" else name)
         except CommandRefusedError as error:
-            if name == "estop" and is_press(payload):
+            if name == "estop" and is_stop(payload):
                 return EstopRequest(reason=f"(the message that pressed it was malformed: {error})")
             raise
 
@@ -45,5 +45,5 @@ def reader_of(name: str) -> Callable[[bytes], Incoming]:
 
 def is_guarded(name: str, request: Incoming) -> bool:
     """Return whether a request has to be signed with the session's key."""
-    is_stop = isinstance(request, EstopRequest) and request.action == "press"
-    return not is_stop and name not in OPEN_TO_ALL
+    presses_stop = isinstance(request, EstopRequest) and request.action == "press"
+    return not presses_stop and name not in OPEN_TO_ALL

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any, Self
 
-from labhil.bus.ask import Answering, serve
+from labhil.bus.ask import Responder, serve
 from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import AnyRequest, EstopRequest, LeaseRequest, SafeRequest, SetpointMessage
 from labhil.bus.keys import command_key, setpoint_key
@@ -122,7 +122,7 @@ class DeviceControl:
     def __exit__(self, *_: object) -> None:
         self._resources.close()
 
-    def _serve_command(self, name: str) -> Answering:
+    def _serve_command(self, name: str) -> Responder:
         key, handler = command_key(self._config.device, name), self._handler(name)
         guarded, refusals = partial(is_guarded, name), self._refusals
         return serve(self._bus, key, handler, reader=reader_of(name), guarded=guarded, refusals=refusals)

@@ -11,7 +11,7 @@ from labhil.bus import latch
 from labhil.bus.ask import ask_all
 from labhil.bus.keys import command_key
 from labhil.bus.live import live_devices
-from labhil.bus.register import check_loopback, is_endpoint, running
+from labhil.bus.register import check_loopback, is_endpoint, registered_processes
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import BusError, CommandRefusedError
 
@@ -120,7 +120,7 @@ def _add_failures(fault: Mapping[str, str], outcome: Outcome) -> Outcome:
 
 def _ask_everywhere(payload: Mapping[str, Any], connect: str | None) -> Outcome:
     place = None if connect is None else check_loopback(connect)
-    entries = [e for e in running() if e.kind != "replay" and place in (None, e.endpoint)]
+    entries = [e for e in registered_processes() if e.kind != "replay" and place in (None, e.endpoint)]
     expected = {device for entry in entries for device in entry.devices}
     if place is None and not entries:
         return Outcome({}, {}, ())
@@ -134,13 +134,13 @@ def _ask_as_guest(bus: Bus, place: str, payload: Mapping[str, Any]) -> Outcome:
         replies = ask_all(bus, place, payload, GUEST_TIMEOUT)
         answers = {key.split("/")[1]: answer for key, answer in replies.items()}
         accepted = answers.pop(EVERYTHING, None)
-        if accepted is not None or not bus.settling:
+        if accepted is not None or not bus.is_settling:
             break
         time.sleep(ASK_INTERVAL)
     if isinstance(accepted, (BusError, CommandRefusedError)):
         raise accepted
     if accepted is None:
-        raise bus.unanswered(place)
+        raise bus.unanswered_error(place)
     answered, failed = {}, {}
     for device, answer in answers.items():
         if isinstance(answer, (BusError, CommandRefusedError)):
@@ -166,7 +166,7 @@ def _ask_until_all_answer(bus: Bus, payload: Mapping[str, Any], expected: set[st
                 answered[device] = str(answer.get("state"))
                 failed.pop(device, None)
         missing = (expected | set(live_devices(bus, 0.2))) - set(answered)
-        if time.monotonic() > deadline or not (missing or bus.settling):
+        if time.monotonic() > deadline or not (missing or bus.is_settling):
             silent = tuple(sorted(missing - set(failed)))
             return Outcome(answered, failed, silent)
         time.sleep(ASK_INTERVAL)

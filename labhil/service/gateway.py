@@ -182,12 +182,12 @@ class Gateway:
         thread = SupervisedThread(lambda: self._work(waiting), name)
         self._threads.append(thread)
         thread.start()
-        self._door.attend(thread)
+        self._door.watch(thread)
 
     def _end_threads(self) -> None:
         for thread in self._threads:
             thread.end()
-            self._door.dismiss(thread)
+            self._door.unwatch(thread)
         for name, count in WORKERS.items():
             for _ in range(count):
                 self._queues[name].put(None)

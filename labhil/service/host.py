@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import Counters, DeviceInfo, Driver
 from labhil.errors import DeviceError, LabhilError, RigFileError
@@ -82,7 +82,7 @@ def serve_device(config: HostConfig, ended: EndRequest) -> str:
             if info is None:
                 return ended()
             refuse_unwatched(driver, config)
-            reachable = registered("host", config.device, bus.endpoint, [config.device])
+            reachable = register("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
                 report({"ready": describe(driver, info)})
                 reason = control.run()

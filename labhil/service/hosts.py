@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from labhil import errors
-from labhil.bus.publish import LONGEST_DELIVERY
+from labhil.bus.publish import DELIVERY_TIMEOUT
 from labhil.documents import parse_json
 from labhil.errors import BusError, LabhilError, RunStoppedError
 from labhil.service.child import STOP_TIMEOUT, Child
@@ -124,7 +124,7 @@ class HostProcess:
         """
         self._child.close_input()
         is_slow = not self._child.has_ended(STOP_TIMEOUT)
-        self._child.stop(LONGEST_DELIVERY if is_slow and self._is_delivering() else 0.0)
+        self._child.stop(DELIVERY_TIMEOUT if is_slow and self._is_delivering() else 0.0)
 
     def _is_delivering(self) -> bool:
         """Return whether the host has reported that its device is safe and it waits only for recorders."""

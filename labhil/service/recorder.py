@@ -18,7 +18,7 @@ from typing import Any, Self
 
 from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import (
-    LARGEST_SCHEMA,
+    MAX_SCHEMA_BYTES,
     EventMessage,
     StreamDeclaration,
     excerpt,
@@ -316,7 +316,7 @@ class Recorder:
         try:
             if (reply := self._schemas.schema_of(channel)) is None:
                 return
-            parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+            parse(StreamDeclaration, reply.stream, "a stream", MAX_SCHEMA_BYTES)
             stream = stream_from_json(reply.stream)
             metadata = dict(reply.metadata)
             speed = float(metadata.get("speed", "1"))

@@ -20,7 +20,7 @@ from labhil.bus.ask import serve
 from labhil.bus.incoming import ReplayMessage, ReplayRequest, parse
 from labhil.bus.keys import EVENT, REPLAY, REPLAY_CONTROL
 from labhil.bus.publish import StreamPublisher, publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import open_bus
 from labhil.errors import CommandRefusedError, OptionError, RecordingError
 from labhil.host_clock import session_clock, unix_ns
@@ -146,7 +146,7 @@ class Replay:
                 )
             )
             # without devices: nobody has to answer an emergency stop here
-            resources.enter_context(registered("replay", self._recording.path.name, bus.endpoint, ()))
+            resources.enter_context(register("replay", self._recording.path.name, bus.endpoint, ()))
             self._go_to(self._state.position)
             self._thread = SupervisedThread(self._run, "replay", on_failure=self._note_failure)
             self._thread.start()
@@ -202,7 +202,7 @@ class Replay:
             self._state.speed = speed
         for track in self._tracks:
             track.metadata["speed"] = repr(track.data.speed * speed)
-            track.publisher.restate(track.metadata)
+            track.publisher.update_metadata(track.metadata)
 
     def seek(self, position: float) -> None:
         """Move to ``position``, s of the host since the first sample, clipped to the recording."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from labhil.bus.ask import ask, serve
-from labhil.bus.authentication import OLDEST_SAMPLE, Refusals
+from labhil.bus.authentication import MAX_SAMPLE_AGE, Refusals
 from labhil.bus.incoming import PublishedRequest, parse
 from labhil.bus.keys import PUBLISHED, schema_key
 from labhil.bus.session import Bus
@@ -34,7 +34,7 @@ class StreamEnds:
             reader=lambda payload: parse(PublishedRequest, payload, "the end of a stream"),
             guarded=lambda _: True,
             refusals=refusals,
-            oldest=OLDEST_SAMPLE,
+            max_age=MAX_SAMPLE_AGE,
         )
 
     def count_missing(self, channels: Iterable[RecordedStream]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import time
 
 from labhil.bus.ask import ask
 from labhil.bus.authentication import Refusals
-from labhil.bus.incoming import LARGEST_SCHEMA, SchemaMessage, parse, validate
+from labhil.bus.incoming import MAX_SCHEMA_BYTES, SchemaMessage, parse, validate
 from labhil.bus.keys import ALL_SCHEMAS, schema_key, split_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
@@ -43,7 +43,7 @@ class StreamSchemas:
         # each declaration is read once: after a malformed one the publisher itself is asked
         declaration = self._declarations.pop((channel.device, channel.stream), None)
         if declaration is not None:
-            return parse(SchemaMessage, declaration, "a schema", LARGEST_SCHEMA)
+            return parse(SchemaMessage, declaration, "a schema", MAX_SCHEMA_BYTES)
         if time.monotonic() < channel.asked_at + SCHEMA_INTERVAL:
             return None
         channel.asked_at = time.monotonic()

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from labhil.bus.ask import Answering, ask, serve
+from labhil.bus.ask import Responder, ask, serve
 from labhil.bus.keys import ALL_STREAMS, command_key, guest_key
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
@@ -58,7 +58,7 @@ def test_one_that_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_one_that_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Answering, "_answer", dies)
+    monkeypatch.setattr(Responder, "_answer", dies)
     key = command_key("a", "estop")
     with open_bus() as bus:
         answering = serve(bus, key, lambda _: {})

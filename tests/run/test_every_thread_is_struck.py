@@ -17,7 +17,7 @@ HOST, SERVE = "tests/run/test_dead_threads_of_a_host.py", "tests/run/test_dead_t
 BACKGROUND = (SCREEN, "test_work_in_the_background_that_raises_is_shown")
 
 STRUCK = {
-    "labhil/bus/ask.py Answering": (BUS, "test_one_that_answers"),
+    "labhil/bus/ask.py Responder": (BUS, "test_one_that_answers"),
     "labhil/bus/publish.py StreamPublisher": (BUS, "test_one_that_publishes_keeps_nobody_waiting"),
     "labhil/bus/subscribe.py Subscription": (BUS, "test_one_that_listens"),
     "labhil/campaign/lab.py serve_lab": (SERVE, "test_a_lab_ends_with_what_its_worker_raised"),

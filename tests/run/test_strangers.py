@@ -159,7 +159,7 @@ class Running:
         self.thread = threading.Thread(target=self._run, args=(experiment, directory))
         self.thread.start()
         assert self.control.wait_for(RunState.RUNNING, timeout=PATIENCE), self.control.reason
-        (self.entry,) = register.running("run")
+        (self.entry,) = register.registered_processes("run")
 
     def _run(self, experiment: Any, directory: Path) -> None:
         self.result = run_experiment(experiment, directory, control=self.control)
