@@ -83,7 +83,7 @@ class Scene:
         command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", self.host]
         twin = Child("the twin", [*command, "--series", self.series, "--set", "unlock_after=0.3"])
         if twin.line(START) != self.host:
-            raise RuntimeError(f"the twin did not start{twin.complaint()}")
+            raise RuntimeError(f"the twin did not start{twin.last_error()}")
         # a controller is a machine of its own
         with suppress(PermissionError):
             os.sched_setscheduler(twin.pid, os.SCHED_FIFO, os.sched_param(1))
@@ -181,11 +181,11 @@ def suffer(fault: str, host: str, series: str, reconnect: bool, folder: Path) ->
         scene.wait_until_it_moves()
         at_ns = time.time_ns()
         FAULTS[fault](scene)
-        output, complaint = scene.run.communicate(timeout=180.0)
+        output, last_error = scene.run.communicate(timeout=180.0)
     try:
         result = json.loads(output)
     except ValueError:
-        raise RuntimeError(f"the run said {output!r}, {complaint!r}") from None
+        raise RuntimeError(f"the run said {output!r}, {last_error!r}") from None
     return read_outcome(
         folder / result["path"], result["exit_status"], result["reason"], at_ns, RATES[series]
     )
