@@ -181,11 +181,11 @@ def suffer(fault: str, host: str, series: str, reconnect: bool, folder: Path) ->
         scene.wait_until_it_moves()
         at_ns = time.time_ns()
         FAULTS[fault](scene)
-        output, last_error = scene.run.communicate(timeout=180.0)
+        output, complaint = scene.run.communicate(timeout=180.0)
     try:
         result = json.loads(output)
     except ValueError:
-        raise RuntimeError(f"the run said {output!r}, {last_error!r}") from None
+        raise RuntimeError(f"the run said {output!r}, {complaint!r}") from None
     return read_outcome(
         folder / result["path"], result["exit_status"], result["reason"], at_ns, RATES[series]
     )

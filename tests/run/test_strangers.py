@@ -353,7 +353,7 @@ def test_numbers_come_once_in_any_order_and_not_from_before(monkeypatch: pytest.
     assert Verifier([key], transit=60.0).objection("a", b"x", codes[61]) == ""
     monkeypatch.setattr(time, "monotonic_ns", partial(int, time.monotonic_ns() + 60 * 10**9))
     assert "another time" in Verifier([key], transit=100.0).objection("a", b"x", codes[61])
-    assert Verifier([key], oldest=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
+    assert Verifier([key], max_age=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
 
 
 @pytest.mark.extended
