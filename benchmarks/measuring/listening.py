@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labhil.bus.session import open_bus
-from labhil.experiment.experiment import parse_devices
+from labhil.experiment.device_sections import parse_devices
 from labhil.experiment.lab import Lab
 from labhil.experiment.lab_service import LabService
 

@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linprog
 
-from labhil.experiment.experiment import TwinSection, parse_experiment
+from labhil.experiment.device_sections import TwinSection
+from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, Unwrapper

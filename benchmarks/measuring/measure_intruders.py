@@ -26,7 +26,7 @@ from typing import Any
 from labhil.bus import latch
 from labhil.bus.ask import ask
 from labhil.bus.keys import ARRIVED, command_key, event_key, schema_key, setpoint_key, stream_key
-from labhil.bus.register import running
+from labhil.bus.register import registered_processes
 from labhil.bus.session import open_bus
 from labhil.errors import BusError, LabhilError
 from labhil.recording.reader import read_recording
@@ -97,7 +97,7 @@ class Attacked:
         )
         stack.callback(self._end)
         relay.wait(safe=False)
-        (entry,) = [one for one in running() if one.kind == "run"]
+        (entry,) = [one for one in registered_processes() if one.kind == "run"]
         self.endpoint = entry.endpoint
         self.bus = stack.enter_context(open_bus(entry.endpoint))
         time.sleep(0.5)

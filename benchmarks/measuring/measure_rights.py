@@ -24,7 +24,7 @@ from typing import Any
 import zenoh
 
 from labhil.bus.ask import ask
-from labhil.bus.keys import ALL_STREAMS, RUN, command_key, key_by, setpoint_key, stream_key
+from labhil.bus.keys import ALL_STREAMS, RUN, command_key, guest_key, setpoint_key, stream_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
@@ -110,7 +110,7 @@ class Attempts:
         assert stream_key(BENCH, "state") in heard, "no sample in 2 s"
 
     def _borrow_name(self) -> None:
-        key = key_by(command_key(BENCH, "status"), ANOTHER)
+        key = guest_key(command_key(BENCH, "status"), ANOTHER)
         replies = list(self._bus.session.get(key, payload=b"{}", timeout=3.0))
         assert any(reply.ok for reply in replies), "no answer"
 
@@ -147,7 +147,7 @@ class Attempts:
 
     def _listen_in(self) -> None:
         heard: list[str] = []
-        own = key_by(setpoint_key(BENCH), self._person)
+        own = guest_key(setpoint_key(BENCH), self._person)
         with subscribe(self._bus, "lab/*/by/**", lambda key, _: heard.append(key)):
             time.sleep(0.5)
             for _ in range(10):

@@ -35,7 +35,7 @@ from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import BusError, LabhilError
-from labhil.experiment.experiment import TwinSection
+from labhil.experiment.device_sections import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.link import Decoder, MessageType, StateFlag
 from labhil.rig_sections import Limit

@@ -85,7 +85,7 @@ def of_version(series: str) -> dict[str, Any]:
     results, needs = {}, since()
     with Child("the twin", [*command, "--set", "unlock_after=0.3"]) as twin:
         if twin.line(START) != HOST:
-            raise SystemExit(f"the twin did not start{twin.complaint()}")
+            raise SystemExit(f"the twin did not start{twin.last_error()}")
         with suppress(PermissionError):
             os.sched_setscheduler(twin.pid, os.SCHED_FIFO, os.sched_param(1))
         for check in checks():

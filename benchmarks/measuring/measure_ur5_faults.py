@@ -83,7 +83,7 @@ class Scene:
         command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", self.host]
         twin = Child("the twin", [*command, "--series", self.series, "--set", "unlock_after=0.3"])
         if twin.line(START) != self.host:
-            raise RuntimeError(f"the twin did not start{twin.complaint()}")
+            raise RuntimeError(f"the twin did not start{twin.last_error()}")
         # a controller is a machine of its own
         with suppress(PermissionError):
             os.sched_setscheduler(twin.pid, os.SCHED_FIFO, os.sched_param(1))

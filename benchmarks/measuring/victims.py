@@ -17,7 +17,7 @@ import psutil
 from labhil.bus.ask import ask
 from labhil.bus.keys import ALL_STREAMS, command_key, setpoint_key
 from labhil.bus.publish import publish_command
-from labhil.bus.register import running
+from labhil.bus.register import registered_processes
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stamps_of
@@ -102,7 +102,7 @@ def endpoint_of(started: subprocess.Popen[str], kind: str) -> str:
     """Where a run or a lab can be reached, as soon as it can."""
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
-        for entry in running(kind):
+        for entry in registered_processes(kind):
             if entry.pid == started.pid:
                 return entry.endpoint
         if started.poll() is not None:

@@ -15,8 +15,9 @@ from labhil.api.inputs import PathLike, path_of, rig_file
 from labhil.complaints import explain
 from labhil.errors import ExperimentFileError, RunError, UsageError
 from labhil.experiment.bench import Bench
-from labhil.experiment.experiment import DeviceSection, TwinSection, WithDevices, load_experiment
+from labhil.experiment.device_sections import DeviceSection, TwinSection, WithDevices
 from labhil.experiment.experiment import Experiment as ExperimentFile
+from labhil.experiment.experiment import load_experiment
 from labhil.experiment.plan import Plan, device_plan, make_plan
 from labhil.experiment.points import is_campaign, points_of
 from labhil.rig import RigFile

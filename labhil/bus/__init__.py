@@ -1,14 +1,14 @@
-"""The bus: zenoh on loopback, keys, publishing without blocking, subscribing without losing."""
+"""The bus: zenoh on the loopback, with keys, non-blocking publishers and lossless subscriptions."""
 
-from labhil.bus.ask import Answering, ask, serve
+from labhil.bus.ask import Responder, ask, serve
 from labhil.bus.live import announce, live_devices
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import Subscription, subscribe
 
 __all__ = [
-    "Answering",
     "Bus",
+    "Responder",
     "StreamPublisher",
     "Subscription",
     "announce",

@@ -1,4 +1,4 @@
-"""Questions and answers over the bus: JSON both ways, and errors that reach the asker."""
+"""Requests and answers over the bus: JSON both ways, with errors that reach the sender."""
 
 from __future__ import annotations
 
@@ -11,35 +11,40 @@ from typing import Any, Self
 
 import zenoh
 
-from labhil.bus.authentication import OLDEST, Refusals
-from labhil.bus.incoming import LARGEST, ErrorReply, dump, load, parse
+from labhil.bus.authentication import MAX_AGE, Refusals
+from labhil.bus.incoming import MAX_BYTES, ErrorReply, dump, load, parse
 from labhil.bus.session import Bus
 from labhil.errors import BusError, CommandRefusedError
 from labhil.supervised import SupervisedThread
 
 Handler = Callable[[Any], Mapping[str, Any]]
-"""Takes a request and returns the answer; what it raises goes back as an error."""
+"""Takes a request and returns the answer; its exception goes back as an error."""
 
 Reader = Callable[[bytes], Any]
-"""Reads a question; CommandRefusedError where it is none."""
+"""Reads a request; CommandRefusedError where it is malformed."""
 
-LONGEST = 4000
-"""Characters of an error's message that are sent."""
+MAX_MESSAGE_LENGTH = 4000
+"""Characters of an error message that are sent."""
 
-LARGEST_ANSWER = 2 * 1024 * 1024
-"""Bytes: a schema has the descriptor of its stream in it."""
+MAX_ANSWER_BYTES = 2 * 1024 * 1024
+"""Bytes of an answer; a schema contains the descriptor of its stream."""
 
 
 def _any_object(payload: bytes) -> dict[str, Any]:
     return load(payload, "a question")
 
 
-class Answering:
-    """A key whose questions are answered, one after another, by a thread of its own.
+class Responder:
+    """Answers the requests at a key, one after another, in a thread of its own.
 
-    ``reader`` turns a payload into what the handler gets. A question for which ``guarded`` is true has to be
-    signed with the session's key, no longer ago than ``oldest`` s. What is refused before the handler sees it
-    is counted in ``refusals``.
+    Args:
+        bus: The bus.
+        key: The key.
+        handler: Returns the answer to a request.
+        reader: Reads the payload of a request.
+        guarded: Whether a request has to be signed with the session's key.
+        refusals: Counts requests that are refused before the handler gets them.
+        max_age: How old a signature may be, s.
     """
 
     def __init__(
@@ -51,20 +56,20 @@ class Answering:
         reader: Reader = _any_object,
         guarded: Callable[[Any], bool] = lambda _: False,
         refusals: Refusals | None = None,
-        oldest: float = OLDEST,
+        max_age: float = MAX_AGE,
     ) -> None:
         self._bus, self._key, self._closed = bus, key, False
         self._handler, self._reader, self._guarded = handler, reader, guarded
         self._refusals = refusals or Refusals()
-        self._verifier = bus.verifier(oldest)
+        self._verifier = bus.verifier(max_age)
         self._queryable = bus.session.declare_queryable(key, zenoh.handlers.FifoChannel(256), complete=True)
         self._queries = self._queryable.handler
         self._thread = SupervisedThread(self._run, f"serve {key}")
         self._thread.start()
-        bus.attend(self)
+        bus.watch(self)
 
     def failure(self) -> str:
-        """Return why nobody is answered any more, though nobody closed it; empty while all is well."""
+        """Return why requests are not answered any more although it is open; empty while they are."""
         return self._thread.failure()
 
     def close(self) -> None:
@@ -73,7 +78,7 @@ class Answering:
             return
         self._closed = True
         self._thread.end()
-        self._bus.dismiss(self)
+        self._bus.unwatch(self)
         with suppress(zenoh.ZError):  # the session may have been closed before
             self._queryable.undeclare()
         self._thread.join()
@@ -92,7 +97,7 @@ class Answering:
                 query = self._queries.recv()
             except zenoh.ZError:
                 return  # undeclared
-            # the asker may be gone, or its answer cannot be sent: the next query is answered all the same
+            # the sender may be gone, or its answer cannot be sent: the next request is answered all the same
             with suppress(zenoh.ZError), query:
                 self._answer(query)
 
@@ -100,8 +105,8 @@ class Answering:
         try:
             answer = dump(self._handler(self._admit(query)))
         except Exception as error:  # noqa: BLE001 - a handler that raises must not leave the caller waiting
-            failure = {"error": type(error).__name__, "message": str(error)[:LONGEST], "key": self._key}
-            query.reply_err(dump(failure))
+            message = str(error)[:MAX_MESSAGE_LENGTH]
+            query.reply_err(dump({"error": type(error).__name__, "message": message, "key": self._key}))
         else:
             query.reply(self._key, answer)
 
@@ -111,13 +116,13 @@ class Answering:
             payload = _payload(query)
             request = self._reader(payload)
             if self._guarded(request):
-                self._refuse_unsigned(query, payload)
+                self._check_signature(query, payload)
         except CommandRefusedError as error:
             self._refusals.note(self._key, str(error))
             raise
         return request
 
-    def _refuse_unsigned(self, query: zenoh.Query, payload: bytes) -> None:
+    def _check_signature(self, query: zenoh.Query, payload: bytes) -> None:
         attached = query.attachment
         code = None if attached is None else attached.to_bytes()
         objection = self._verifier.objection(str(query.key_expr), payload, code)
@@ -129,8 +134,8 @@ def _payload(query: zenoh.Query) -> bytes:
     payload = query.payload
     if payload is None or len(payload) == 0:
         return b"{}"
-    if len(payload) > LARGEST:
-        raise CommandRefusedError(f"a question has at most {LARGEST} bytes, this one {len(payload)}")
+    if len(payload) > MAX_BYTES:
+        raise CommandRefusedError(f"a request has at most {MAX_BYTES} bytes, this one {len(payload)}")
     return payload.to_bytes()
 
 
@@ -142,10 +147,10 @@ def serve(
     reader: Reader = _any_object,
     guarded: Callable[[Any], bool] = lambda _: False,
     refusals: Refusals | None = None,
-    oldest: float = OLDEST,
-) -> Answering:
-    """Answer questions at ``key`` with ``handler`` until the result is closed; see :class:`Answering`."""
-    return Answering(bus, key, handler, reader=reader, guarded=guarded, refusals=refusals, oldest=oldest)
+    max_age: float = MAX_AGE,
+) -> Responder:
+    """Answer requests at ``key`` with ``handler`` until the result is closed; see :class:`Responder`."""
+    return Responder(bus, key, handler, reader=reader, guarded=guarded, refusals=refusals, max_age=max_age)
 
 
 def ask(
@@ -156,32 +161,50 @@ def ask(
     *,
     patience: float = 0.0,
 ) -> dict[str, Any]:
-    """Ask at ``key`` and return the answer, waiting up to ``timeout`` s.
+    """Send a request and return the answer.
 
-    Where somebody is known to live there, ``patience`` (s) is how long the bus may take to find them: on
-    a busy machine that is seconds. CommandRefusedError when it was refused; BusError when nobody
-    answers or the answer is an error.
+    Args:
+        bus: The bus.
+        key: Where the request goes.
+        payload: The request, JSON data.
+        timeout: Longest wait for the answer, s.
+        patience: How long the bus may take to find a receiver that is known to exist, s; seconds on a busy
+            machine.
+
+    Raises:
+        CommandRefusedError: The request was refused.
+        BusError: Nobody answers, or the answer is another error.
     """
-    question = _question(payload)
+    question = _encode_request(payload)
     answer = _ask_once(bus, key, question, timeout)
     give_up = time.monotonic() + patience
-    while answer is None and (bus.settling or time.monotonic() < give_up):
+    while answer is None and (bus.is_settling or time.monotonic() < give_up):
         time.sleep(0.02)
         answer = _ask_once(bus, key, question, timeout)
     if answer is None:
-        raise bus.unanswered(key)
+        raise bus.unanswered_error(key)
     return answer
 
 
 def ask_all(
     bus: Bus, key: str, payload: Mapping[str, Any] | None = None, timeout: float = 2.0
 ) -> dict[str, dict[str, Any] | BusError | CommandRefusedError]:
-    """Ask everybody whose key matches ``key``, at once; each one's answer, or error, by its own key.
+    """Send a request to all receivers whose keys match ``key``.
 
-    Who has not answered within ``timeout`` s, or is not known yet, is simply not there.
+    Args:
+        bus: The bus.
+        key: The key expression.
+        payload: The request, JSON data.
+        timeout: Longest wait for the answers, s.
+
+    Returns:
+        The answer or the error of each receiver, by its key; those without an answer are missing.
+
+    Raises:
+        BusError: The request cannot be sent.
     """
     answers: dict[str, dict[str, Any] | BusError | CommandRefusedError] = {}
-    question, key = _question(payload), _asked_at(bus, key)
+    question, key = _encode_request(payload), _request_key(bus, key)
     try:
         replies = bus.session.get(
             key,
@@ -194,26 +217,26 @@ def ask_all(
             if reply.ok is not None:
                 place = str(reply.ok.key_expr)
                 try:
-                    answers[place] = load(reply.ok.payload.to_bytes(), place, LARGEST_ANSWER)
+                    answers[place] = load(reply.ok.payload.to_bytes(), place, MAX_ANSWER_BYTES)
                 except CommandRefusedError as error:
                     answers[place] = BusError(f"the answer is none: {error}")
             elif reply.err is not None:
                 error_payload = reply.err.payload.to_bytes()
-                answers[_key_in(error_payload)] = _error(key, error_payload, timeout)
+                answers[_error_key(error_payload)] = _error(key, error_payload, timeout)
     except zenoh.ZError as failure:
         raise BusError(f"{key}: could not be asked: {failure}") from failure
     answers.pop("", None)
     return answers
 
 
-def _question(payload: Mapping[str, Any] | None) -> bytes:
-    # unchecked, NaN and all: the receiver says what is wrong with it
+def _encode_request(payload: Mapping[str, Any] | None) -> bytes:
+    # unchecked, even for NaN: the receiver reports what is wrong
     return json.dumps(dict(payload or {}), ensure_ascii=False).encode("utf-8", "replace")
 
 
 def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, Any] | None:
-    """Return the answer, or None when no peer that is known answers at ``key``."""
-    key = _asked_at(bus, key)
+    """Return the answer, or None where no known peer answers at ``key``."""
+    key = _request_key(bus, key)
     try:
         replies = bus.session.get(
             key,
@@ -224,7 +247,7 @@ def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, 
         )
         for reply in replies:
             if reply.ok is not None:
-                return _answer_in(key, reply.ok.payload.to_bytes())
+                return _read_answer(key, reply.ok.payload.to_bytes())
             if reply.err is not None:
                 raise _error(key, reply.err.payload.to_bytes(), timeout)
     except zenoh.ZError as error:
@@ -232,20 +255,20 @@ def _ask_once(bus: Bus, key: str, question: bytes, timeout: float) -> dict[str, 
     return None
 
 
-def _asked_at(bus: Bus, key: str) -> str:
-    """Return where a question is asked; what a stream is, guests ask where everybody does."""
+def _request_key(bus: Bus, key: str) -> str:
+    """Return the key of a request; guests request schemas at the same key as everybody."""
     return bus.place(key) if "/cmd/" in key else key
 
 
-def _answer_in(key: str, payload: bytes) -> dict[str, Any]:
+def _read_answer(key: str, payload: bytes) -> dict[str, Any]:
     try:
-        return load(payload, key, LARGEST_ANSWER)
+        return load(payload, key, MAX_ANSWER_BYTES)
     except CommandRefusedError as error:
         raise BusError(f"the answer is none: {error}") from error
 
 
-def _key_in(payload: bytes) -> str:
-    """Which key an error came from; empty when it does not say."""
+def _error_key(payload: bytes) -> str:
+    """Return the key that an error came from; empty where it does not state one."""
     try:
         return parse(ErrorReply, payload, "an error").key
     except CommandRefusedError:

@@ -1,10 +1,9 @@
-"""Who may command: messages carry a code that only a holder of the session's key can make.
+"""Message authentication: each message carries a code that needs the session's key.
 
-The key never travels on the bus. It stands in a file that only this user can read
-(:mod:`labhil.bus.register`), so the operating system decides who has it. The code stands in the attachment
-of a message: sender, number and time, then one code for each key that the sender holds, over all of that,
-the key expression and the payload. Loopback only: the time is the machine's monotonic clock, which no step
-of the wall clock moves.
+The key never travels on the bus. It is in a file that only this user can read (:mod:`labhil.bus.register`),
+so the operating system decides who has it. The attachment of a message has sender, number and time, then one
+code (keyed BLAKE2b) for each key that the sender holds, over these, the key expression and the payload.
+Loopback only: the time is the machine's monotonic clock, which no step of the wall clock changes.
 """
 
 from __future__ import annotations
@@ -23,28 +22,28 @@ from labhil.errors import LabhilError
 
 KEY_BYTES = 32
 CODE_BYTES = 16
-"""128 bits: nobody guesses one within a session, and a setpoint grows by 41 bytes only."""
+"""128 bits cannot be guessed within a session, and lengthen a setpoint by only 41 bytes."""
 
 HEAD = struct.Struct(">B8sQQ")
 VERSION = 1
-MOST_KEYS = 16
-"""Codes looked at in one message: as many buses of one user as anybody runs at a time."""
+MAX_KEYS = 16
+"""Codes in one message at most: as many buses as one user runs at a time."""
 
-OLDEST = 10.0
-"""s that a message may be on its way: longer than any question of ours waits for its answer."""
+MAX_AGE = 10.0
+"""How old a message may be, s: longer than any request waits for its answer."""
 
-OLDEST_SAMPLE = 120.0
-"""The same of what devices publish: a recorder that was frozen for a minute takes it in afterwards."""
+MAX_SAMPLE_AGE = 120.0
+"""How old a published message may be, s: a recorder that was frozen for a minute still accepts it."""
 
-TRANSIT = 1.0
-"""s that a sample may have been on its way when somebody begins to listen."""
+MAX_TRANSIT = 1.0
+"""How long before a subscription a sample may have been sent, s."""
 
-WINDOW = 64
-"""Numbers below the highest that may still come: two threads of one process may overtake each other."""
+REPLAY_WINDOW = 64
+"""How far below the highest number a message may be: threads of one process may overtake each other."""
 
 
 def new_key() -> bytes:
-    """Draw the key of a session."""
+    """Generate the key of a session."""
     return secrets.token_bytes(KEY_BYTES)
 
 
@@ -52,7 +51,7 @@ class Signer:
     """Signs messages with one or more keys; safe from any thread."""
 
     def __init__(self, keys: Sequence[bytes]) -> None:
-        self._keys = tuple(keys)[:MOST_KEYS]
+        self._keys = tuple(keys)[:MAX_KEYS]
         self._sender = secrets.token_bytes(8)
         self._numbers = itertools.count(1)
 
@@ -64,7 +63,7 @@ class Signer:
 
 @dataclass(slots=True)
 class _Seen:
-    """Numbers that came from one sender: the highest, and which of the ``WINDOW`` below it."""
+    """Numbers that came from one sender: the highest, and a bit for each of the ``REPLAY_WINDOW`` below."""
 
     highest: int = 0
     below: int = 0
@@ -72,43 +71,46 @@ class _Seen:
 
     def is_new(self, number: int) -> bool:
         back = self.highest - number
-        return back < 0 or (0 < back <= WINDOW and not self.below >> (back - 1) & 1)
+        return back < 0 or (0 < back <= REPLAY_WINDOW and not self.below >> (back - 1) & 1)
 
     def take(self, number: int) -> None:
         forward = number - self.highest
         if forward > 0:
             shifted = (self.below << 1 | 1) << (forward - 1) if self.highest else 0
-            self.below, self.highest = shifted & ((1 << WINDOW) - 1), number
+            self.below, self.highest = shifted & ((1 << REPLAY_WINDOW) - 1), number
         else:
             self.below |= 1 << (-forward - 1)
 
 
 class Verifier:
-    """Checks the messages of one place (a queryable, a subscription); used by one thread.
+    """Checks the messages of one queryable or subscription; used by one thread.
 
-    ``oldest`` is how long one may have been on its way, ``transit`` how long before this place existed it may
-    have been sent, s: what is sent all the time is on its way when somebody begins to listen.
+    Args:
+        keys: The keys that are accepted.
+        max_age: How old a message may be, s.
+        transit: How long before this object a message may have been sent, s: samples are already on their way
+            when a subscription begins.
     """
 
-    def __init__(self, keys: Sequence[bytes], oldest: float = OLDEST, transit: float = 0.0) -> None:
+    def __init__(self, keys: Sequence[bytes], max_age: float = MAX_AGE, transit: float = 0.0) -> None:
         self._keys = tuple(keys)
-        self._oldest = oldest
+        self._oldest = max_age
         self._began_ns = time.monotonic_ns() - round(transit * 1e9)
         self._seen: dict[bytes, _Seen] = {}
 
     def objection(self, key_expression: str, payload: bytes, attachment: bytes | None) -> str:
-        """Return why the message is refused; empty where it is from a holder of the key, and new."""
+        """Return why a message is refused; empty where it is new and from a holder of the key."""
         if not attachment:
             return "not authenticated: it has no code of this session's key"
         codes, odd = divmod(len(attachment) - HEAD.size, CODE_BYTES)
-        if odd or not 0 < codes <= MOST_KEYS or attachment[0] != VERSION:
+        if odd or not 0 < codes <= MAX_KEYS or attachment[0] != VERSION:
             return "not authenticated: its code is malformed"
         head = attachment[: HEAD.size]
-        if not self._is_ours(head, key_expression, payload, attachment[HEAD.size :]):
+        if not self._is_authentic(head, key_expression, payload, attachment[HEAD.size :]):
             return "not authenticated: its code was not made with this session's key"
         _, sender, number, t_ns = HEAD.unpack(head)
         now = time.monotonic_ns()
-        # what was sent before this place existed can only be a copy
+        # a message from before this object existed can only be a copy
         if t_ns < self._began_ns or not -self._oldest * 1e9 < now - t_ns < self._oldest * 1e9:
             return "replayed: its code was made at another time"
         seen = self._seen.get(sender) or _Seen()
@@ -117,33 +119,38 @@ class Verifier:
         seen.take(number)
         seen.at_ns = now
         if sender not in self._seen:
-            self._forget(now)
+            self._forget_old_senders(now)
             self._seen[sender] = seen
         return ""
 
-    def _is_ours(self, head: bytes, key_expression: str, payload: bytes, codes: bytes) -> bool:
+    def _is_authentic(self, head: bytes, key_expression: str, payload: bytes, codes: bytes) -> bool:
         received = [codes[start : start + CODE_BYTES] for start in range(0, len(codes), CODE_BYTES)]
         accepted = [_code(key, head, key_expression, payload) for key in self._keys]
         return any(secrets.compare_digest(code, expected) for code in received for expected in accepted)
 
-    def _forget(self, now: int) -> None:
-        """Senders of whom nothing can come any more that is not refused as too old."""
+    def _forget_old_senders(self, now: int) -> None:
+        """Forget senders whose messages would all be refused as too old."""
         self._seen = {s: seen for s, seen in self._seen.items() if now - seen.at_ns < 2e9 * self._oldest}
 
 
 class Refusals:
-    """Counts what was refused, and reports it at most once a second and place; safe from any thread."""
+    """Counts refused messages, and reports them at a limited rate; safe from any thread.
 
-    def __init__(self, report: Callable[[str], object] | None = None, every: float = 1.0) -> None:
+    Args:
+        report: Is called with each report.
+        interval: Shortest time between two reports about the same place, s.
+    """
+
+    def __init__(self, report: Callable[[str], object] | None = None, interval: float = 1.0) -> None:
         self.counts: dict[str, int] = {}
         self._report = report
-        self._every = every
+        self._interval = interval
         self._lock = threading.Lock()
         self._reported: dict[str, tuple[float, int]] = {}
 
     @property
     def total(self) -> int:
-        """How many messages were refused."""
+        """Number of refused messages."""
         return sum(self.counts.values())
 
     def note(self, place: str, reason: str) -> None:
@@ -152,14 +159,14 @@ class Refusals:
         with self._lock:
             self.counts[place] = count = self.counts.get(place, 0) + 1
             reported_at, reported_count = self._reported.get(place, (float("-inf"), 0))
-            if now - reported_at < self._every:
+            if now - reported_at < self._interval:
                 return
             self._reported[place] = (now, count)
         if self._report is not None:
             further = (
                 f" ({count - reported_count} since the last report, {count} in all)" if count > 1 else ""
             )
-            # a bus that cannot take the report is noticed by whoever looks after it
+            # a failure of the bus is detected elsewhere (`Bus.failure`)
             with contextlib.suppress(LabhilError):
                 self._report(f"refused at {place}: {reason}{further}")
 

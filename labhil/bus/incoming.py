@@ -1,7 +1,7 @@
-"""What may come in from the bus, one model per kind: strict, finite, bounded in size and depth.
+"""Models of the messages from the bus: strict, finite, bounded in size and depth.
 
-Nobody is kept from speaking on the bus, so nothing that comes in is taken as it is. :func:`parse` and
-:func:`load` are the only ways in; both raise CommandRefusedError with what was expected and what was found.
+Any local process can send on the bus, so every message is validated. :func:`parse` and :func:`load` are the
+only ways in; both raise CommandRefusedError with what was expected and what was found.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from labhil.errors import CommandRefusedError
 
-LARGEST = 64 * 1024
-"""Bytes of a message in JSON; ours have less than 4 kB, and a schema of 60 signals some 10 kB."""
-LARGEST_SCHEMA = 1024 * 1024
-DEEPEST = 16
-"""Levels of a JSON value; ours have at most five."""
-LARGEST_NS = 2**63 - 1
+MAX_BYTES = 64 * 1024
+"""Bytes of a JSON message; labhil's own have less than 4 kB, a schema of 60 signals about 10 kB."""
+MAX_SCHEMA_BYTES = 1024 * 1024
+"""Bytes of a schema."""
+MAX_DEPTH = 16
+"""Levels of a JSON value; labhil's own have at most five."""
+MAX_NS = 2**63 - 1
 
 Name = Annotated[str, Field(max_length=200)]
 Text = Annotated[str, Field(max_length=4000)]
-TimeNs = Annotated[int, Field(ge=0, le=LARGEST_NS)]
-ClockNs = Annotated[int, Field(ge=-LARGEST_NS, le=LARGEST_NS)]
+TimeNs = Annotated[int, Field(ge=0, le=MAX_NS)]
+ClockNs = Annotated[int, Field(ge=-MAX_NS, le=MAX_NS)]
 
 
 class Incoming(BaseModel):
-    """A message from outside; fields that it does not know are left out."""
+    """A message from the bus; unknown fields are ignored."""
 
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
 
 
 class AnyRequest(Incoming):
-    """A question that says nothing more: ``status``, ``shutdown``."""
+    """A request without fields: ``status``, ``shutdown``."""
 
 
 class SetpointMessage(Incoming):
@@ -83,11 +84,11 @@ class MarkRequest(Incoming):
 
 
 class PublishedRequest(Incoming):
-    """The number of the last sample that the publisher of a stream, which leaves, published."""
+    """The statement of a publisher that leaves: the number of the last sample of its stream."""
 
     device: Name
     stream: Name
-    last_seq: Annotated[int, Field(ge=0, le=LARGEST_NS)]
+    last_seq: Annotated[int, Field(ge=0, le=MAX_NS)]
 
 
 class ReplayRequest(Incoming):
@@ -98,7 +99,7 @@ class ReplayRequest(Incoming):
 
 
 class ReplayMessage(Incoming):
-    """How far a replay is, s of the host."""
+    """The state of a replay; times in s of the host."""
 
     path: Text
     position: float
@@ -109,7 +110,7 @@ class ReplayMessage(Incoming):
 
 
 class EventMessage(Incoming):
-    """Something that happened at Unix time ``t_ns``; a plain note has a ``text``."""
+    """An event at Unix time ``t_ns``; a plain note has a ``text``."""
 
     t_ns: TimeNs
     kind: Name = "note"
@@ -121,9 +122,9 @@ class EventMessage(Incoming):
 
 
 class SchemaMessage(Incoming):
-    """What a stream is: its declaration (JSON in a text) and what else is known of it."""
+    """The schema of a stream: its declaration (JSON in a text) and its metadata."""
 
-    stream: Annotated[str, Field(max_length=LARGEST_SCHEMA)]
+    stream: Annotated[str, Field(max_length=MAX_SCHEMA_BYTES)]
     metadata: Annotated[dict[Name, Text], Field(max_length=1000)] = {}
 
 
@@ -139,7 +140,7 @@ class SignalDeclaration(Incoming):
 
 
 class StreamDeclaration(Incoming):
-    """A stream, as its publisher declares it."""
+    """The declaration of a stream."""
 
     name: Name
     rate: Annotated[float, Field(gt=0)]
@@ -147,7 +148,7 @@ class StreamDeclaration(Incoming):
 
 
 class ErrorReply(Incoming):
-    """Why a question was not answered."""
+    """The error of a request that was not answered."""
 
     error: Name
     message: str
@@ -157,27 +158,37 @@ class ErrorReply(Incoming):
 Message = TypeVar("Message", bound=Incoming)
 
 
-def parse(kind: type[Message], payload: bytes | str, what: str, largest: int = LARGEST) -> Message:
-    """Read a message of this kind; ``what`` names it in the refusal."""
+def parse(kind: type[Message], payload: bytes | str, what: str, largest: int = MAX_BYTES) -> Message:
+    """Read a message.
+
+    Args:
+        kind: Its model.
+        payload: The message, JSON.
+        what: What it is, for the error message.
+        largest: Bytes at most.
+
+    Raises:
+        CommandRefusedError: It is too large or malformed.
+    """
     _refuse_large(payload, what, largest)
     try:
         return kind.model_validate_json(payload)
     except ValidationError as error:
-        raise CommandRefusedError(_in_words(error, what)) from None
+        raise CommandRefusedError(_format_error(error, what)) from None
     except (ValueError, RecursionError) as error:  # bytes that are no text
         raise CommandRefusedError(f"{what}: expected JSON in UTF-8, found {excerpt(payload)}") from error
 
 
 def validate(kind: type[Message], data: object, what: str) -> Message:
-    """The same for data that has been read already."""
+    """Validate data that was read already; see :func:`parse`."""
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        raise CommandRefusedError(_in_words(error, what)) from None
+        raise CommandRefusedError(_format_error(error, what)) from None
 
 
-def load(payload: bytes | str, what: str, largest: int = LARGEST) -> dict[str, Any]:
-    """Read any JSON object: finite numbers, not deeper than ``DEEPEST``."""
+def load(payload: bytes | str, what: str, largest: int = MAX_BYTES) -> dict[str, Any]:
+    """Read any JSON object with finite numbers and at most ``MAX_DEPTH`` levels; see :func:`parse`."""
     _refuse_large(payload, what, largest)
     try:
         data = pydantic_core.from_json(payload, allow_inf_nan=False)
@@ -185,12 +196,12 @@ def load(payload: bytes | str, what: str, largest: int = LARGEST) -> dict[str, A
         raise CommandRefusedError(f"{what}: expected JSON in UTF-8, found {excerpt(payload)}") from error
     if not isinstance(data, dict):
         raise CommandRefusedError(f"{what}: expected a JSON object, found {excerpt(payload)}")
-    _refuse_odd(data, what, DEEPEST)
+    _check_values(data, what, MAX_DEPTH)
     return data
 
 
 def dump(data: Mapping[str, Any]) -> bytes:
-    """Write a message so that :func:`load` takes it: no NaN or infinity, no half of a surrogate pair."""
+    """Write a message that :func:`load` accepts: without NaN, infinity and lone surrogates."""
     try:
         text = json.dumps(dict(data), ensure_ascii=False, allow_nan=False)
     except ValueError:
@@ -198,8 +209,8 @@ def dump(data: Mapping[str, Any]) -> bytes:
     return text.encode("utf-8", "replace")
 
 
-def is_press(payload: bytes) -> bool:
-    """Whether a message that is malformed otherwise presses the emergency stop all the same."""
+def is_stop(payload: bytes) -> bool:
+    """Return whether an otherwise malformed message presses the emergency stop."""
     try:
         return load(payload, "estop").get("action", "press") == "press"
     except CommandRefusedError:
@@ -207,7 +218,7 @@ def is_press(payload: bytes) -> bool:
 
 
 def excerpt(payload: object) -> str:
-    """The beginning of a payload or value, made printable."""
+    """Return the beginning of a payload or value in printable characters."""
     start = payload[:60] if isinstance(payload, (bytes, str)) else payload
     text = ascii(start)
     return text if len(text) <= 80 else f"{text[:80]}…"
@@ -218,17 +229,17 @@ def _refuse_large(payload: bytes | str, what: str, largest: int) -> None:
         raise CommandRefusedError(f"{what}: expected at most {largest} bytes, found {len(payload)}")
 
 
-def _refuse_odd(value: object, what: str, levels: int) -> None:
+def _check_values(value: object, what: str, levels: int) -> None:
     if levels < 0:
-        raise CommandRefusedError(f"{what}: expected at most {DEEPEST} levels, found more")
+        raise CommandRefusedError(f"{what}: expected at most {MAX_DEPTH} levels, found more")
     if isinstance(value, float) and not math.isfinite(value):
         raise CommandRefusedError(f"{what}: expected finite numbers, found {value}")
     if isinstance(value, dict):
         for inner in value.values():
-            _refuse_odd(inner, what, levels - 1)
+            _check_values(inner, what, levels - 1)
     elif isinstance(value, list):
         for inner in value:
-            _refuse_odd(inner, what, levels - 1)
+            _check_values(inner, what, levels - 1)
 
 
 def _finite(value: Any) -> Any:
@@ -239,8 +250,8 @@ def _finite(value: Any) -> Any:
     return [_finite(inner) for inner in value] if isinstance(value, (list, tuple)) else value
 
 
-def _in_words(error: ValidationError, what: str) -> str:
-    """Say what the first error is, with the field and the value found there."""
+def _format_error(error: ValidationError, what: str) -> str:
+    """Format the first error: the field, what was expected, and the value."""
     first = error.errors(include_url=False)[0]
     place = ".".join(str(part) for part in first["loc"])[:100].encode("ascii", "backslashreplace").decode()
     value = excerpt(first.get("input"))

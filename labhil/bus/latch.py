@@ -1,7 +1,7 @@
-"""The emergency stop as a file: while it stands, no host of this user leaves its safe state.
+"""The emergency stop as a file: while it exists, no host of this user leaves its safe state.
 
-Every host looks at it twenty times a second and before it gives anybody the lease, so that it holds
-without the bus, across runs, and for hosts that start later.
+Every host reads it twenty times a second and before it gives a lease, so that the stop holds without the bus,
+across runs, and for hosts that start later.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from labhil.bus.register import runtime_directory, write_whole
+from labhil.bus.register import runtime_directory, write_atomically
 from labhil.documents import parse_json
 from labhil.errors import BusError
 
-MOST_OTHERS = 8
-"""Of those who press a stop that stands already, so many are kept."""
+MAX_OTHERS = 8
+"""Names of further people who press the stop that are kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,32 +30,32 @@ class Latch:
     others: tuple[str, ...] = ()
 
     def describe(self) -> str:
-        """Return what stands, for a person."""
+        """Describe the stop for a person."""
         at = time.strftime("%H:%M:%S", time.localtime(self.since))
         again = f"; pressed again by {', '.join(self.others)}" if self.others else ""
         return f"emergency stop by {self.by} at {at}: {self.reason}{again}"
 
 
 def latch_path() -> Path:
-    """Return where the latch stands while it does."""
+    """Return the path of the file."""
     return runtime_directory() / "emergency_stop"
 
 
 def press(by: str, reason: str) -> Latch:
-    """Latch the stop; one that stands already is kept, and notes who else wants it."""
+    """Latch the stop; a stop that is pressed already is kept, with ``by`` among those who pressed it."""
     standing = read_latch()
     if standing is None:
         standing = Latch(by, reason, time.time())
-        write_whole(latch_path(), json.dumps(asdict(standing)))
-    elif by not in (standing.by, *standing.others) and len(standing.others) < MOST_OTHERS:
+        write_atomically(latch_path(), json.dumps(asdict(standing)))
+    elif by not in (standing.by, *standing.others) and len(standing.others) < MAX_OTHERS:
         standing = replace(standing, others=(*standing.others, by))
-        with contextlib.suppress(BusError):  # the stop stands in any case
-            write_whole(latch_path(), json.dumps(asdict(standing)))
+        with contextlib.suppress(BusError):  # the stop is pressed in any case
+            write_atomically(latch_path(), json.dumps(asdict(standing)))
     return standing
 
 
 def read_latch() -> Latch | None:
-    """Return the latch if it stands; a file that says nothing sensible stands, too."""
+    """Return the stop that is pressed; None where none is. An unreadable file counts as a stop."""
     try:
         text = latch_path().read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
@@ -68,7 +68,7 @@ def read_latch() -> Latch | None:
 
 
 def release() -> bool:
-    """Take the latch away; whether there was one."""
+    """Remove the file, and return whether there was one."""
     standing = latch_path().exists()
     latch_path().unlink(missing_ok=True)
     return standing

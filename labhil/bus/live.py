@@ -1,7 +1,7 @@
-"""Who is there: tokens that stand as long as their process lives.
+"""Liveliness tokens: which devices have a host that is alive.
 
-A killed process loses its token within milliseconds, a frozen one only after some ten seconds: that is
-news for a screen, never what a device's safety rests on.
+A killed process loses its token within milliseconds, a frozen one only after some ten seconds. That is for
+display; the safety of a device never depends on it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from labhil.errors import BusError
 
 @contextmanager
 def announce(bus: Bus, device: str) -> Iterator[None]:
-    """Let everybody know that ``device`` is served, as long as the context lasts."""
+    """Declare that ``device`` has a host, as long as the context lasts."""
     token = bus.session.liveliness().declare_token(live_key(device))
     try:
         yield
@@ -27,7 +27,7 @@ def announce(bus: Bus, device: str) -> Iterator[None]:
 
 
 def live_devices(bus: Bus, timeout: float = 1.0) -> tuple[str, ...]:
-    """Names of the devices whose hosts are alive, sorted; BusError when the bus is closed."""
+    """Return the names of the devices whose hosts are alive, sorted; BusError where the bus is closed."""
     try:
         replies = bus.session.liveliness().get(ALL_LIVE, timeout=timeout)
         devices = {str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None}

@@ -1,4 +1,4 @@
-"""Publishing a stream without ever holding up the thread that reads the device."""
+"""Publishing streams, events and commands; a stream never blocks the thread that reads the device."""
 
 from __future__ import annotations
 
@@ -23,23 +23,29 @@ from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
 from labhil.supervised import SupervisedThread
 
-LONGEST_TEXT = 4000
-"""Characters of one text of an event: a run must not be deaf to one because its message is too large."""
+MAX_TEXT_LENGTH = 4000
+"""Characters of one text of an event: readers refuse messages that are too large."""
 
-FIRST_LISTENER = 1.0
-"""Seconds that the first samples wait in the queue for somebody to listen."""
+LISTENER_TIMEOUT = 1.0
+"""How long the first samples wait in the queue for a subscriber, s."""
 
-LONGEST_DELIVERY = 30.0
-"""Seconds that a publisher which leaves waits until recorders have received all that it published."""
+DELIVERY_TIMEOUT = 30.0
+"""How long a publisher that leaves waits until recorders have received all that it published, s."""
 
 
 class StreamPublisher:
-    """Publishes the samples of one stream, and answers what the stream is.
+    """Publishes the samples of one stream, and answers requests for its schema.
 
-    ``put`` hands a batch to a thread by a bounded queue and returns at once. When the bus cannot take
-    more, samples are dropped there and counted in ``overflows`` (number of samples); readers see the
-    hole in ``seq``. ``metadata`` (serial number, firmware, speed) ends up in the recording. ``namespace`` is
-    that of devices, unless what is published is a recording.
+    ``put`` adds a batch to a bounded queue and returns at once. Where the bus is too slow, samples are
+    dropped there and counted in ``overflows`` (number of samples); readers see the gap in ``seq``.
+
+    Args:
+        bus: The bus.
+        device: Name of the device.
+        stream: The stream.
+        metadata: What a recording keeps beside the samples, such as serial number, firmware and speed.
+        depth: Batches that may wait.
+        namespace: That of devices, or of replays.
     """
 
     def __init__(
@@ -70,10 +76,10 @@ class StreamPublisher:
         self._schema = serve(bus, self._schema_key, lambda _: self._reply)
         self._thread = SupervisedThread(self._run, f"publish {key}")
         self._thread.start()
-        bus.attend(self)
+        bus.watch(self)
 
     def failure(self) -> str:
-        """Return why nothing is published any more, though nobody closed it; empty while all is well."""
+        """Return why nothing is published any more although it is open; empty while it is."""
         if self.error is not None:
             return str(self.error)
         return self._thread.failure()
@@ -88,22 +94,22 @@ class StreamPublisher:
         except queue.Full:
             self.overflows += len(batch)
 
-    def restate(self, metadata: Mapping[str, str]) -> None:
-        """Tell everybody that other metadata hold from now on; BusError when the session is closed."""
+    def update_metadata(self, metadata: Mapping[str, str]) -> None:
+        """Declare the stream again with other metadata; BusError where the session is closed."""
         self._reply = schema_reply(self.codec, metadata)
         try:
-            self._tell_schema()
+            self._declare_schema()
         except zenoh.ZError as error:
             raise BusError(f"{self._schema_key}: could not be published: {error}") from error
 
     def close(self) -> None:
-        """Publish what is queued, wait until recorders have it, and let go of the key; safe to call twice."""
+        """Publish the queue, wait until recorders have received it, and close; safe to call twice."""
         if self._closing.is_set():
             return
         self._closing.set()
-        self._bus.dismiss(self)
+        self._bus.unwatch(self)
         self._thread.end()
-        self._end_queue()
+        self._close_queue()
         self._thread.join()
         self._deliver()
         self._schema.close()
@@ -126,7 +132,7 @@ class StreamPublisher:
                 continue
             try:
                 if not declared:
-                    self._tell_schema()
+                    self._declare_schema()
                     declared = True
                 self._publish(payloads)
             except zenoh.ZError as error:
@@ -137,8 +143,8 @@ class StreamPublisher:
         for payload in payloads:
             self._publisher.put(payload, attachment=self._bus.sign(self._key, payload))
 
-    def _end_queue(self) -> None:
-        """Let the thread end after what is queued; one that has died takes nothing from a full queue."""
+    def _close_queue(self) -> None:
+        """Let the thread end after the queue; a thread that has died does not empty a full queue."""
         while self._thread.is_alive():
             try:
                 self._queue.put(None, timeout=0.1)
@@ -147,15 +153,15 @@ class StreamPublisher:
             return
 
     def _deliver(self) -> None:
-        """Tell recorders how many samples there were; the answer comes after they have received them."""
+        """State to recorders how many samples there were; they answer after they have received them."""
         if self._place is None or self._last_seq is None:
             return
         statement = {**self._place, "last_seq": self._last_seq}
-        with suppress(BusError):  # the session was closed before: recorders notice that nothing was stated
-            ask_all(self._bus, PUBLISHED, statement, LONGEST_DELIVERY)
+        with suppress(BusError):  # a closed session: recorders notice the missing statement
+            ask_all(self._bus, PUBLISHED, statement, DELIVERY_TIMEOUT)
 
-    def _tell_schema(self) -> None:
-        """Declare the stream before its first sample; subscribers that join later have to ask."""
+    def _declare_schema(self) -> None:
+        """Declare the stream before its first sample; later subscribers have to request its schema."""
         declaration = dump(self._reply)
         self._session.put(
             self._schema_key,
@@ -165,8 +171,8 @@ class StreamPublisher:
         )
 
     def _wait_for_a_listener(self) -> None:
-        """A subscriber elsewhere is known only some milliseconds after the session was opened."""
-        deadline = time.monotonic() + FIRST_LISTENER
+        """Wait for a subscriber: another process is known only some milliseconds after the session opened."""
+        deadline = time.monotonic() + LISTENER_TIMEOUT
         while time.monotonic() < deadline:
             status: Any = self._publisher.matching_status  # zenoh's stubs call it a bool
             if status.matching:
@@ -175,7 +181,7 @@ class StreamPublisher:
 
 
 def schema_reply(codec: Codec, metadata: Mapping[str, str]) -> dict[str, Any]:
-    """What is answered to the question for a stream's declaration."""
+    """Return the answer to the request for the schema of a stream."""
     return {
         "stream": stream_to_json(codec.stream),
         "schema_name": codec.schema_name,
@@ -185,7 +191,7 @@ def schema_reply(codec: Codec, metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def publish_command(bus: Bus, key: str, payload: bytes) -> None:
-    """Publish a command, signed with the key of the session; BusError when the session is closed."""
+    """Publish a command, signed with the key of the session; BusError where the session is closed."""
     key = bus.place(key)
     try:
         bus.session.put(
@@ -199,13 +205,20 @@ def publish_command(bus: Bus, key: str, payload: bytes) -> None:
 
 
 def publish_event(bus: Bus, device: str, event: str | Mapping[str, Any], namespace: str = LAB) -> None:
-    """Publish something that happened; a plain text becomes ``{"text": …}``.
+    """Publish an event.
 
-    The host's time is added as ``t_ns`` (Unix time) unless it is there already. BusError when the
-    session is closed.
+    Args:
+        bus: The bus.
+        device: Name of the device, or of the run.
+        event: JSON data, or a text, which becomes ``{"text": …}``. The host's time is added as ``t_ns``
+            (Unix time) where it is missing.
+        namespace: That of devices, or of replays.
+
+    Raises:
+        BusError: The session is closed.
     """
     body: dict[str, Any] = {"text": event} if isinstance(event, str) else dict(event)
-    body = {name: value[:LONGEST_TEXT] if isinstance(value, str) else value for name, value in body.items()}
+    body = {name: x[:MAX_TEXT_LENGTH] if isinstance(x, str) else x for name, x in body.items()}
     body.setdefault("t_ns", unix_ns())
     key = event_key(device, namespace)
     payload = dump(body)

@@ -1,9 +1,8 @@
-"""Which buses run on this machine: a small file for each process that others may want to reach.
+"""The register of the buses on this machine: a small file for each process that others may reach.
 
-A process that listens writes ``PID-NUMBER.json`` into a directory that only its user can read and takes it
-away at the end; what a killed process left behind is swept by whoever looks next. Beside it stands
-``PID-NUMBER.key`` with the key of the session, which commands are authenticated with: whoever may read that
-file may command. Loopback only.
+A process that listens writes ``PID-NUMBER.json`` into a directory that only its user can read and removes it
+at the end; the next reader removes the files of killed processes. ``PID-NUMBER.key`` beside it has the key of
+the session, which authenticates commands: a user who can read that file can command. Loopback only.
 """
 
 from __future__ import annotations
@@ -32,9 +31,16 @@ _numbers = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A process that can be reached at ``endpoint``: a ``run``, with all its devices, or one ``host``.
+    """A process that can be reached on its bus.
 
-    ``birth`` tells a process from a later one of the same ``pid``; ``since`` is Unix time, s.
+    Attributes:
+        kind: What it is: "run", "lab", "host" or "replay".
+        name: Its name.
+        endpoint: Where its bus is joined.
+        devices: Its devices.
+        pid: Its process id.
+        birth: When it started, which distinguishes it from a later process of the same id.
+        since: When it was registered, Unix time, s.
     """
 
     kind: str
@@ -48,16 +54,19 @@ class Registered:
     @property
     def alive(self) -> bool:
         """Whether the process that wrote this still exists."""
-        return self.birth == birth_of(self.pid)
+        return self.birth == start_time_of(self.pid)
 
 
 def runtime_directory() -> Path:
-    """Return our directory, made if need be: ``$XDG_RUNTIME_DIR/labhil``, else ``/tmp/labhil-UID``.
+    """Return the directory of the register, and make it if need be.
 
-    BusError where somebody else owns it, who could point us anywhere.
+    It is ``$XDG_RUNTIME_DIR/labhil``, or ``/tmp/labhil-UID`` without that variable.
+
+    Raises:
+        BusError: It cannot be made, or another user owns it, who could redirect this process.
     """
-    given = os.environ.get("XDG_RUNTIME_DIR")
-    path = Path(given) / "labhil" if given else Path(tempfile.gettempdir()) / f"labhil-{os.getuid()}"
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    path = Path(base) / "labhil" if base else Path(tempfile.gettempdir()) / f"labhil-{os.getuid()}"
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         owner = path.lstat().st_uid
@@ -68,8 +77,8 @@ def runtime_directory() -> Path:
     return path
 
 
-def birth_of(pid: int) -> str:
-    """Return when a process began, in the kernel's words; empty when there is none of that number."""
+def start_time_of(pid: int) -> str:
+    """Return the start time of a process as the kernel gives it; empty where there is no such process."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -79,56 +88,67 @@ def birth_of(pid: int) -> str:
 
 
 @contextmanager
-def registered(kind: str, name: str, endpoint: str, devices: Sequence[str]) -> Iterator[None]:
-    """Let others find this process, as long as the context lasts."""
+def register(kind: str, name: str, endpoint: str, devices: Sequence[str]) -> Iterator[None]:
+    """Register this process for others as long as the context lasts.
+
+    Args:
+        kind: "run", "lab", "host" or "replay".
+        name: Its name.
+        endpoint: Where its bus is joined.
+        devices: Its devices.
+    """
     pid = os.getpid()
-    entry = Registered(kind, name, endpoint, tuple(devices), pid, birth_of(pid), time.time())
+    entry = Registered(kind, name, endpoint, tuple(devices), pid, start_time_of(pid), time.time())
     path = runtime_directory() / f"{pid}-{next(_numbers)}.json"
-    write_whole(path, json.dumps(asdict(entry)))
+    write_atomically(path, json.dumps(asdict(entry)))
     try:
         yield
     finally:
         path.unlink(missing_ok=True)
 
 
-def keep_key(endpoint: str, key: bytes) -> Path:
-    """Leave the key of the session that is reached at ``endpoint`` for this user's processes; its file."""
+def store_key(endpoint: str, key: bytes) -> Path:
+    """Store the key of the session at ``endpoint`` for the processes of this user; return its file."""
     pid = os.getpid()
     path = runtime_directory() / f"{pid}-{next(_numbers)}.key"
-    text = json.dumps({"endpoint": endpoint, "key": key.hex(), "pid": pid, "birth": birth_of(pid)})
-    write_whole(path, text)
+    text = json.dumps({"endpoint": endpoint, "key": key.hex(), "pid": pid, "birth": start_time_of(pid)})
+    write_atomically(path, text)
     return path
 
 
-def key_of(endpoint: str) -> bytes | None:
-    """Return the key of the session that is reached at ``endpoint``; None where this user has none."""
+def find_key(endpoint: str) -> bytes | None:
+    """Return the key of the session at ``endpoint``; None where this user has none."""
     for path in runtime_directory().glob("*-*.key"):
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
             data = parse_json(path.read_text(encoding="utf-8"))
-            if birth_of(int(data["pid"])) != data["birth"]:
+            if start_time_of(int(data["pid"])) != data["birth"]:
                 path.unlink(missing_ok=True)
             elif data["endpoint"] == endpoint and len(key := bytes.fromhex(data["key"])) == KEY_BYTES:
                 return key
     return None
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file of this user's alone so that nobody ever reads half of it; BusError where that fails."""
+def write_atomically(path: Path, text: str) -> None:
+    """Write a file that only this user can read, so that nobody reads a part of it; BusError on failure."""
     draft = path.with_suffix(f".{os.getpid()}.draft")
     try:
-        with open(draft, "w", encoding="utf-8", opener=_for_us_alone) as file:
+        with open(draft, "w", encoding="utf-8", opener=_open_private) as file:
             file.write(text)
         draft.replace(path)
     except OSError as error:
         raise BusError(f"{path}: expected to write a small file there, found {error}") from error
 
 
-def _for_us_alone(path: str, flags: int) -> int:
+def _open_private(path: str, flags: int) -> int:
     return os.open(path, flags, 0o600)
 
 
-def running(kind: str | None = None) -> tuple[Registered, ...]:
-    """Return who can be reached, oldest first; what dead processes left behind is swept."""
+def registered_processes(kind: str | None = None) -> tuple[Registered, ...]:
+    """Return the processes that can be reached, oldest first, and remove the files of dead ones.
+
+    Args:
+        kind: Only those of this kind.
+    """
     entries = []
     for path in sorted(runtime_directory().glob("*-*.json")):
         entry = _read(path)
@@ -140,14 +160,18 @@ def running(kind: str | None = None) -> tuple[Registered, ...]:
 
 
 def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
-    """Return the endpoint of the one run that is up, or ``connect`` if that is given and may be joined.
+    """Return where to control the run on this machine.
 
-    With ``or_lab`` that of the one lab that is served, where there is no run. UsageError when there is none,
-    or several to choose from.
+    Args:
+        connect: An endpoint or the folder of a connection, which is checked and returned.
+        or_lab: Where there is no run, return the endpoint of the lab that is served.
+
+    Raises:
+        UsageError: There is no run, or there are several.
     """
     if connect is not None:
         return check_joinable(connect)
-    runs, labs = running("run"), running("lab")
+    runs, labs = registered_processes("run"), registered_processes("lab")
     if labs and not runs and not or_lab:
         names = ", ".join(lab.name for lab in labs)
         raise UsageError(
@@ -164,7 +188,7 @@ def find_run(connect: str | None = None, *, or_lab: bool = False) -> str:
 
 
 def check_loopback(endpoint: str) -> str:
-    """Return ``endpoint``; UsageError unless it is a place on this machine."""
+    """Return ``endpoint``; UsageError unless it is on this machine."""
     if not LOOPBACK.match(endpoint):
         raise UsageError(
             f"expected an endpoint on this machine like tcp/127.0.0.1:40123, found {endpoint!r}; a lab on"
@@ -174,22 +198,22 @@ def check_loopback(endpoint: str) -> str:
 
 
 def is_endpoint(connect: str) -> bool:
-    """Whether this is an endpoint, and not the folder of a connection."""
+    """Return whether this is an endpoint, and not the folder of a connection."""
     return ENDPOINT.match(connect) is not None
 
 
 def check_joinable(connect: str) -> str:
-    """Return ``connect``; UsageError for an endpoint beyond this machine, where a certificate is needed."""
+    """Return ``connect``; UsageError for an endpoint on another machine, which needs a certificate."""
     return check_loopback(connect) if is_endpoint(connect) else connect
 
 
 def reachable_buses() -> tuple[Registered, ...]:
-    """Return one process of each bus on this machine: every leader, and hosts without one."""
-    entries = running()
+    """Return one process of each bus on this machine: runs, labs and replays, and hosts without one."""
+    entries = registered_processes()
     leaders = [entry for entry in entries if entry.kind != "host"]
-    led = {device for entry in leaders for device in entry.devices}
-    leaderless = [entry for entry in entries if entry.kind == "host" and not led.intersection(entry.devices)]
-    return (*leaders, *leaderless)
+    covered = {device for entry in leaders for device in entry.devices}
+    alone = [entry for entry in entries if entry.kind == "host" and not covered.intersection(entry.devices)]
+    return (*leaders, *alone)
 
 
 def _read(path: Path) -> Registered | None:

@@ -1,7 +1,7 @@
-"""One process's seat on the bus: a zenoh peer that listens on loopback and nowhere else.
+"""The session of a process on the bus: a zenoh peer that listens only on the loopback.
 
-Two other seats reach beyond the loopback, over TLS with certificates on both sides: :func:`open_bus` with the
-folder of a connection is a guest at a lab on another machine, :func:`open_to_others` is where guests come in.
+Two other sessions reach beyond the loopback, over TLS with certificates on both sides: :func:`open_bus` with
+the folder of a connection joins a lab on another machine as a guest, :func:`open_to_guests` serves guests.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Protocol, Self
 
 import zenoh
 
-from labhil.bus.authentication import OLDEST, Signer, Verifier, new_key
-from labhil.bus.keys import ARRIVED, key_by
-from labhil.bus.register import is_endpoint, keep_key, key_of
+from labhil.bus.authentication import MAX_AGE, Signer, Verifier, new_key
+from labhil.bus.keys import ARRIVED, guest_key
+from labhil.bus.register import find_key, is_endpoint, store_key
 from labhil.bus.rights import access_control
 from labhil.errors import BusError, CommandRefusedError
 from labhil.security.authority import Authority, bracketed
@@ -28,26 +28,34 @@ from labhil.security.connection import Connection, load_connection
 from labhil.security.roles import RIGHTS
 
 CONNECT_TIMEOUT_MS = 5000
-BLOCKED_LINK_CLOSES_AFTER_US = 60_000_000  # a reader that stalls for less loses nothing
-ARRIVAL_TIMEOUT = 2.0  # s
+"""How long joining a bus may take, ms."""
+BLOCKED_LINK_CLOSES_AFTER_US = 60_000_000
+"""How long a link may be blocked before it is closed, µs; a reader that stalls for less loses nothing."""
+ARRIVAL_TIMEOUT = 2.0
+"""How long a session that is closed waits for the arrival of its messages, s."""
 ATTEMPTS = 5
-ACQUAINTANCE = 1.0
-"""Seconds after which the peers that gossip tells of are known."""
+"""Attempts to find a free port."""
+DISCOVERY_TIME = 1.0
+"""How long it takes until all peers are known by gossip, s."""
 
 
 class Part(Protocol):
-    """Something with a thread of its own that works on a bus."""
+    """A part of a bus with a thread of its own, such as a subscription."""
 
     def failure(self) -> str:
-        """Return why it does its work no more, though nobody closed it; empty while all is well."""
+        """Return why it does not work any more although it is open; empty while it works."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bus:
-    """An open session, and the endpoint where other processes reach it (``tcp/127.0.0.1:PORT``).
+    """An open session on the bus.
 
-    ``keys`` are those of the sessions that it joined, or its own; what it asks, commands and
-    publishes is signed with them. A ``guest`` at a lab on another machine has none: its certificate counts.
+    Attributes:
+        session: The zenoh session.
+        endpoint: Where other processes reach it (``tcp/127.0.0.1:PORT``).
+        opened: When it was opened, s of the monotonic clock.
+        keys: Keys of the sessions that it joined, or its own; messages are signed with them.
+        guest: The connection of a guest at a lab on another machine, which has a certificate and no keys.
     """
 
     session: zenoh.Session
@@ -60,11 +68,11 @@ class Bus:
     _parts: list[Part] = field(default_factory=list, repr=False)
 
     def place(self, key_expression: str) -> str:
-        """Return where a command or a question is sent: a guest's key has its name in it."""
-        return key_expression if self.guest is None else key_by(key_expression, self.guest.name)
+        """Return the key under which a request is sent: that of a guest contains its name."""
+        return key_expression if self.guest is None else guest_key(key_expression, self.guest.name)
 
-    def unanswered(self, key_expression: str) -> BusError | CommandRefusedError:
-        """Return the error for a question that nobody answers; where a right is missing, nobody does."""
+    def unanswered_error(self, key_expression: str) -> BusError | CommandRefusedError:
+        """Return the error for a request that nobody answers, perhaps because a right is missing."""
         command = key_expression.rpartition("/")[2]
         guest = self.guest
         if guest is not None and command not in RIGHTS[guest.role]:
@@ -76,45 +84,45 @@ class Bus:
         return BusError(f"{key_expression}: nobody answers there{where}")
 
     def sign(self, key_expression: str, payload: bytes) -> bytes:
-        """Return what is attached to a message to show that it comes from a holder of the session's key.
+        """Return the attachment that authenticates a message.
 
-        Each key expression has numbers of its own: what other threads publish overtakes none of its messages.
+        Each key expression has its own numbers, so that messages of other threads cannot overtake its own.
         """
         signer = self._signers.get(key_expression) or self._signers.setdefault(
             key_expression, Signer(self.keys)
         )
         return signer.sign(key_expression, payload)
 
-    def verifier(self, oldest: float = OLDEST, transit: float = 0.0) -> Verifier:
-        """Return what tells the messages of holders of the session's key from those of others."""
-        return Verifier(self.keys, oldest, transit)
+    def verifier(self, max_age: float = MAX_AGE, transit: float = 0.0) -> Verifier:
+        """Return a verifier of messages that are signed with the session's key."""
+        return Verifier(self.keys, max_age, transit)
 
-    def attend(self, part: Part) -> None:
-        """Let :meth:`failure` look after something that works on this bus."""
+    def watch(self, part: Part) -> None:
+        """Include a part in :meth:`failure`."""
         self._parts.append(part)
 
-    def dismiss(self, part: Part) -> None:
-        """Look after it no more; safe to call twice."""
+    def unwatch(self, part: Part) -> None:
+        """Exclude a part again; safe to call twice."""
         with suppress(ValueError):
             self._parts.remove(part)
 
     def failure(self) -> str:
-        """Return what works no more on this bus, and why; empty while all is well.
+        """Return the failure of the first part that does not work any more; empty while all work.
 
-        Whoever commands a device asks this several times a second: a thread that died hears nothing more, not
-        even the emergency stop.
+        A process that commands a device checks this several times a second: a thread that died receives
+        nothing more, not even the emergency stop.
         """
         if self.session.is_closed():
             return "the session on the bus is closed"
-        return next((why for part in self._parts.copy() if (why := part.failure())), "")
+        return next((fault for part in self._parts.copy() if (fault := part.failure())), "")
 
     @property
-    def settling(self) -> bool:
+    def is_settling(self) -> bool:
         """Whether the bus was joined so recently that not every peer may be known yet."""
-        return time.monotonic() < self.opened + ACQUAINTANCE
+        return time.monotonic() < self.opened + DISCOVERY_TIME
 
     def close(self) -> None:
-        """Leave the bus once all that was published has arrived; safe to call twice."""
+        """Close the session once all its messages have arrived; safe to call twice."""
         if self.session.is_closed():
             return
         if self._key_file is not None:
@@ -123,8 +131,8 @@ class Bus:
         self.session.close()
 
     def _wait_for_arrival(self) -> None:
-        """Closing a session throws away what still waits to be sent, so let the question go after it."""
-        with suppress(zenoh.ZError):  # a peer that does not answer in time must not keep us here
+        """Wait until messages have arrived (a query is answered after them): closing discards unsent ones."""
+        with suppress(zenoh.ZError):  # a peer that does not answer in time must not block this process
             for _ in self.session.get(ARRIVED, target=zenoh.QueryTarget.ALL, timeout=ARRIVAL_TIMEOUT):
                 continue
 
@@ -138,13 +146,19 @@ class Bus:
 
 
 def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
-    """Join the bus of the process that listens at ``connect``; without it, begin one.
+    """Join a bus, or begin one.
 
-    Where ``connect`` is a folder that ``labhil security add`` made, be a guest at the lab on another machine.
-    Of several endpoints, those where nobody answers are left out in silence; of one, that is an error.
-    Each process listens on a port of its own, drawn here, and learns of the others by gossip: the bus
-    outlives the process that began it. BusError when nobody listens at ``connect``, UsageError for a folder
-    that is no connection.
+    Each process listens on a port of its own and discovers the others by gossip, so that the bus outlives the
+    process that began it.
+
+    Args:
+        connect: Endpoint of a process on the bus, or the folder that ``labhil security add`` made for a guest
+            at a lab on another machine. Of several endpoints, those without an answer are ignored. None
+            begins a bus.
+
+    Raises:
+        BusError: Nobody listens at ``connect``, or no port is free.
+        UsageError: The folder is no connection.
     """
     if isinstance(connect, str) and not is_endpoint(connect):
         return _open_as_guest(load_connection(Path(connect)))
@@ -155,25 +169,31 @@ def open_bus(connect: str | Sequence[str] | None = None) -> Bus:
             keys, file = _keys(endpoint, connect)
             return Bus(session, endpoint, keys=keys, _key_file=file)
         except zenoh.ZError as error:
-            # between drawing a port and listening there somebody else may have taken it
+            # another process may have taken the port since it was found free
             if "Address already in use" in str(error) and attempt < ATTEMPTS:
                 continue
             where = (
-                f"expected a process of ours at {connect}" if connect else f"expected to listen at {endpoint}"
+                f"expected a labhil process at {connect}" if connect else f"expected to listen at {endpoint}"
             )
             raise BusError(f"the bus could not be opened: {where}; found: {error}") from error
     raise BusError(f"no free port found on 127.0.0.1 in {ATTEMPTS} attempts")
 
 
-def open_to_others(authority: Authority, address: str) -> Bus:
-    """Listen at ``address`` for the people of ``authority``, each with the rights of its role.
+def open_to_guests(authority: Authority, address: str) -> Bus:
+    """Open a session that guests from other machines join, each with the rights of its role.
 
-    Nobody gets a link without a certificate of this authority, nor a message through without the right to it.
-    BusError where it cannot be listened there.
+    A link needs a certificate of the authority, and every message the right to it.
+
+    Args:
+        authority: The authority of the lab.
+        address: Address of this machine at which to listen.
+
+    Raises:
+        BusError: It is not possible to listen there.
     """
     endpoint = f"tls/{bracketed(address)}:{authority.port}"
     settings = {
-        # a guest that joins as a router would else be asked, by a peer, who is there: others would see nobody
+        # with a peer here, a guest that joins as a router would answer liveliness queries for the others
         "mode": "router",
         "listen/endpoints": [endpoint],
         "scouting/multicast/enabled": False,
@@ -211,13 +231,13 @@ def _open_as_guest(connection: Connection) -> Bus:
 
 
 def _keys(endpoint: str, connect: str | Sequence[str] | None) -> tuple[tuple[bytes, ...], Path | None]:
-    """The keys of the sessions that are joined, else a new one, and the file that hands them on."""
-    places = [connect] if isinstance(connect, str) else list(connect or ())
-    with suppress(BusError, OSError):  # without the directory keys are neither found nor handed on
-        joined = dict.fromkeys(key for place in places if (key := key_of(place)) is not None)
+    """Return the keys of the joined sessions, or a new one, and the file that passes it on."""
+    endpoints = [connect] if isinstance(connect, str) else list(connect or ())
+    with suppress(BusError, OSError):  # without the directory keys are neither found nor passed on
+        joined = dict.fromkeys(key for joins in endpoints if (key := find_key(joins)) is not None)
         keys = tuple(joined) or (new_key(),)
-        # one that joined several sessions is only a visitor: nobody reaches them by it
-        return keys, keep_key(endpoint, keys[0]) if len(keys) == 1 else None
+        # a session that joined several buses is no way to reach them
+        return keys, store_key(endpoint, keys[0]) if len(keys) == 1 else None
     return (new_key(),), None
 
 

@@ -1,4 +1,4 @@
-"""Subscribing without losing: one thread that drains a channel as fast as it can."""
+"""Lossless subscriptions: a thread that empties its channel as fast as it can."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from typing import Self
 
 import zenoh
 
-from labhil.bus.authentication import OLDEST_SAMPLE, TRANSIT, Refusals
+from labhil.bus.authentication import MAX_SAMPLE_AGE, MAX_TRANSIT, Refusals
 from labhil.bus.keys import ARRIVED
 from labhil.bus.session import Bus
 from labhil.supervised import SupervisedThread
 
 CHANNEL_DEPTH = 65536
 
+"""Messages that may wait for the thread."""
+
 OnSamples = Callable[[str, list[bytes]], None]
-"""Receives a key and the payloads that came in under it, oldest first."""
+"""Receives a key and the payloads that arrived under it, oldest first."""
 
 
 class Subscription:
-    """A subscription with its thread; ``close`` delivers what has already come in, and ends both.
+    """A subscription with its thread; ``close`` delivers what has already arrived, and ends both.
 
-    ``error`` holds what the callback raised, if it did; the subscription has then stopped delivering
-    (it goes on draining, so that publishers are not held up). With ``refusals`` only what is signed with the
-    session's key is delivered, and the rest is counted there.
+    ``error`` is the exception of the callback, if it raised one; the subscription then delivers no more but
+    still empties its channel, so that publishers are not blocked. See :func:`subscribe` for the arguments.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class Subscription:
         self._gather, self._ending = gather, threading.Event()
         self._bus, self._key, self._closed = bus, key, False
         self._refusals = refusals
-        self._verifier = bus.verifier() if commands else bus.verifier(OLDEST_SAMPLE, TRANSIT)
+        self._verifier = bus.verifier() if commands else bus.verifier(MAX_SAMPLE_AGE, MAX_TRANSIT)
         self._on_samples = on_samples
         self._subscriber = bus.session.declare_subscriber(key, zenoh.handlers.FifoChannel(depth))
         # answered where samples are received, so never before one that was sent earlier
@@ -56,10 +57,10 @@ class Subscription:
         self._handler = self._subscriber.handler
         self._thread = SupervisedThread(self._run, f"subscribe {key}")
         self._thread.start()
-        bus.attend(self)
+        bus.watch(self)
 
     def failure(self) -> str:
-        """Return why nothing is delivered any more, though nobody closed it; empty while all is well."""
+        """Return why nothing is delivered any more although it is open; empty while it is."""
         if self.error is not None:
             return f"{self._key}: what came in could not be dealt with: {self.error!r}"
         return self._thread.failure()
@@ -71,8 +72,8 @@ class Subscription:
         self._closed = True
         self._ending.set()
         self._thread.end()
-        self._bus.dismiss(self)
-        # also where the thread has died: what nobody takes would hold up everybody who sends to this process
+        self._bus.unwatch(self)
+        # also where the thread has died: a full channel would block all who send to this process
         with suppress(zenoh.ZError):  # the session may have been closed before
             self._arrived.undeclare()
             self._subscriber.undeclare()
@@ -91,19 +92,19 @@ class Subscription:
             try:
                 sample: zenoh.Sample | None = self._handler.recv()
             except zenoh.ZError:
-                return  # undeclared, and nothing left
+                return  # undeclared, and empty
             if self._gather:
                 self._ending.wait(self._gather)
             arrived: dict[str, list[bytes]] = {}
             while sample is not None:
-                self._sort_in(sample, arrived)
+                self._admit(sample, arrived)
                 try:
                     sample = self._handler.try_recv()
                 except zenoh.ZError:
                     break
             self._deliver(arrived)
 
-    def _sort_in(self, sample: zenoh.Sample, arrived: dict[str, list[bytes]]) -> None:
+    def _admit(self, sample: zenoh.Sample, arrived: dict[str, list[bytes]]) -> None:
         key, attached, objection = str(sample.key_expr), sample.attachment, ""
         if self._refusals is not None and attached is None:
             objection = self._verifier.objection(key, b"", None)
@@ -123,7 +124,7 @@ class Subscription:
                 return
             try:
                 self._on_samples(key, payloads)
-            except Exception as error:  # noqa: BLE001 - kept for whoever owns the subscription
+            except Exception as error:  # noqa: BLE001 - kept for the owner of the subscription
                 self.error = error
 
 
@@ -137,13 +138,18 @@ def subscribe(
     commands: bool = False,
     gather: float = 0.0,
 ) -> Subscription:
-    """Call ``on_samples`` in a thread of its own with everything published under ``key``.
+    """Call a function in a thread of its own with everything that is published under a key.
 
-    With ``refusals`` only with what is signed with the session's key, of the last 10 s where it ``commands``
-    and of the last 120 s where it does not. Where more messages than ``depth`` wait, their senders wait, too:
-    who floods a key delays all others there by as many messages at most.
-
-    What comes within ``gather`` s after a message is delivered together with it: who need not answer at once
-    is woken a few times a second, not once per sample.
+    Args:
+        bus: The bus.
+        key: The key expression.
+        on_samples: Is called with each key and its payloads.
+        refusals: Where given, only messages that are signed with the session's key are delivered, and the
+            others are counted here.
+        depth: Messages that may wait. Behind more their senders wait, too: a flood delays the others by as
+            many messages at most.
+        commands: Whether they are commands, which may be 10 s old; other messages may be 120 s old.
+        gather: Messages within this time after the first are delivered together with it, s: a subscriber
+            that need not answer at once is woken less often.
     """
     return Subscription(bus, key, on_samples, refusals, depth, commands=commands, gather=gather)

@@ -77,7 +77,7 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
         test = _record("test", out, secret, 2, say)
         say("compiling the model")
         compiling.wait()
-    seals = {path: _seal(answer_path(path, "bench", several=False)) for path in (identify, test)}
+    seals = {path: _seal(answer_path(path, "bench", are_several=False)) for path in (identify, test)}
     console.print(f"Recorded {identify} and {test}.")
     console.print(f"What the twin conceals is sealed: SHA-256 {seals[identify][:16]}…\n")
     result = diagnose(identify, test=test, progress=say)
@@ -85,7 +85,7 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     stem = identify.with_suffix("")
     result.save(stem.with_suffix(".diagnosis.json"))
     save(result.figure(), stem.with_suffix(".png"))
-    _open_envelope(answer_path(identify, "bench", several=False), seals[identify], result, console)
+    _open_envelope(answer_path(identify, "bench", are_several=False), seals[identify], result, console)
     console.print(
         f"\nDrawn: {stem.with_suffix('.png')}; all numbers: {stem.with_suffix('.diagnosis.json')}.\n"
         f"Fit it again yourself: labhil fit {identify} --test {test} "

@@ -13,7 +13,7 @@ from labhil.campaign.policies import Policies, check_policies
 from labhil.campaign.worker import Worker
 from labhil.experiment.interruption import Interruption
 from labhil.experiment.lab import Lab, load_lab
-from labhil.experiment.lab_service import LabService, folder_of
+from labhil.experiment.lab_service import LabService, make_recordings_folder
 from labhil.memory import keep_few_arenas
 from labhil.supervised import SupervisedThread
 from labhil.terminal import show
@@ -32,7 +32,7 @@ def serve_lab(
     lab = load_lab(config) if config is not None else _example()
     check_policies(lab)
     # without a file nothing is known of where its user keeps things
-    place = folder_of(lab, folder if folder is not None or config is not None else Path())
+    place = make_recordings_folder(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
     keep_few_arenas()
     with Interruption() as interrupted, open_bus(endpoint) as bus:
@@ -40,14 +40,14 @@ def serve_lab(
         show(bus.endpoint)  # what appears in the folder from now on is studied
         done = threading.Event()
         at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
-        bus.attend(at_work)  # the service ends in order where nothing is analysed any more
+        bus.watch(at_work)  # the service ends in order where nothing is analysed any more
         at_work.start()
         service = LabService(lab, bus, place, say)
         try:
             service.run(interrupted)
         finally:
             at_work.end()
-            bus.dismiss(at_work)
+            bus.unwatch(at_work)
             done.set()
             at_work.join()
             worker.close()

@@ -25,13 +25,13 @@ def doctor(
 
     Ends with 1 when something will not work; each finding says what to do.
     """
-    from labhil.doctor.examine import examine, line, to_json
+    from labhil.doctor.examine import examine, format_finding, to_json
 
     findings = []
     for finding in examine(out):
         findings.append(finding)
         if json_path != STDOUT:
-            show(line(finding))
+            show(format_finding(finding))
     report = to_json(findings)
     if json_path is not None:
         write_json(report, json_path)

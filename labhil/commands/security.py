@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from labhil.console import tell
-from labhil.security.roles import Role
+from labhil.security.roles import Role, parse_role
 from labhil.terminal import show
 
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="The folder that `labhil security init` made.")]
@@ -58,19 +58,27 @@ def add(
     folder: Folder,
     name: Annotated[str, typer.Argument(help="Who: small letters, digits and hyphens.")],
     *,
-    role: Annotated[Role, typer.Option(help="What the person may do.")],
+    role: Annotated[
+        str,
+        typer.Option(
+            metavar="ROLE",
+            help="What the person may do: viewer, operator or admin.",
+            autocompletion=lambda: [role.value for role in Role],
+        ),
+    ],
     days: Annotated[int, typer.Option(help="How long the certificate is valid.")] = 365,
 ) -> None:
     """Issue a certificate: prints the folder that the person needs."""
     from labhil.security.authority import Authority
 
+    rights = parse_role(role)
     authority = Authority.load(folder)
-    handed_over = authority.add(name, role, days)
+    handed_over = authority.add(name, rights, days)
     until = Authority.load(folder).people[name].until
     show(handed_over)
     tell(
         [
-            f"{name} is {role} until {until:%Y-%m-%d}. Bring them the folder so that nobody else reads it.",
+            f"{name} is {rights} until {until:%Y-%m-%d}. Bring them the folder so that nobody else reads it.",
             f"There `labhil tui --connect {name}` shows the lab at {authority.endpoint}.",
         ]
     )
@@ -107,7 +115,7 @@ def serve(
     stay on the loopback themselves. Whoever has no certificate gets no link.
     """
     from labhil.experiment.interruption import Interruption
-    from labhil.service.gateway import keep_open
+    from labhil.service.gateway import serve_guests
 
     with Interruption() as interrupted:
-        keep_open(folder, listen, interrupted, lambda line: tell([line]))
+        serve_guests(folder, listen, interrupted, lambda line: tell([line]))

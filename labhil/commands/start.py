@@ -32,10 +32,10 @@ def new(
 
     Asks for what is not given, and proposes the serial ports that it finds. Prints the two files.
     """
-    from labhil.experiment.new import starters, write_new
+    from labhil.experiment.new import example_drivers, write_new
 
     if kind is None:
-        kind = _ask(f"Which device ({', '.join(starters())})", None, "KIND")
+        kind = _ask(f"Which device ({', '.join(example_drivers())})", None, "KIND")
     if address is None:
         ports = _serial_ports()
         complain(*(f"found: {port}" for port in ports))

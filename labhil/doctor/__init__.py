@@ -1,1 +1,1 @@
-"""``labhil doctor``: whether this machine can do the work, and what to do where it cannot."""
+"""``labhil doctor``: checks of this machine and its installation, with advice."""

@@ -1,4 +1,4 @@
-"""All checks in their order; one that fails in itself is a finding too."""
+"""All checks in their order; a check that raises is a finding, too."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MARKS = {State.FINE: "ok  ", State.NOTE: "note", State.BROKEN: "FAIL"}
 
 
 def examine(folder: Path) -> Iterator[Finding]:
-    """Look at everything, one finding after another; recordings would go to ``folder``."""
+    """Run all checks and yield their findings; recordings would go to ``folder``."""
     checks: dict[str, Check] = {
         "python": check_python,
         "packages": check_packages,
@@ -38,18 +38,18 @@ def examine(folder: Path) -> Iterator[Finding]:
     for name, check in checks.items():
         try:
             yield from check()
-        except Exception as error:  # noqa: BLE001 - a machine that is odd enough breaks any check
-            yield broken(name, f"could not be looked at: {error!r}", "say so in a bug report")
+        except Exception as error:  # noqa: BLE001 - an unusual machine may break any check
+            yield broken(name, f"could not be checked: {error!r}", "please report this as a bug")
 
 
-def line(finding: Finding) -> str:
-    """A finding as a person reads it."""
+def format_finding(finding: Finding) -> str:
+    """Format a finding for a person."""
     advice = f"\n      → {finding.advice}" if finding.advice else ""
     return f"{MARKS[finding.state]}  {finding.subject}: {finding.found}{advice}"
 
 
 def to_json(findings: list[Finding]) -> dict[str, Any]:
-    """All findings as plain JSON data."""
+    """Return all findings as JSON data."""
     return {
         "schema": "labhil.doctor/1",
         "fine": not any(finding.state is State.BROKEN for finding in findings),

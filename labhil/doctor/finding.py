@@ -1,4 +1,4 @@
-"""What was looked at, how it stands, and what to do."""
+"""Findings of the checks: subject, state, and advice."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Any
 
 
 class State(StrEnum):
-    """How something stands."""
+    """The state of what was checked."""
 
     FINE = "fine"
     NOTE = "note"
-    """Works; something is worth knowing, or an extra is not installed."""
+    """Works, but there is something to know, or an extra is not installed."""
     BROKEN = "broken"
-    """Something will not work."""
+    """Something does not work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check: what it ``found``, in words, ``advice`` where there is something to do."""
+    """The result of a check: its ``subject``, its state, what was ``found``, and ``advice`` if any."""
 
     subject: str
     state: State
@@ -28,7 +28,7 @@ class Finding:
     advice: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as plain JSON data."""
+        """Return the finding as JSON data."""
         return {
             "subject": self.subject,
             "state": self.state.value,
@@ -41,15 +41,15 @@ Check = Callable[[], Iterable[Finding]]
 
 
 def fine(subject: str, found: str) -> Finding:
-    """Nothing to do."""
+    """Return a finding that needs no action."""
     return Finding(subject, State.FINE, found)
 
 
 def note(subject: str, found: str, advice: str = "") -> Finding:
-    """It works, but a person should know."""
+    """Return a finding that a person should know, though everything works."""
     return Finding(subject, State.NOTE, found, advice)
 
 
 def broken(subject: str, found: str, advice: str) -> Finding:
-    """It will not work until somebody does something."""
+    """Return a finding of something that does not work until it is repaired."""
     return Finding(subject, State.BROKEN, found, advice)

@@ -1,4 +1,4 @@
-"""The machine: cores, clock, timer, disk, serial ports, limits for real time."""
+"""Checks of the machine: cores, clock, timer, disk, serial ports, and limits for real time."""
 
 from __future__ import annotations
 
@@ -12,26 +12,16 @@ from pathlib import Path
 from labhil.cores import cores
 from labhil.doctor.finding import Finding, broken, fine, note
 
-TIMER_RATE = 500.0
-TIMER_SECONDS = 1.0
-LATE = 1e-3
-"""s; a tick that comes later than that is half a period late at 500 Hz."""
-
-MANY_LATE = 0.01
-SMALLEST_DISK = 16 * 1024**2
-"""Bytes; with less the recorder ends a recording."""
-
-LITTLE_DISK = 2 * 1024**3
 CLOCKS = Path("/sys/devices/system/clocksource/clocksource0")
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")
-FEWEST_CORES = 2
+"""Clock sources of Linux that are read without a system call."""
 
 
-def check_cores() -> Iterator[Finding]:
-    """How many cores may be used, and how busy they are."""
+def check_cores(*, min_cores: int = 2) -> Iterator[Finding]:
+    """Check the number of cores (at least ``min_cores``) and their load."""
     usable, load = cores(), os.getloadavg()[0]
     summary = f"{usable} for this process, load {load:.1f}"
-    if usable < FEWEST_CORES:
+    if usable < min_cores:
         yield note("cores", summary, "record or fit, not both at once: one core has to do all of it")
     elif load > 2 * usable:
         yield note("cores", summary, "wait for other work to end before a run in real time")
@@ -39,17 +29,17 @@ def check_cores() -> Iterator[Finding]:
         yield fine("cores", summary)
 
 
-def check_clock() -> Iterator[Finding]:
-    """What the kernel takes the time from, and how finely it counts."""
-    tick = time.get_clock_info("monotonic").resolution
-    name = _text(CLOCKS / "current_clocksource")
-    summary = f"{name or 'unknown to this system'}, counts in {1e9 * tick:.0f} ns"
-    if tick > 1e-5:
+def check_clock(*, max_resolution: float = 1e-5) -> Iterator[Finding]:
+    """Check the clock source of the kernel and its resolution (at most ``max_resolution`` s)."""
+    resolution = time.get_clock_info("monotonic").resolution
+    name = _read_text(CLOCKS / "current_clocksource")
+    summary = f"{name or 'unknown to this system'}, counts in {1e9 * resolution:.0f} ns"
+    if resolution > max_resolution:
         yield broken(
             "clock", summary, "stamps need 10 µs or finer: choose another clock source in the kernel"
         )
     elif name and name not in GOOD_CLOCKS:
-        available = _text(CLOCKS / "available_clocksource")
+        available = _read_text(CLOCKS / "available_clocksource")
         yield note(
             "clock", summary, f"each stamp costs microseconds; tsc is cheaper (available: {available})"
         )
@@ -57,23 +47,30 @@ def check_clock() -> Iterator[Finding]:
         yield fine("clock", summary)
 
 
-def check_timer() -> Iterator[Finding]:
-    """A loop of 500 Hz for a second: how late its ticks come."""
-    period = 1.0 / TIMER_RATE
-    late = []
+def check_timer(
+    *, rate: float = 500.0, duration: float = 1.0, max_delay: float = 1e-3, max_share: float = 0.01
+) -> Iterator[Finding]:
+    """Measure the delays of a periodic loop.
+
+    Args:
+        rate: Rate of the loop, Hz.
+        duration: Duration, s.
+        max_delay: Delay from which a tick is late, s; the default is half a period at 500 Hz.
+        max_share: Share of late ticks at most.
+    """
+    period = 1.0 / rate
+    delays = []
     due = time.perf_counter() + period
-    for _ in range(int(TIMER_SECONDS * TIMER_RATE)):
+    for _ in range(int(duration * rate)):
         time.sleep(max(0.0, due - time.perf_counter()))
-        late.append(time.perf_counter() - due)
+        delays.append(time.perf_counter() - due)
         due += period
-    late.sort()
-    share = sum(tick > LATE for tick in late) / len(late)
-    median, high = 1e6 * statistics.median(late), 1e6 * late[int(0.99 * len(late))]
-    worst = 1e6 * late[-1]
-    summary = (
-        f"{TIMER_RATE:g} Hz: late by {median:.0f} µs (median), {high:.0f} µs (99 %), {worst:.0f} µs at worst"
-    )
-    if share > MANY_LATE:
+    delays.sort()
+    share = sum(delay > max_delay for delay in delays) / len(delays)
+    median, high = 1e6 * statistics.median(delays), 1e6 * delays[int(0.99 * len(delays))]
+    worst = 1e6 * delays[-1]
+    summary = f"{rate:g} Hz: late by {median:.0f} µs (median), {high:.0f} µs (99 %), {worst:.0f} µs at worst"
+    if share > max_share:
         yield note(
             "timer",
             f"{summary}; {100 * share:.1f} % of the ticks came more than 1 ms late",
@@ -83,15 +80,23 @@ def check_timer() -> Iterator[Finding]:
         yield fine("timer", summary)
 
 
-def check_disk(folder: Path) -> Iterator[Finding]:
-    """Whether recordings can be written here, and for how long."""
+def check_disk(
+    folder: Path, *, min_free: int = 16 * 1024**2, low_free: int = 2 * 1024**3
+) -> Iterator[Finding]:
+    """Check that recordings can be written, and the free space.
+
+    Args:
+        folder: Where recordings would go.
+        min_free: Free bytes below which the recorder ends a recording.
+        low_free: Free bytes that do for short recordings only.
+    """
     probe = folder / f".labhil-doctor-{os.getpid()}"
     try:
         probe.write_bytes(b"x")
-        begun = time.perf_counter()
+        start = time.perf_counter()
         with probe.open("ab") as file:
             os.fsync(file.fileno())
-        took = time.perf_counter() - begun
+        elapsed = time.perf_counter() - start
         probe.unlink()
     except OSError as error:
         yield broken(
@@ -101,17 +106,17 @@ def check_disk(folder: Path) -> Iterator[Finding]:
         )
         return
     free = shutil.disk_usage(folder).free
-    summary = f"{free / 1e9:.1f} GB free in {folder.resolve()}, a forced write took {1e3 * took:.1f} ms"
-    if free < SMALLEST_DISK:
+    summary = f"{free / 1e9:.1f} GB free in {folder.resolve()}, a forced write took {1e3 * elapsed:.1f} ms"
+    if free < min_free:
         yield broken("disk", summary, "make room: the recorder ends a recording with less than 16 MB left")
-    elif free < LITTLE_DISK:
+    elif free < low_free:
         yield note("disk", summary, "make room before long recordings (500 Hz of an arm: about 1 GB an hour)")
     else:
         yield fine("disk", summary)
 
 
 def check_serial() -> Iterator[Finding]:
-    """Which serial ports are there, and whether this user may open them."""
+    """List the serial ports, and check that this user may open them."""
     from serial.tools.list_ports import comports
 
     ports = sorted(comports())
@@ -119,11 +124,11 @@ def check_serial() -> Iterator[Finding]:
         yield note("serial ports", "none found", "plug the device in; without one there are the twins")
         return
     for port in ports:
-        about = f"{port.device} ({port.description})"
+        description = f"{port.device} ({port.description})"
         if os.access(port.device, os.R_OK | os.W_OK):
-            yield fine("serial ports", about)
+            yield fine("serial ports", description)
         else:
-            yield broken("serial ports", f"{about}: no permission", _serial_advice(port.device))
+            yield broken("serial ports", f"{description}: no permission", _serial_advice(port.device))
 
 
 def _serial_advice(device: str) -> str:
@@ -141,7 +146,7 @@ def _serial_advice(device: str) -> str:
 
 
 def check_real_time() -> Iterator[Finding]:
-    """Whether a control thread may ask for priority and keep its memory."""
+    """Check whether a control thread may have real-time priority and lock its memory."""
     try:
         import resource
 
@@ -150,7 +155,8 @@ def check_real_time() -> Iterator[Finding]:
     except (ImportError, AttributeError):
         yield note("real time", "this system does not say", "")
         return
-    kernel = "a PREEMPT_RT kernel" if _text(Path("/sys/kernel/realtime")) == "1" else "an ordinary kernel"
+    is_real_time = _read_text(Path("/sys/kernel/realtime")) == "1"
+    kernel = "a PREEMPT_RT kernel" if is_real_time else "an ordinary kernel"
     memory = "unlimited" if locked == resource.RLIM_INFINITY else f"{locked // 1024} kB"
     allowed = "any" if priority == resource.RLIM_INFINITY else str(priority)
     summary = f"{kernel}; priority {allowed}, locked memory {memory}"
@@ -161,7 +167,7 @@ def check_real_time() -> Iterator[Finding]:
         yield fine("real time", summary)
 
 
-def _text(path: Path) -> str:
+def _read_text(path: Path) -> str:
     try:
         return path.read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError):

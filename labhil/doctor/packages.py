@@ -1,4 +1,4 @@
-"""Python, and what is installed against what is declared."""
+"""Checks of Python and of the installed packages against the declared ones."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from importlib.metadata import PackageNotFoundError, distribution, requires, ver
 from labhil.doctor.finding import Finding, State, broken, fine, note
 from labhil.errors import installed_as
 
-OLDEST_PYTHON = (3, 11)
+MIN_PYTHON = (3, 11)
 SUMS = ("all", "test")
-"""Extras that are made of others, or of what only a contributor needs."""
+"""Extras that consist of others, or are only for contributors."""
 
 _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*(?:\[[^]]*\])?\s*([^;]*)(?:;\s*(.*))?")
 _EXTRA = re.compile(r"extra\s*==\s*['\"]([^'\"]+)['\"]")
@@ -23,10 +23,10 @@ _BOUND = re.compile(r"(>=|==|>|<=|<|!=|~=)\s*([0-9][0-9A-Za-z.]*)")
 
 
 def check_python() -> Iterator[Finding]:
-    """Which Python runs, and whether it is new enough."""
+    """Check the version of Python."""
     interpreter = f"{platform.python_implementation()} {platform.python_version()} at {sys.executable}"
-    oldest = ".".join(map(str, OLDEST_PYTHON))
-    if sys.version_info < OLDEST_PYTHON:
+    oldest = ".".join(map(str, MIN_PYTHON))
+    if sys.version_info < MIN_PYTHON:
         yield broken(
             "python", f"{interpreter}, expected {oldest} or newer", f"install Python {oldest} or newer"
         )
@@ -35,7 +35,7 @@ def check_python() -> Iterator[Finding]:
 
 
 def check_packages() -> Iterator[Finding]:
-    """Each declared package: installed, and of a version that was declared; extras by their names."""
+    """Check that each declared package is installed in a declared version; extras by their names."""
     name = installed_as()
     try:
         declared = requires(name) or []
@@ -50,7 +50,7 @@ def check_packages() -> Iterator[Finding]:
     needed: list[Finding] = []
     extras: dict[str, list[Finding]] = {}
     for requirement in declared:
-        if not _meant_for_this_machine(requirement):
+        if not _applies_here(requirement):
             continue
         finding, extra = check_requirement(requirement)
         (extras.setdefault(extra, []) if extra else needed).append(finding)
@@ -89,8 +89,8 @@ def check_requirement(requirement: str) -> tuple[Finding, str]:
     return finding, extra.group(1) if extra else ""
 
 
-def _meant_for_this_machine(requirement: str) -> bool:
-    """Whether system, processor and Python are those that a requirement names, where it names any."""
+def _applies_here(requirement: str) -> bool:
+    """Return whether a requirement is for this system, processor and version of Python."""
     here = {"sys_platform": sys.platform, "platform_machine": platform.machine()}
     python = f"{sys.version_info.major}.{sys.version_info.minor}"
     return all(here[what] == wanted for what, wanted in _MACHINE.findall(requirement)) and all(
@@ -114,6 +114,6 @@ def _meets(installed: str, sign: str, bound: str) -> bool:
 
 
 def _numbers(text: str) -> tuple[int, ...]:
-    """The release numbers of a version: 1.10.0rc1 is (1, 10, 0)."""
+    """Return the release numbers of a version: (1, 10, 0) of 1.10.0rc1."""
     leading = re.match(r"[0-9]+(?:\.[0-9]+)*", text)
     return tuple(int(part) for part in leading.group().split(".")) if leading else (0,)

@@ -1,6 +1,6 @@
-"""What is tried in a process of its own, so that a crash of a library is a finding and not the end.
+"""Probes of libraries, each in a process of its own, so that a crash of a library is only a finding.
 
-Run as ``python -m labhil.doctor.probes NAME``: prints what it found, ends with 0 when that works.
+``python -m labhil.doctor.probes NAME`` prints what it found and ends with status 0 where the library works.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from labhil.extras import require
 from labhil.terminal import complain, show
 
 TIMEOUT = 120.0
-"""s; the first compilation on a slow machine takes some."""
+"""How long a probe may take, s: the first compilation is slow."""
 
 ADVICE = {
     "compiler": "pip install --force-reinstall numba llvmlite; `labhil fit` and `diagnose` need it",
@@ -29,16 +29,16 @@ ADVICE = {
 }
 
 NEEDED = {"compiler": "numba", "cache": "numba", "bus": "zenoh", "pty": "serial"}
-"""What an installation of one wing may lack."""
+"""The package that a probe needs, where an installation without some extras may lack it."""
 
 
 def check_probes() -> Iterator[Finding]:
-    """Try each in a process of its own."""
+    """Run all probes, each in a process of its own."""
     for name in PROBES:
-        yield probe(name)
+        yield run_probe(name)
 
 
-def probe(name: str) -> Finding:
+def run_probe(name: str) -> Finding:
     """Run one probe in a process of its own; the last line that it prints is the finding."""
     command = [sys.executable, "-P", "-m", "labhil.doctor.probes", name]
     try:
@@ -79,12 +79,12 @@ def _cache() -> str:
 
     law = next(value for value in vars(laws).values() if hasattr(value, "py_func"))
     cache: Callable[..., Any] = caching.FunctionCache
-    place = Path(cache(law.py_func).cache_path)
-    place.mkdir(parents=True, exist_ok=True)
-    mark = place / f".doctor-{os.getpid()}"
-    mark.write_bytes(b"")
-    mark.unlink()
-    return f"compiled kernels are kept in {place}"
+    folder = Path(cache(law.py_func).cache_path)
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / f".doctor-{os.getpid()}"
+    probe.write_bytes(b"")
+    probe.unlink()
+    return f"compiled kernels are kept in {folder}"
 
 
 def _bus() -> str:
@@ -119,16 +119,16 @@ def _pty() -> str:
 
     import serial
 
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
-    name = os.ttyname(theirs)
+    master, device = os.openpty()
+    tty.setraw(device)
+    name = os.ttyname(device)
     with serial.Serial(name, timeout=2.0) as port:
-        os.write(ours, b"labhil")
-        heard = port.read(6)
-    os.close(ours)
-    os.close(theirs)
-    if heard != b"labhil":
-        raise RuntimeError(f"expected b'labhil' through {name}, found {heard!r}")
+        os.write(master, b"labhil")
+        received = port.read(6)
+    os.close(master)
+    os.close(device)
+    if received != b"labhil":
+        raise RuntimeError(f"expected b'labhil' through {name}, found {received!r}")
     return f"a pseudo-terminal ({name}) carries bytes to a serial port"
 
 

@@ -1,4 +1,4 @@
-"""Before a run's clock starts: what has to stand where the steps begin; and how often a path is sent."""
+"""The approach of a device to the start of its steps, and the rate at which a path is sent to it."""
 
 from __future__ import annotations
 
@@ -8,76 +8,89 @@ from labhil.driver import DriverSpec
 from labhil.errors import RunError
 from labhil.signals import Stream
 
-LONGEST = 60.0
-"""How long the way there may take, s of the device's clock."""
-STEADY = 0.1
-"""How long it has to stand there, s of the device's clock."""
-
 
 class Approach:
-    """Whether what ``spec.approach`` names has been where the command wants it, and is ready, for a while."""
+    """Detects that the signals in ``spec.approach`` are where the steps begin, and that the device is ready.
 
-    def __init__(self, spec: DriverSpec, stream: Stream) -> None:
+    Args:
+        spec: The declaration of the device.
+        stream: Its samples.
+        timeout: How long the approach may take, s of the device's clock.
+        settling: How long the device has to stay there, s of the device's clock.
+    """
+
+    def __init__(
+        self, spec: DriverSpec, stream: Stream, *, timeout: float = 60.0, settling: float = 0.1
+    ) -> None:
         columns = stream.columns()
-        self._near = {
+        self._timeout = timeout
+        self._tolerances = {
             column: (columns.index(column), spec.approach[signal.name])
             for signal in spec.commands
             if signal.name in spec.approach
             for column in signal.columns()
         }
         self._ready = [(name, columns.index(name), value) for name, value in spec.ready.items()]
-        self._wanted = max(1, round(STEADY * stream.rate))
-        self._longest = round(LONGEST * stream.rate)
-        self._steady = self._waited = 0
+        self._required_samples = max(1, round(settling * stream.rate))
+        self._max_samples = round(timeout * stream.rate)
+        self._samples_there = self._samples = 0
 
-    def begin(self) -> None:
-        """Look anew."""
-        self._steady = self._waited = 0
+    def reset(self) -> None:
+        """Begin again, as with the first sample."""
+        self._samples_there = self._samples = 0
 
-    def is_there(self, requested: Mapping[str, float], values: Sequence[float]) -> bool:
-        """Take the sample ``values`` in, and tell whether the clock may start; RunError when it never may."""
-        if not self._near:
+    def has_arrived(self, setpoints: Mapping[str, float], values: Sequence[float]) -> bool:
+        """Take a sample, and return whether the clock of the steps may start.
+
+        Args:
+            setpoints: The first setpoint of the steps, by column.
+            values: The sample, in the order of the stream's columns.
+
+        Raises:
+            RunError: The device did not arrive in time.
+        """
+        if not self._tolerances:
             return True
-        missing = self._missing(requested, values)
-        self._steady = 0 if missing else self._steady + 1
-        self._waited += 1
-        if missing and self._waited > self._longest:
+        deviation = self._deviation(setpoints, values)
+        self._samples_there = 0 if deviation else self._samples_there + 1
+        self._samples += 1
+        if deviation and self._samples > self._max_samples:
             raise RunError(
-                f"the device did not come to where the steps begin within {LONGEST:g} s: {missing}"
+                f"the device did not come to where the steps begin within {self._timeout:g} s: {deviation}"
             )
-        return self._steady >= self._wanted
+        return self._samples_there >= self._required_samples
 
-    def _missing(self, requested: Mapping[str, float], values: Sequence[float]) -> str:
-        """What is not as it has to be, in words."""
-        for name, place, value in self._ready:
-            if values[place] != value:
-                return f"{name} is {values[place]:g}, expected {value:g}"
-        for column, (place, near) in self._near.items():
-            away = abs(values[place] - requested[column]) if column in requested else 0.0
-            if not away <= near:
-                return f"{column} is {away:.3g} away"
+    def _deviation(self, setpoints: Mapping[str, float], values: Sequence[float]) -> str:
+        """Describe what is not yet as required; empty where all is."""
+        for name, index, value in self._ready:
+            if values[index] != value:
+                return f"{name} is {values[index]:g}, expected {value:g}"
+        for column, (index, tolerance) in self._tolerances.items():
+            distance = abs(values[index] - setpoints[column]) if column in setpoints else 0.0
+            if not distance <= tolerance:
+                return f"{column} is {distance:.3g} away"
         return ""
 
 
 class Waypoints:
-    """When the next setpoint is due: at ``rate`` Hz of the device's clock, or (0) with every batch."""
+    """Schedules setpoints: at ``rate`` Hz of the device's clock, or with every batch where it is 0."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
         self._due_ns: int | None = None
 
-    def begin(self) -> None:
-        """The next one is due at once."""
+    def reset(self) -> None:
+        """Let the next setpoint be due at once."""
         self._due_ns = None
 
     def is_due(self, t_ns: int) -> bool:
-        """Whether one is due at ``t_ns`` of the device's clock; it is taken for sent then."""
+        """Return whether a setpoint is due at ``t_ns`` of the device's clock, and count it as sent."""
         if self.rate == 0.0:
             return True
         if self._due_ns is not None and t_ns < self._due_ns:
             return False
         period = round(1e9 / self.rate)
-        # from one to the next, but not in a burst after a hole
-        late = self._due_ns is None or t_ns - self._due_ns > period
-        self._due_ns = t_ns + period if late or self._due_ns is None else self._due_ns + period
+        # after a gap in the samples the schedule starts again: no burst of late setpoints
+        is_late = self._due_ns is None or t_ns - self._due_ns > period
+        self._due_ns = t_ns + period if is_late or self._due_ns is None else self._due_ns + period
         return True

@@ -1,4 +1,4 @@
-"""What happens around the steps of a run: its checks, and its hook, with every device in its safe state."""
+"""The checks and the hook before and after the steps of a run, with every device in its safe state."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from labhil.experiment.devices import Devices
 from labhil.experiment.experiment import Experiment
 from labhil.experiment.hooks import Hook, RunContext
 
-INTERVAL = 0.02
-"""How often a run looks whether its conditions hold, s."""
+POLL_INTERVAL = 0.02
+"""How often a run checks its conditions, s."""
 Moment = Literal["before", "after"]
-Look = Callable[[], None]
+Poll = Callable[[], None]
+"""Is called repeatedly while a run waits; raises the error that ends the run, such as an emergency stop."""
 
 
 class AroundSteps:
     """Waits for the conditions before and after the steps, and calls the hook.
 
-    ``look`` is called again and again meanwhile; it raises what ends the run, such as an emergency stop.
-
     Args:
         experiment: The experiment of the run.
-        hook: What it calls, if anything.
+        hook: Its hook, if it has one.
         recording: Where the recording will be.
-        changed: Set when there is something to look at.
+        changed: Is set when something has changed, which ends a wait early.
     """
 
     def __init__(
@@ -37,51 +36,51 @@ class AroundSteps:
         self._recording, self._changed = recording, changed
         self._was_called = False
 
-    def before(self, devices: Devices, look: Look) -> None:
-        """Wait for what has to hold before the steps, then call the hook.
+    def before(self, devices: Devices, poll: Poll) -> None:
+        """Wait for the conditions before the steps, then call the hook.
 
         Raises:
             ConditionError: A condition did not hold in time.
-            HookError: The hook has failed.
+            HookError: The hook failed.
         """
-        self._wait("before", devices, look)
+        self._wait("before", devices, poll)
         if self._hook is not None:
-            self._wait_until(devices.all_heard, look)
+            self._wait_until(devices.all_heard, poll)
             self._was_called = True
-            self._hook.call(self._context("before", devices), look)
+            self._hook.call(self._context("before", devices), poll)
 
     def after(
-        self, devices: Devices, look: Look, error: LabhilError | None, reason: str
+        self, devices: Devices, poll: Poll, error: LabhilError | None, reason: str
     ) -> LabhilError | None:
-        """Wait for what has to hold after the steps, then call the hook; return the first failure.
+        """Wait for the conditions after the steps, then call the hook; return the first failure.
 
         A run that has failed already (``error``) is not checked; its hook is called all the same.
         """
         failure: LabhilError | None = None
         if error is None:
             try:
-                self._wait("after", devices, look)
+                self._wait("after", devices, poll)
             except LabhilError as exc:
                 failure = exc
         if self._hook is None or not self._was_called:
             return failure
-        failed = error or failure
-        context = self._context("after", devices, failed, reason if failed is None else str(failed))
+        cause = error or failure
+        context = self._context("after", devices, cause, reason if cause is None else str(cause))
         try:
-            self._hook.call(context, lambda: None)  # whatever ended the run is no reason to cut this short
+            self._hook.call(context, lambda: None)  # the run has ended: nothing is polled that could raise
         except LabhilError as exc:
             failure = failure or exc
         return failure
 
-    def _wait(self, at: Moment, devices: Devices, look: Look) -> None:
+    def _wait(self, at: Moment, devices: Devices, poll: Poll) -> None:
         if devices.watch(self._experiment.checks or (), at):
-            self._wait_until(devices.checks_hold, look)
+            self._wait_until(devices.checks_hold, poll)
 
-    def _wait_until(self, holds: Callable[[], bool], look: Look) -> None:
+    def _wait_until(self, holds: Callable[[], bool], poll: Poll) -> None:
         while not holds():
-            self._changed.wait(INTERVAL)
+            self._changed.wait(POLL_INTERVAL)
             self._changed.clear()
-            look()
+            poll()
 
     def _context(
         self, moment: Moment, devices: Devices, error: LabhilError | None = None, reason: str = ""

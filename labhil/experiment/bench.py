@@ -1,4 +1,4 @@
-"""One device at hand, from Python: samples in, commands out, under its host's limits and watchdog."""
+"""One device from Python: samples in, commands out, under the limits and the watchdog of its host."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from labhil.service.messages import WATCHDOG, HostState, Setpoint
 from labhil.signals import FloatArray, Signal
 
 HOLDER = "Python"
-PATIENCE = 10.0
+HOST_DISCOVERY_TIMEOUT = 10.0
 """How long the bus may take to find the host, s."""
-KEEP = 0.5
-"""Share of the watchdog's time after which a command that is held is sent again."""
-LONGEST = 1_000_000
+RESEND_SHARE = 0.5
+"""A command that is held is sent again after this share of the watchdog's time."""
+MAX_WAITING = 1_000_000
 """Samples that are kept until they are read."""
 
 
@@ -69,7 +69,7 @@ class Bench:
 
     def __init__(self, plan: DevicePlan) -> None:
         self._plan = plan
-        self._arrived: deque[tuple[float, FloatArray]] = deque(maxlen=LONGEST)
+        self._arrived: deque[tuple[float, FloatArray]] = deque(maxlen=MAX_WAITING)
         self._news = threading.Event()
         self._resources = ExitStack()
         self._token = ""
@@ -79,17 +79,17 @@ class Bench:
 
     @property
     def spec(self) -> DriverSpec:
-        """What the driver declares: commands, limits of the device, its safe state."""
+        """The declaration of the driver: commands, ranges and safe state of the device."""
         return self._plan.spec
 
     @property
     def signals(self) -> Mapping[str, Signal]:
-        """What the device says, by name, each with its unit."""
+        """The signals of the device by name, each with its unit."""
         return {signal.name: signal for signal in self._require_device().stream.signals}
 
     @property
     def rate(self) -> float:
-        """Samples per second of the device's clock."""
+        """Sample rate, Hz of the device's clock."""
         return self._require_device().stream.rate
 
     def __enter__(self) -> Self:
@@ -104,7 +104,7 @@ class Bench:
             self._device = host.wait_connected()
             self._codec = Codec(self._device.stream)
             key = stream_key(self._plan.name, self._device.stream.name)
-            resources.enter_context(subscribe(bus, key, self._take, Refusals()))
+            resources.enter_context(subscribe(bus, key, self._take_samples, Refusals()))
             self._resources = resources.pop_all()
         return self
 
@@ -124,7 +124,7 @@ class Bench:
             Values by signal name in SI units, a vector as an array; ``t`` is the device's clock, s.
 
         Raises:
-            DeviceSilentError: Nothing came.
+            DeviceSilentError: No sample came in time.
         """
         self._require_device()
         self._arrived.clear()
@@ -134,7 +134,7 @@ class Bench:
         return {"t": t, **{name: float(x[0]) if x.ndim == 1 else x[0] for name, x in columns.items()}}
 
     def collect(self, duration: float) -> dict[str, FloatArray]:
-        """Take in all samples for a while.
+        """Collect all samples for some time.
 
         Args:
             duration: How long, s of the host's clock.
@@ -143,7 +143,7 @@ class Bench:
             Arrays by signal name in SI units, (n,) or (n, k); ``t`` (n,) is the device's clock, s.
 
         Raises:
-            DeviceSilentError: Nothing came.
+            DeviceSilentError: No sample came.
         """
         if not 0.0 < duration < float("inf"):
             raise UsageError(f"duration: expected more than 0 s, found {duration!r}")
@@ -158,17 +158,17 @@ class Bench:
         }
 
     def command(self, hold: float = 0.0, **values: float) -> dict[str, float]:
-        """Set what the device takes, by signal name, in SI units.
+        """Set commands of the device, by signal name, in SI units.
 
-        A command stands until the watchdog finds that no more have come for 0.22 s; then the device goes to
-        its safe state. Call this again in time, or let it ``hold``.
+        A command holds until no further one has come for 0.22 s (the watchdog); the device then goes to its
+        safe state. Call this again in time, or let it ``hold``.
 
         Args:
             hold: How long to repeat the command before this returns, s.
             values: The signals to set: ``servo_angle=0.1``.
 
         Returns:
-            What was applied, by signal name: the limits may allow less than was asked for.
+            What was applied, by signal name: the limits may allow less than was requested.
 
         Raises:
             UnknownNameError: The device takes no such command.
@@ -188,22 +188,27 @@ class Bench:
         deadline = time.monotonic() + hold
         applied = self._set(numbers)
         while (remaining := deadline - time.monotonic()) > 0.0:
-            time.sleep(min(remaining, KEEP * WATCHDOG))
+            time.sleep(min(remaining, RESEND_SHARE * WATCHDOG))
             applied = self._set(numbers)
         return applied
 
     def safe(self) -> None:
         """Bring the device to its safe state."""
-        ask(self._on_bus(), command_key(self._plan.name, "safe"), {"reason": "asked for from Python"})
+        ask(self._require_bus(), command_key(self._plan.name, "safe"), {"reason": "asked for from Python"})
 
     def rearm(self) -> None:
-        """Let the device be commanded again after it left its limits; nothing moves by that.
+        """Allow commands again after the device left its limits; nothing moves by that.
 
         Raises:
-            CommandRefusedError: What stopped it still stands, or somebody else commands it.
+            CommandRefusedError: The cause of the stop is still there, or somebody else commands the device.
         """
         request = {"action": "take", "holder": HOLDER}
-        answer = ask(self._on_bus(), command_key(self._plan.name, "lease"), request, patience=PATIENCE)
+        answer = ask(
+            self._require_bus(),
+            command_key(self._plan.name, "lease"),
+            request,
+            patience=HOST_DISCOVERY_TIMEOUT,
+        )
         self._token = str(answer["token"])
 
     def _start_twin(self, resources: ExitStack) -> str:
@@ -221,12 +226,12 @@ class Bench:
             raise failure
         return self._device
 
-    def _on_bus(self) -> Bus:
+    def _require_bus(self) -> Bus:
         self._require_device()
         assert self._bus is not None
         return self._bus
 
-    def _take(self, _key: str, payloads: list[bytes]) -> None:
+    def _take_samples(self, _key: str, payloads: list[bytes]) -> None:
         batch = self._codec.decode([payload for payload in payloads if self._codec.is_own(payload)])
         self._arrived.extend(zip((batch.t_hw_ns * 1e-9).tolist(), batch.values, strict=True))
         self._news.set()
@@ -249,10 +254,10 @@ class Bench:
         return {name: x[:, 0] if x.shape[1] == 1 else x for name, x in columns.items()}
 
     def _set(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Send values; the lease is taken anew where the watchdog has ended it, but not after a trip."""
-        bus, name = self._on_bus(), self._plan.name
-        for last in (False, True):
-            status = ask(bus, command_key(name, "status"), patience=PATIENCE)
+        """Send values; take the lease again where the watchdog has ended it, but not after a trip."""
+        bus, name = self._require_bus(), self._plan.name
+        for is_last in (False, True):
+            status = ask(bus, command_key(name, "status"), patience=HOST_DISCOVERY_TIMEOUT)
             if status["state"] == HostState.TRIPPED.value:
                 raise LimitTrippedError(f"{name}: {status['reason']}; `rearm()` lets it be commanded again")
             if status["holder"] is None:
@@ -261,8 +266,8 @@ class Bench:
             try:
                 answer = ask(bus, command_key(name, "set"), setpoint.to_json())
             except CommandRefusedError:
-                if last or status["holder"] is None:
+                if is_last or status["holder"] is None:
                     raise
-                continue  # the watchdog came in between
+                continue  # the watchdog acted in between
             break
         return {column: float(answer["applied"][column]) for column in values}

@@ -1,7 +1,7 @@
-"""Several recordings of one experiment file, with a file beside them that says how far they have come.
+"""Campaigns: all runs of an experiment file with ``repeat`` or ``[sweep]``, and the file of their states.
 
-The campaign file is written before and after each run, so that a campaign that was ended at any moment
-goes on where it was: a run is done when its recording has its end and that end says exit status 0.
+The campaign file is written before and after each run, so that a campaign that was interrupted continues
+where it was. A run is done when its recording is complete and its exit status is 0.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _Part(BaseModel):
 
 
 class RunEntry(_Part):
-    """One run in a campaign file; ``path`` is relative to that file, ``earlier`` what other attempts left."""
+    """One run in a campaign file; ``path`` and the recordings of ``earlier`` attempts are relative to it."""
 
     number: int
     repetition: int
@@ -49,7 +49,7 @@ class RunEntry(_Part):
 
 
 class CampaignFile(_Part):
-    """A campaign file; ``sha256`` is of what its runs are."""
+    """The contents of a campaign file; ``sha256`` is the fingerprint of what defines its runs."""
 
     format: Annotated[Literal["labhil.campaign/1"], Field(alias="schema")] = "labhil.campaign/1"
     experiment: str
@@ -57,13 +57,21 @@ class CampaignFile(_Part):
     runs: list[RunEntry]
 
     def to_json(self) -> dict[str, Any]:
-        """Return it as it stands in the file."""
+        """Return the contents as JSON data."""
         return self.model_dump(mode="json", by_alias=True)
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignResult:
-    """What came of a campaign: its ``path``, all its recordings so far, and why it ended early if it did."""
+    """The result of a campaign.
+
+    Attributes:
+        path: The campaign file.
+        file: Its contents.
+        skipped: How many runs were done before.
+        error: Why it ended early or a run failed; None where neither happened.
+        warnings: Warnings about its recordings.
+    """
 
     path: Path
     file: CampaignFile
@@ -73,12 +81,12 @@ class CampaignResult:
 
     @property
     def done(self) -> int:
-        """How many runs are done."""
+        """Number of runs that are done."""
         return sum(run.status == "done" for run in self.file.runs)
 
     @property
     def recordings(self) -> tuple[Path, ...]:
-        """The recordings of finished runs, in order."""
+        """The recordings of the runs that are done, in order."""
         return tuple(
             self.path.parent / run.path for run in self.file.runs if run.status == "done" and run.path
         )
@@ -89,14 +97,14 @@ class CampaignResult:
         return 0 if self.error is None else self.error.exit_status
 
     def to_json(self) -> dict[str, Any]:
-        """Return the campaign file's contents with where it is."""
+        """Return the contents of the campaign file with its path and exit status."""
         return {**self.file.to_json(), "path": str(self.path), "exit_status": self.exit_status}
 
 
 def campaign_path(experiment: Experiment, out_dir: Path) -> Path:
-    """Return where the campaign file of this experiment is."""
-    plain = re.sub(r"[^\w.+-]+", "_", experiment.experiment.name)
-    return out_dir / f"{plain}.campaign.json"
+    """Return the path of the campaign file of an experiment."""
+    safe_name = re.sub(r"[^\w.+-]+", "_", experiment.experiment.name)
+    return out_dir / f"{safe_name}.campaign.json"
 
 
 def run_campaign(
@@ -110,15 +118,15 @@ def run_campaign(
     """Make every run of ``experiment`` that is not done yet.
 
     Args:
-        experiment: The file, with ``repeat`` or ``[sweep]``.
+        experiment: The experiment, with ``repeat`` or ``[sweep]``.
         out_dir: Where the campaign file and the recordings go.
         progress: Is called with the progress of each run.
         announce: Is called with a line when a run begins, and about the runs that were done before.
-        anew: Begin a new campaign where one stands; its recordings stay.
+        anew: Begin a new campaign where there is one already; its recordings stay.
 
     Raises:
-        ExperimentFileError: A run that cannot be made; nothing has moved.
-        UsageError: The campaign file is of another experiment, or another process is at it.
+        ExperimentFileError: A run cannot be made; nothing has moved.
+        UsageError: The campaign file is of another experiment, or another process works on it.
     """
     points = points_of(experiment)
     for point in points:
@@ -129,13 +137,13 @@ def run_campaign(
         raise UsageError(f"{out_dir}: expected a directory for the recordings, found {error}") from error
     path = campaign_path(experiment, out_dir)
     with _lock(path):
-        file = _begin(experiment, points, path, anew=anew)
+        file = _load_or_begin(experiment, points, path, anew=anew)
         return _Campaign(path, file, points, experiment, progress, announce).run()
 
 
 @contextmanager
 def _lock(path: Path) -> Iterator[None]:
-    """Let no other process work on this campaign; the lock goes with the process that holds it."""
+    """Keep other processes from this campaign; the lock ends with the process that holds it."""
     with path.with_name(f".{path.name}.lock").open("w", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -144,7 +152,9 @@ def _lock(path: Path) -> Iterator[None]:
         yield
 
 
-def _begin(experiment: Experiment, points: tuple[Point, ...], path: Path, *, anew: bool) -> CampaignFile:
+def _load_or_begin(
+    experiment: Experiment, points: tuple[Point, ...], path: Path, *, anew: bool
+) -> CampaignFile:
     digest = fingerprint(experiment, points)
     if path.exists() and not anew:
         file = load_campaign(path)
@@ -163,7 +173,7 @@ def _begin(experiment: Experiment, points: tuple[Point, ...], path: Path, *, ane
 
 
 def load_campaign(path: Path) -> CampaignFile:
-    """Read a campaign file; UsageError says what is wrong with it."""
+    """Read a campaign file; UsageError names what is wrong with it."""
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
@@ -187,11 +197,11 @@ class _Campaign:
         self._path, self._file, self._points = path, file, points
         self._experiment, self._progress, self._announce = experiment, progress, announce
         sweep = experiment.sweep
-        self._goes_on = sweep is not None and sweep.on_failure == "continue"
+        self._continues = sweep is not None and sweep.on_failure == "continue"
 
     def run(self) -> CampaignResult:
         for entry in self._file.runs:
-            self._look_at_earlier(entry)
+            self._review_earlier(entry)
         self._save()
         skipped = sum(entry.status == "done" for entry in self._file.runs)
         if skipped:
@@ -202,26 +212,26 @@ class _Campaign:
             if entry.status == "done":
                 continue
             self._announce(point.describe())
-            result = self._make(point, entry)
+            result = self._run(point, entry)
             warnings += result.warnings
             if result.error is None:
                 continue
             failure = failure or result.error
-            if not self._goes_on or isinstance(result.error, (RunStoppedError, EmergencyStopError)):
+            if not self._continues or isinstance(result.error, (RunStoppedError, EmergencyStopError)):
                 break
         return CampaignResult(self._path, self._file, skipped, failure, tuple(warnings))
 
-    def _look_at_earlier(self, entry: RunEntry) -> None:
-        """Decide whether a run that a process left behind was done; its recording knows."""
+    def _review_earlier(self, entry: RunEntry) -> None:
+        """Decide from its recording whether a run of an earlier process is done."""
         if entry.status not in ("running", "done"):
             return
         path = self._path.parent / (entry.path or "")
         if entry.path is not None and _is_done(path):
             entry.status, entry.reason = "done", entry.reason or "all steps are done"
             return
-        why = "its recording is gone" if entry.status == "done" else "interrupted"
+        reason = "its recording is gone" if entry.status == "done" else "interrupted"
         self._set_aside(entry)
-        entry.status, entry.reason = "planned", why
+        entry.status, entry.reason = "planned", reason
 
     def _set_aside(self, entry: RunEntry) -> None:
         if entry.path is not None:
@@ -229,7 +239,7 @@ class _Campaign:
             entry.earlier += [name for name in names if (self._path.parent / name).exists()]
             entry.path = None
 
-    def _make(self, point: Point, entry: RunEntry) -> RunResult:
+    def _run(self, point: Point, entry: RunEntry) -> RunResult:
         self._set_aside(entry)
         pattern = self._experiment.record.path.removesuffix(".mcap") + f"-{point.number:03d}.mcap"
         path = free_path(self._path.parent, pattern, self._experiment.experiment.name)
@@ -259,7 +269,7 @@ class _Campaign:
 
 
 def _is_done(path: Path) -> bool:
-    """Whether a recording has an end record that says "done"."""
+    """Return whether a recording is complete with the ending "done"."""
     try:
         return status_from_metadata(read_metadata(path)) == "done"
     except RecordingError:

@@ -1,7 +1,6 @@
-"""The states of a run, which may follow which, and the handle that others control it by.
+"""The states of a run, their transitions, and the handle that controls a run.
 
-:data:`TRANSITIONS` is the only place that says what may follow what; the picture in
-``docs/explanation/safety.md`` is drawn from it.
+:data:`TRANSITIONS` is their only definition; the picture in ``docs/explanation/safety.md`` is drawn from it.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from labhil.host_clock import unix_ns
 
 
 class RunState(StrEnum):
-    """What a run is doing; every change is an event in the recording, with its reason."""
+    """The state of a run; every transition is an event in the recording, with its reason."""
 
     IDLE = "idle"
     """Nothing has been started yet."""
@@ -55,88 +54,95 @@ TRANSITIONS: Mapping[RunState, Mapping[RunState, str]] = MappingProxyType(
         RunState.FAILED: {},
     }
 )
-"""From each state, those that may follow, and what leads there."""
+"""For each state the states that may follow, and what leads to them."""
 
 
 RECORDED = (RunState.STARTING, RunState.RUNNING, RunState.PAUSED)
 """The states in which a marker is recorded."""
-LONGEST_MARK = 500
+MAX_MARK_LENGTH = 500
 """Characters of a marker that are kept."""
 
 
 class RunControl:
-    """A handle on one run, for any thread: pause it, resume it, stop it, abort it.
+    """A handle to pause, resume, stop or abort one run, from any thread.
 
-    Each request returns at once and is carried out by the run's own thread; :meth:`wait_for` waits until
-    it has been. A request that the present state does not allow raises CommandRefusedError and changes
-    nothing. ``stop`` ends the run with exit status 0: what was recorded is what was wanted. ``abort`` ends
-    it with exit status 1. Both leave every device in its safe state and the recording complete.
+    Each request returns at once and is carried out by the thread of the run; :meth:`wait_for` waits for that.
+    A request that the present state does not allow raises CommandRefusedError and changes nothing. ``stop``
+    ends the run with exit status 0, ``abort`` with exit status 1. Both leave every device in its safe state
+    and the recording complete.
     """
 
     def __init__(self) -> None:
         self._condition = threading.Condition()
         self._state = RunState.IDLE
         self._reason = ""
-        self._wanted: RunState | None = None
-        self._because = ""
+        self._requested: RunState | None = None
+        self._request_reason = ""
         self._refusal = ""
         self._marks: list[tuple[int, str]] = []
         self.changed = threading.Event()
-        """Set when there is something for the run to look at: a request, or what its devices did."""
+        """Is set when the run has something to handle: a request, or news of its devices."""
 
     @property
     def state(self) -> RunState:
-        """What the run is doing."""
+        """The state of the run."""
         return self._state
 
     @property
     def reason(self) -> str:
-        """Why it does that, in words."""
+        """The reason of the last transition."""
         return self._reason
 
     def pause(self, reason: str = "paused by its operator") -> None:
-        """Bring every device to its safe state and let the clocks of the steps stand still."""
-        self._want(RunState.PAUSED, reason, "paused")
+        """Bring every device to its safe state and stop the clocks of the steps."""
+        self._request(RunState.PAUSED, reason, "paused")
 
     def resume(self) -> None:
-        """Take the leases again and go on where the run was paused.
+        """Take the leases again and continue where the run was paused.
 
-        A device outside its limits refuses that: the run stays paused and :attr:`refusal` says why.
+        A device outside its limits refuses: the run then stays paused and :attr:`refusal` gives the reason.
         """
         if self._state is not RunState.PAUSED:
             raise CommandRefusedError(
                 f"a run that is {self._state.value} cannot be resumed; only one that is paused"
             )
-        self._want(RunState.RUNNING, "resumed", "resumed")
+        self._request(RunState.RUNNING, "resumed", "resumed")
 
     def stop(self, reason: str = "stopped by its operator") -> None:
-        """End the run in order, with exit status 0; the recording is kept."""
-        self._want(RunState.STOPPING, reason, "stopped")
+        """End the run in order, with exit status 0."""
+        self._request(RunState.STOPPING, reason, "stopped")
 
     def abort(self, reason: str = "aborted by its operator") -> None:
-        """End the run with exit status 1; devices become safe just the same and the recording is kept."""
-        self._want(RunState.ABORTING, reason, "aborted")
+        """End the run with exit status 1; devices become safe and the recording is kept all the same."""
+        self._request(RunState.ABORTING, reason, "aborted")
 
     def wait_for(self, *states: RunState, timeout: float) -> bool:
-        """Wait up to ``timeout`` s until the run is in one of ``states``; whether it is.
+        """Wait until the run is in one of ``states``, and return whether it is.
 
-        Returns early where the run cannot get there any more or has refused to.
+        Args:
+            states: The states.
+            timeout: Longest wait, s. It ends early where the run has ended or refused the request.
         """
         with self._condition:
-            self._condition.wait_for(lambda: self._is_settled(states), timeout)
+            self._condition.wait_for(lambda: self._is_decided(states), timeout)
             return self._state in states
 
     @property
     def refusal(self) -> str:
-        """Why the last request could not be carried out; empty when it was, or is still on its way."""
+        """Why the last request could not be carried out; empty where it was, or is still pending."""
         return self._refusal
 
     def mark(self, text: str, age_ns: int = 0) -> None:
-        """Put a marker into the recording; CommandRefusedError where nothing is recorded.
+        """Put a marker into the recording.
 
-        It stands at the moment ``age_ns`` ago: a text takes longer to type than a key to press.
+        Args:
+            text: Text of the marker.
+            age_ns: Age of the marked moment, ns: a text takes time to type.
+
+        Raises:
+            CommandRefusedError: The text is empty, or nothing is recorded in this state.
         """
-        text = " ".join(text.split())[:LONGEST_MARK]
+        text = " ".join(text.split())[:MAX_MARK_LENGTH]
         if not text:
             raise CommandRefusedError("a marker needs a text")
         with self._condition:
@@ -148,42 +154,42 @@ class RunControl:
             self._marks.append((unix_ns() - max(age_ns, 0), text))
             self.changed.set()
 
-    def _want(self, state: RunState, reason: str, participle: str) -> None:
+    def _request(self, state: RunState, reason: str, participle: str) -> None:
         with self._condition:
             if state not in TRANSITIONS[self._state]:
                 possible = ", ".join(origin.value for origin in _predecessors(state))
                 raise CommandRefusedError(
                     f"a run that is {self._state.value} cannot be {participle}; only one that is {possible}"
                 )
-            # a request to end is not taken back by one to pause or to go on
-            if self._wanted in _ENDS and state not in _ENDS:
-                raise CommandRefusedError(f"the run is about to end: {self._because}")
-            self._wanted, self._because, self._refusal = state, reason, ""
+            # a request to pause or to resume does not cancel a request to end
+            if self._requested in _ENDS and state not in _ENDS:
+                raise CommandRefusedError(f"the run is about to end: {self._request_reason}")
+            self._requested, self._request_reason, self._refusal = state, reason, ""
             self.changed.set()
 
-    def _is_settled(self, states: tuple[RunState, ...]) -> bool:
+    def _is_decided(self, states: tuple[RunState, ...]) -> bool:
         return self._state in states or bool(self._refusal) or not TRANSITIONS[self._state]
 
     # the run's side
 
     def is_to_end(self) -> bool:
-        """Whether an end is requested that the run has not begun yet."""
-        return self._wanted in _ENDS
+        """Return whether an end is requested that the run has not begun yet."""
+        return self._requested in _ENDS
 
     def take_request(self) -> tuple[RunState, str] | None:
         """Return the last requested state and its reason, once; None without a request. For the run."""
         with self._condition:
-            state, self._wanted = self._wanted, None
-            return None if state is None else (state, self._because)
+            state, self._requested = self._requested, None
+            return None if state is None else (state, self._request_reason)
 
     def take_marks(self) -> list[tuple[int, str]]:
-        """Return the markers that were set since, each with its Unix time in ns. For the run."""
+        """Return the new markers, each with its Unix time in ns. For the run."""
         with self._condition:
             marks, self._marks = self._marks, []
             return marks
 
     def refuse(self, reason: str) -> None:
-        """Say that the last request could not be carried out. For the run."""
+        """Note that the last request could not be carried out. For the run."""
         with self._condition:
             self._refusal = reason
             self._condition.notify_all()
@@ -201,4 +207,4 @@ _ENDS = (RunState.STOPPING, RunState.ABORTING)
 
 
 def _predecessors(state: RunState) -> Iterator[RunState]:
-    return (before for before, following in TRANSITIONS.items() if state in following)
+    return (origin for origin, successors in TRANSITIONS.items() if state in successors)

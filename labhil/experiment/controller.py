@@ -1,4 +1,4 @@
-"""The setpoints of a device at each of its samples: its steps, and the PD that keeps the plant in range."""
+"""The setpoints of a device after each of its samples: its excitations, and PD feedback around them."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from labhil.signals import Stream
 
 
 class Derivative:
-    """d/dt of a sampled signal through a first-order lag of ``filter_time`` s; zero at the first sample."""
+    """Derivative of a sampled signal through a first-order lag of ``filter_time`` s; zero at first."""
 
     def __init__(self, filter_time: float) -> None:
         self._filter_time = filter_time
-        self._before: tuple[float, float] | None = None
+        self._previous: tuple[float, float] | None = None
         self._value = 0.0
 
     def at(self, t: float, y: float) -> float:
-        """Take the sample ``y`` at time ``t`` (s) in, and return the derivative there."""
-        if self._before is not None:
-            elapsed = t - self._before[0]
+        """Take the sample ``y`` at time ``t`` (s), and return the derivative there."""
+        if self._previous is not None:
+            elapsed = t - self._previous[0]
             if elapsed > 0:
-                slope = (y - self._before[1]) / elapsed
+                slope = (y - self._previous[1]) / elapsed
                 self._value += elapsed / (self._filter_time + elapsed) * (slope - self._value)
-        self._before = (t, y)
+        self._previous = (t, y)
         return self._value
 
-    def forget(self) -> None:
-        """Begin anew, as at the first sample."""
-        self._before, self._value = None, 0.0
+    def reset(self) -> None:
+        """Begin again as at the first sample."""
+        self._previous, self._value = None, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class _Feedback:
     column: int
     derivative: Derivative
 
-    def effort(self, t: float, values: Sequence[float]) -> float:
+    def output(self, t: float, values: Sequence[float]) -> float:
         y = values[self.column]
         settings = self.settings
         return settings.kp * (y - settings.setpoint) + settings.kd * self.derivative.at(t, y)
@@ -56,39 +56,49 @@ class _Drive:
 
 
 class Controller:
-    """Turns the samples of one device into what is requested of it.
+    """Computes the setpoints of one device from its samples.
 
-    Outside its steps a signal has its safe value. Times are s of the device's clock since
-    the run began. ExperimentFileError for a step that is to follow a channel that is not fitted.
+    Outside its steps a signal has its safe value.
+
+    Args:
+        steps: The steps of the device.
+        stream: Its samples.
+        safe: Safe values of its commands, SI units.
+
+    Raises:
+        ExperimentFileError: A step stabilises a signal that this device has not.
     """
 
     def __init__(self, steps: Sequence[TimedStep], stream: Stream, safe: Mapping[str, float]) -> None:
         self._safe = dict(safe)
         self._drives = [drive for timed in steps for drive in _drives(timed, stream)]
 
-    def requested(self, t: float, values: Sequence[float], *, waiting: bool = False) -> dict[str, float]:
-        """Return the value of every command after the sample ``values`` at time ``t``.
+    def setpoints(self, t: float, values: Sequence[float], *, waiting: bool = False) -> dict[str, float]:
+        """Compute the setpoint of every command after a sample.
 
-        Every sample is to be shown, in order: derivatives are made of them. While a step is ``waiting`` to
-        begin at ``t``, its signal has the safe value, less the effort that keeps the plant in range.
+        Args:
+            t: Time of the steps, s. Call this for every sample, in order: derivatives need all of them.
+            values: The sample, SI units.
+            waiting: Whether a step waits to begin at ``t``. Its signal then has its safe value less the
+                feedback.
         """
         setpoints = dict(self._safe)
         for drive in self._drives:
-            effort = drive.feedback.effort(t, values) if drive.feedback is not None else 0.0
+            feedback = drive.feedback.output(t, values) if drive.feedback is not None else 0.0
             if drive.start <= t < drive.end:
                 safe = self._safe.get(drive.column, 0.0)
-                setpoints[drive.column] = (safe if waiting else drive.excitation(t - drive.start)) - effort
+                setpoints[drive.column] = (safe if waiting else drive.excitation(t - drive.start)) - feedback
         return setpoints
 
-    def forget(self) -> None:
-        """Forget what was shown before: samples from before a pause make no derivative."""
+    def reset_derivatives(self) -> None:
+        """Forget earlier samples: no derivative may reach across a pause or a jump of the clock."""
         for drive in self._drives:
             if drive.feedback is not None:
-                drive.feedback.derivative.forget()
+                drive.feedback.derivative.reset()
 
 
 def _drives(timed: TimedStep, stream: Stream) -> list[_Drive]:
-    """A drive for the command, or for each column of a vector: ``name_0``, ``name_1``, …"""
+    """Return the drive of a scalar command, or one for each column of a vector: ``name_0``, ``name_1``, …"""
     step, feedback = timed.step, None
     if step.stabilise is not None:
         if step.stabilise.on not in stream.names():

@@ -1,4 +1,8 @@
-"""One device of a run, from the runner's side: samples in, setpoints out."""
+"""One device of a run: its samples advance the clock of its steps and are answered with setpoints.
+
+``devices.py`` holds all devices of a run; the controller and the clock are in ``controller.py`` and
+``step_clock.py``.
+"""
 
 from __future__ import annotations
 
@@ -39,29 +43,37 @@ from labhil.service.hosts import ConnectedDevice
 from labhil.service.messages import Setpoint
 from labhil.signals import Batch
 
-PATIENCE = 10.0
+HOST_DISCOVERY_TIMEOUT = 10.0
 """How long the bus may take to find a host that has reported ready, s."""
 
-ASK_TIMEOUT = 2.0
+ANSWER_TIMEOUT = 2.0
+"""How long a host may take to answer, s."""
 
-FOLLOWED = 2048
-"""Messages of a device that may wait, a fifth of a second at 10 kHz; a flood delays them by as many."""
+QUEUE_DEPTH = 2048
+"""Messages of a device that may wait: 0.2 s at 10 kHz. A flood of messages delays them by as many."""
 
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
-UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
+UNLESS_PAUSED: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
 WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
     "watchdog": (RunError, ""),
     "refused": (RunError, " (a setpoint was refused)"),
     "safe": (RunStoppedError, " (somebody else stopped the device)"),
 }
-"""What a run ends with when a host says one of these."""
+"""The error that ends a run, by the kind of an event of the host."""
 
 
 class DeviceRun:
-    """Commands one device through its steps, in its own time, at each of its samples.
+    """Commands one device through its steps, at each of its samples, in the time of its clock.
 
     Between :meth:`start` and the end of its steps every batch of samples is answered with a setpoint.
-    ``changed`` is set when the steps are over or something went wrong.
+
+    Args:
+        bus: The bus of the run.
+        plan: The device with its steps.
+        device: What its host reported.
+        duration: Duration of the steps of all devices, s of the device's clock.
+        changed: Is set when the steps are over or something failed.
+        refusals: Counts messages that are not authentic.
     """
 
     def __init__(
@@ -76,17 +88,18 @@ class DeviceRun:
         self.plan = plan
         self.speed = device.speed
         self.error: LabhilError | None = None
-        self.rests = ""
+        self.pause_reason = ""
         """Why the device cannot follow its steps for now, though nothing has failed; empty when it can.
 
-        It stands until the run has made the device safe: one that was silent for a moment may be back
-        before the run has looked, and its steps have to be started again all the same.
+        It stays until the run has made the device safe: a device that was silent for a moment may be back
+        before the run has noticed, and its steps have to be started again all the same.
         """
-        self.comes_back = False
-        """Whether it will say when it can again; else somebody has to resume the run."""
-        self.heard_at = time.monotonic()
-        self.ends = False
-        """Whether its host has reported a failure; the reason comes when it has ended."""
+        self.resumes_alone = False
+        """Whether its host will announce that it is ready again; otherwise an operator has to resume."""
+        self.last_sample_at = time.monotonic()
+        """When its newest samples came, s of the monotonic clock."""
+        self.host_failed = False
+        """Whether its host has reported a failure; the host gives the reason when it ends."""
         self._bus, self._duration, self._changed = bus, duration, changed
         self._refusals = refusals
         self._codec = Codec(device.stream)
@@ -100,8 +113,8 @@ class DeviceRun:
         """The values of the newest sample, by the name of their column."""
         self._watches: tuple[CheckWatch, ...] = ()
         self._since_ns = 0
-        self._resting = self._noticed = self._is_back = False
-        self._stalled = ""
+        self._is_paused = self._is_pause_handled = self._is_back = False
+        self._silence_message = ""
         self._running = False
         self._token = ""
         self._setpoint_key = setpoint_key(plan.name)
@@ -116,7 +129,7 @@ class DeviceRun:
         with ExitStack() as resources:
             name = self.plan.name
             self._subscriptions = [
-                resources.enter_context(subscribe(self._bus, key, take, self._refusals, depth=FOLLOWED))
+                resources.enter_context(subscribe(self._bus, key, take, self._refusals, depth=QUEUE_DEPTH))
                 for key, take in (
                     (event_key(name), self._take_events),
                     (stream_key(name, self._stream_name), self._take_samples),
@@ -142,61 +155,61 @@ class DeviceRun:
         return self.elapsed >= self._duration
 
     def failure(self) -> Exception | None:
-        """Return what went wrong with the device or with following it, None while all is well."""
+        """Return what failed in the device or in following it; None while nothing has."""
         if self.error is not None:
             return self.error
         for subscription in self._subscriptions:
             if isinstance(subscription.error, LabhilError):
                 return subscription.error
-            if deaf := subscription.failure():
-                return BusError(f"the run no longer hears {self.plan.name}: {deaf}")
+            if fault := subscription.failure():
+                return BusError(f"the run no longer hears {self.plan.name}: {fault}")
         return None
 
     def take_lease(self, holder: str) -> None:
-        """Become the one who commands the device; CommandRefusedError when it is not to be had."""
+        """Take the lease on the device; CommandRefusedError where the host does not give it."""
         answer = ask(
             self._bus,
             command_key(self.plan.name, "lease"),
             {"action": "take", "holder": holder},
-            ASK_TIMEOUT,
-            patience=PATIENCE,
+            ANSWER_TIMEOUT,
+            patience=HOST_DISCOVERY_TIMEOUT,
         )
         self._token = str(answer["token"])
 
     def start(self) -> None:
-        """Let the steps begin, or go on, at the device's next sample."""
-        self.heard_at = time.monotonic()
-        self._controller.forget()
+        """Let the steps begin or continue at the device's next sample."""
+        self.last_sample_at = time.monotonic()
+        self._controller.reset_derivatives()
         self._since_ns = unix_ns()
-        self.clock.halt()  # however long the device has rested, its steps go on where they were
-        self.rests, self.comes_back = "", False
-        self._stalled = ""
-        self._approach.begin()
-        self._waypoints.begin()
-        self._resting = self._noticed = self._is_back = False
+        self.clock.halt()  # however long the pause was, the steps continue where they were
+        self.pause_reason, self.resumes_alone = "", False
+        self._silence_message = ""
+        self._approach.reset()
+        self._waypoints.reset()
+        self._is_paused = self._is_pause_handled = self._is_back = False
         self._running = True
 
     def watch(self, checks: Sequence[CheckSection]) -> None:
-        """Look from now on for whether these conditions hold."""
+        """Watch from now on whether the conditions of these checks hold."""
         self._watches = tuple(CheckWatch(check, self._columns) for check in checks)
 
     def checks_hold(self) -> bool:
-        """Whether all conditions have held; raises ConditionError for one whose time is over."""
+        """Return whether all conditions have held; ConditionError for one whose time is over."""
         for watch in self._watches:
             if watch.error is not None:
                 raise watch.error
         return all(watch.has_held for watch in self._watches)
 
     def make_safe(self, reason: str) -> None:
-        """Bring the device to its safe state; raises BusError when its host does not answer."""
+        """Bring the device to its safe state; BusError where its host does not answer."""
         self._running = False
-        self._resting = self._noticed = True
+        self._is_paused = self._is_pause_handled = True
         if self._is_back:
-            self.rests = ""
-        ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ASK_TIMEOUT)
+            self.pause_reason = ""
+        ask(self._bus, command_key(self.plan.name, "safe"), {"reason": reason}, ANSWER_TIMEOUT)
 
     def _decode_own(self, key: str, payloads: list[bytes]) -> Batch | None:
-        """Decode the samples that are the device's own and new; None where there are none."""
+        """Decode the samples that belong to this device and are new; None where there are none."""
         own_payloads = [payload for payload in payloads if self._codec.is_own(payload)]
         if len(own_payloads) < len(payloads):
             self._refusals.note(
@@ -205,7 +218,7 @@ class DeviceRun:
         if not own_payloads:
             return None
         batch = self._codec.decode(own_payloads)
-        # the device's clock only advances: an older sample is a copy, and would turn the steps back
+        # the device's clock only advances: an older sample is a copy and would set the steps back
         latest = np.maximum.accumulate(np.concatenate([[self._newest_ns], batch.t_hw_ns]))
         new = batch.t_hw_ns > latest[:-1]
         if not new.all():
@@ -218,7 +231,7 @@ class DeviceRun:
         batch = self._decode_own(key, payloads)
         if batch is None:
             return
-        self.heard_at = time.monotonic()
+        self.last_sample_at = time.monotonic()
         self.newest = dict(zip(self._columns, batch.values[-1].tolist(), strict=True))
         samples = list(zip(batch.t_hw_ns.tolist(), batch.values.tolist(), strict=True))
         for watch in self._watches:
@@ -228,36 +241,35 @@ class DeviceRun:
             self._follow_steps(samples)
 
     def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]]) -> None:
-        requested: dict[str, float] = {}
+        setpoints: dict[str, float] = {}
         t_hw_ns: int | None = None
         newest_ns = samples[-1][0]
         for t_ns, values in samples:
-            if not self.clock.is_going:
-                requested = self._controller.requested(self.elapsed, values)
-                in_place = self._approach.is_there(requested, values)
-                # the steps begin where their first setpoint can act: samples that waited on a busy machine
-                # may be as many as a step is long, and the step would be over before its first setpoint
-                if not in_place or t_ns < newest_ns:
+            if not self.clock.is_started:
+                setpoints = self._controller.setpoints(self.elapsed, values)
+                has_arrived = self._approach.has_arrived(setpoints, values)
+                # the steps begin at the newest sample, where the first setpoint can act: on a busy machine
+                # as many samples may have waited as a step is long, and it would be over before that
+                if not has_arrived or t_ns < newest_ns:
                     continue
                 self.clock.start(t_ns)
                 if self._waypoints.rate:
-                    # a path begins where the device stands, though this be the middle of the steps
-                    self._put(requested, t_ns)
+                    # a path begins where the device is, also in the middle of the steps
+                    self._put(setpoints, t_ns)
             t_hw_ns = t_ns
             if self.clock.advance(t_ns, values):
-                self._controller.forget()
-            requested = self._controller.requested(self.elapsed, values, waiting=self.clock.is_waiting)
+                self._controller.reset_derivatives()
+            setpoints = self._controller.setpoints(self.elapsed, values, waiting=self.clock.is_waiting)
         if self.clock.notes:
             self._changed.set()
         if self.done:
             self._running = False
             self._changed.set()
         elif self._waypoints.is_due(newest_ns):
-            timed = t_hw_ns if self._waypoints.rate else None
-            self._put(requested, timed)
+            self._put(setpoints, t_hw_ns if self._waypoints.rate else None)
 
-    def _put(self, requested: Mapping[str, float], t_hw_ns: int | None) -> None:
-        setpoint = Setpoint(self._token, unix_ns(), dict(requested), t_hw_ns)
+    def _put(self, setpoints: Mapping[str, float], t_hw_ns: int | None) -> None:
+        setpoint = Setpoint(self._token, unix_ns(), dict(setpoints), t_hw_ns)
         payload = setpoint.to_bytes()
         self._setpoints.put(payload, attachment=self._bus.sign(self._setpoint_key, payload))
 
@@ -270,10 +282,10 @@ class DeviceRun:
 
     def _take_event(self, event: EventMessage) -> None:
         if event.t_ns < self._since_ns:
-            return  # from before the steps went on
-        self.ends = self.ends or event.kind == "failed"
+            return  # it is older than the last start of the steps
+        self.host_failed = self.host_failed or event.kind == "failed"
         message = f"{self.plan.name}: {event.message}"
-        if self._is_a_rest(event, message):
+        if self._note_pause(event, message):
             self._changed.set()
             return
         error = self._error_of(event.kind, message)
@@ -281,35 +293,37 @@ class DeviceRun:
             self.error = error
             self._changed.set()
 
-    def _is_a_rest(self, event: EventMessage, message: str) -> bool:
-        """Note that the device was lost, came back, or that an interlock lets the run wait."""
+    def _note_pause(self, event: EventMessage, message: str) -> bool:
+        """Note a device that was lost or is back, or an interlock that pauses the run; whether it was one."""
         kind = event.kind
         if kind == "reconnected":
-            self._is_back = self.comes_back
-            if self._is_back and self._noticed:
-                self.rests = ""
+            self._is_back = self.resumes_alone
+            if self._is_back and self._is_pause_handled:
+                self.pause_reason = ""
             return True
-        lost = kind in ("lost", "quiet") and self.plan.section.reconnect
-        if not lost and not (kind == "interlock" and event.then == "pause"):
+        is_lost = kind in ("lost", "quiet") and self.plan.section.reconnect
+        if not is_lost and not (kind == "interlock" and event.then == "pause"):
             return False
-        if not self._running and not self._resting:
+        if not self._running and not self._is_paused:
             return False  # not started, or done
-        self._running, self._resting, self._is_back = False, True, False
-        self.rests, self.comes_back = message, lost
+        self._running, self._is_paused, self._is_back = False, True, False
+        self.pause_reason, self.resumes_alone = message, is_lost
         return True
 
     def _error_of(self, kind: str, message: str) -> LabhilError | None:
         if kind in ALWAYS:
             return ALWAYS[kind](message)
-        if self._resting:
-            return None  # the device is in its safe state, and whoever takes the lease next learns the reason
-        if kind in UNLESS_RESTING:
-            return UNLESS_RESTING[kind](message)
+        if self._is_paused:
+            return None  # the device is in its safe state, and the next request for the lease gets the reason
+        if kind in UNLESS_PAUSED:
+            return UNLESS_PAUSED[kind](message)
         if self._running and kind == "quiet":
-            self._stalled = message  # silent for good or only late: the host will tell, or the next setpoint
+            # silent for good or only late: the host reports it, or refuses the next setpoint
+            self._silence_message = message
         if self._running and kind in WHILE_RUNNING:
             error, note = WHILE_RUNNING[kind]
-            if kind == "refused" and self._stalled:
-                return RunError(f"{self._stalled}, and then did again: `reconnect = true` lets a run wait")
+            if kind == "refused" and self._silence_message:
+                advice = "`reconnect = true` lets a run wait"
+                return RunError(f"{self._silence_message}, and then did again: {advice}")
             return error(f"{message}{note}")
         return None

@@ -1,4 +1,4 @@
-"""Functions of somebody's own that a run calls before its steps and after them."""
+"""Hooks: functions of the user that a run calls before and after its steps."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from labhil.errors import ExperimentFileError, HookError, UsageError
 from labhil.experiment.experiment import Experiment
 from labhil.python_file import object_of
 
-INTERVAL = 0.05
-"""How often a run looks at its devices while a function is at work, s."""
-LONGEST_REASON = 500
+POLL_INTERVAL = 0.05
+"""How often a run checks its devices while a hook runs, s."""
+MAX_REASON_LENGTH = 500
 """Characters of an exception that the reason of a run repeats."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What a hook is told of its run.
+    """What a hook knows of its run.
 
     Args:
         moment: "before" the steps, with every device connected and in its safe state and every check done;
@@ -31,7 +31,7 @@ class RunContext:
         recording: Where the recording will be when the run is over; it is written until then.
         metadata: ``operator``, ``sample``, ``notes`` and ``tags`` of the experiment file.
         values: For each device the newest value of every column of its samples, SI units.
-        error: Why the run failed; None before the steps, and where it has not.
+        error: Why the run failed; None before the steps, and where it has not failed.
         reason: Why the steps have ended, in words; empty before them.
 
     Example:
@@ -61,25 +61,29 @@ class Hook:
     """The function that ``hook`` of an experiment file names.
 
     Args:
-        stated: ``"lab.py:tell"``, a file relative to that of the experiment, or ``"lab.hooks:tell"``, a
+        reference: ``"lab.py:tell"``, a file relative to that of the experiment, or ``"lab.hooks:tell"``, a
             module that Python can import.
-        experiment: Whose runs call it.
-        limit: How long the function may take, s.
+        experiment: The experiment whose runs call it.
+        timeout: How long the function may take, s.
 
     Raises:
         ExperimentFileError: There is no such function.
     """
 
-    def __init__(self, stated: str, experiment: Experiment, limit: float = 60.0) -> None:
-        self._stated, self._limit = stated, limit
+    def __init__(self, reference: str, experiment: Experiment, timeout: float = 60.0) -> None:
+        self._reference, self._timeout = reference, timeout
         try:
-            function = _function_of(stated, experiment.path.parent)
+            function = _load_function(reference, experiment.path.parent)
         except UsageError as error:
             raise ExperimentFileError(f"{experiment.path}: experiment.hook: {error}") from error
         self._function: Callable[[RunContext], object] = function
 
-    def call(self, context: RunContext, look: Callable[[], None]) -> None:
-        """Call the function in a thread of its own and wait for it; ``look`` may raise what ends the run.
+    def call(self, context: RunContext, poll: Callable[[], None]) -> None:
+        """Call the function in a thread of its own and wait for it.
+
+        Args:
+            context: What the function gets.
+            poll: Is called repeatedly meanwhile; may raise the error that ends the run.
 
         Raises:
             HookError: The function has raised, or has not ended in time.
@@ -89,29 +93,29 @@ class Hook:
         def work() -> None:
             try:
                 self._function(context)
-            except BaseException as error:  # noqa: BLE001 - somebody else's function: sys.exit() in it, too
+            except BaseException as error:  # noqa: BLE001 - a user's function may raise anything, also SystemExit
                 raised.append(error)
 
         thread = threading.Thread(target=work, name="hook", daemon=True)
         thread.start()
-        deadline = time.monotonic() + self._limit
+        deadline = time.monotonic() + self._timeout
         while thread.is_alive():
-            thread.join(INTERVAL)
-            look()
+            thread.join(POLL_INTERVAL)
+            poll()
             if time.monotonic() > deadline:
-                raise HookError(f"{self._place(context)} has not ended within {self._limit:g} s")
+                raise HookError(f"{self._description(context)} has not ended within {self._timeout:g} s")
         if raised:
-            what = " ".join(f"{type(raised[0]).__name__}: {raised[0]}".split())[:LONGEST_REASON]
-            raise HookError(f"{self._place(context)} failed: {what}") from raised[0]
+            message = " ".join(f"{type(raised[0]).__name__}: {raised[0]}".split())[:MAX_REASON_LENGTH]
+            raise HookError(f"{self._description(context)} failed: {message}") from raised[0]
 
-    def _place(self, context: RunContext) -> str:
-        return f"the hook {self._stated} {context.moment} the steps"
+    def _description(self, context: RunContext) -> str:
+        return f"the hook {self._reference} {context.moment} the steps"
 
 
-def _function_of(stated: str, folder: Path) -> Callable[[RunContext], object]:
-    module_name, _, name = stated.rpartition(":")
+def _load_function(reference: str, folder: Path) -> Callable[[RunContext], object]:
+    module_name, _, name = reference.rpartition(":")
     if module_name.endswith(".py"):
-        function = object_of(stated, folder)
+        function = object_of(reference, folder)
     else:
         try:
             module = importlib.import_module(module_name)
@@ -122,5 +126,5 @@ def _function_of(stated: str, folder: Path) -> Callable[[RunContext], object]:
             ) from error
         function = getattr(module, name, None)
     if not callable(function):
-        raise UsageError(f"expected {stated!r} to be a function of one argument, found {function!r:.100}")
+        raise UsageError(f"expected {reference!r} to be a function of one argument, found {function!r:.100}")
     return function

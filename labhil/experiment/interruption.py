@@ -1,4 +1,4 @@
-"""Ctrl+C and its relatives, and the emergency stop, as something that a run looks at when it is ready to."""
+"""Signals such as Ctrl+C and the emergency stop, in a form that a run polls."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from labhil.errors import CommandRefusedError, EmergencyStopError, LabhilError
 
 
 class Interruption:
-    """Context in which SIGINT, SIGTERM and SIGHUP are noted instead of breaking in.
+    """A context that notes SIGINT, SIGTERM and SIGHUP instead of raising.
 
-    A second Ctrl+C thus cannot cut short what the first one set off: bringing devices to their safe
-    state and finishing the recording. Outside the main thread, where Python handles no signals, it
-    notes nothing. ``reason`` is the name of the first signal, or empty.
+    A second Ctrl+C thus cannot interrupt the orderly end: bringing devices to their safe state and completing
+    the recording. Outside the main thread, where Python handles no signals, it notes nothing. ``reason`` is
+    the name of the first signal, or empty.
     """
 
     def __init__(self) -> None:
@@ -36,30 +36,31 @@ class Interruption:
         self.reason = self.reason or signal.Signals(number).name
 
     def __call__(self) -> bool:
-        """Whether it is time to stop."""
+        """Return whether a signal has come."""
         return bool(self.reason)
 
 
-def raise_standing_stop() -> None:
-    """Raise EmergencyStopError where an emergency stop stands, heard without any device or the bus."""
-    standing = _standing()
-    if standing is not None:
-        raise standing
+def raise_emergency_stop() -> None:
+    """Raise EmergencyStopError while the emergency stop is pressed; needs neither a device nor the bus."""
+    error = _emergency_stop()
+    if error is not None:
+        raise error
 
 
-def in_place_of(error: LabhilError | None) -> LabhilError | None:
-    """Return the emergency stop that stands, where nothing failed or a device only refuses because of it.
+def emergency_stop_or(error: LabhilError | None) -> LabhilError | None:
+    """Return the emergency stop where it explains ``error``, otherwise ``error``.
 
-    Any other ``error`` came before the stop, and is returned as it is.
+    It does so where there is no error, or a device only refuses because of the stop. Any other error came
+    before the stop.
     """
     if error is None or isinstance(error, CommandRefusedError):
-        return _standing() or error
+        return _emergency_stop() or error
     return error
 
 
-def _standing() -> EmergencyStopError | None:
+def _emergency_stop() -> EmergencyStopError | None:
     try:
-        standing = read_latch()
+        latch = read_latch()
     except (LabhilError, OSError):
-        return None  # a directory that cannot be read is no stop; hosts look there as well
-    return None if standing is None else EmergencyStopError(standing.describe())
+        return None  # a directory that cannot be read is no stop; hosts read it as well
+    return None if latch is None else EmergencyStopError(latch.describe())

@@ -1,4 +1,4 @@
-"""The file of a lab (TOML): devices that stay up, and how what they say is recorded."""
+"""The lab file (TOML): devices that stay up, how they are recorded, and what is done with the recordings."""
 
 from __future__ import annotations
 
@@ -6,43 +6,39 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from labhil.documents import DocumentError, read_document
 from labhil.errors import ExperimentFileError, UsageError
-from labhil.experiment.experiment import DeviceSection, WithDevices, parse_devices
+from labhil.experiment.device_sections import DeviceSection, Section, WithDevices, parse_devices
 from labhil.kinds import kind_named
 
-SHORTEST_ROLL = 1.0
+MIN_ROLL = 1.0
+"""Shortest recording of a lab, s."""
 
 
-class LabSection(BaseModel):
-    """``[lab]``: its name, and where recordings go; a new one is begun every ``roll`` s of the host's clock.
+class LabSection(Section):
+    """``[lab]``: its name and the folder of its recordings, one for every ``roll`` s of the host's clock.
 
-    ``analyse`` says what is done with each finished recording of that folder: "fit", "diagnose", both, or
-    nothing.
+    ``analyse`` lists the analyses of each finished recording in that folder: "fit", "diagnose", both or none.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, Field(min_length=1)] = "lab"
     folder: str = "."
     record: bool = True
-    roll: Annotated[float, Field(ge=SHORTEST_ROLL, allow_inf_nan=False)] = 600.0
+    roll: Annotated[float, Field(ge=MIN_ROLL, allow_inf_nan=False)] = 600.0
     analyse: tuple[str, ...] = ("fit", "diagnose")
 
 
-class Policy(BaseModel):
-    """``[policies.KIND]``: what recordings of that kind of rig get; where a key is absent, the kind's own.
+class Policy(Section):
+    """``[policies.KIND]``: how recordings of a kind of rig are analysed; defaults are those of the kind.
 
-    ``analyse``: "fit", "diagnose", "verify", in that order or another; that of ``[lab]`` where absent.
-    ``terms``: of the model that is fitted. ``baseline``: the terms that a diagnosis takes for given.
-    ``model``: the accepted model, the JSON of a fit or a diagnosis: what a diagnosis compares with, and what
-    is verified. ``estimator``: of a fit. ``seconds``: how long a study may take before it ends with the best
-    so far.
+    ``analyse``: any of "fit", "diagnose", "verify", in the order in which they run; by default that of
+    ``[lab]``. ``terms``: the terms of the fitted model. ``baseline``: the known terms of a diagnosis.
+    ``model``: the accepted model, the JSON of a fit or a diagnosis, which a diagnosis compares with and
+    "verify" checks. ``estimator``: that of a fit. ``seconds``: how long an analysis may take, s, before it
+    ends with the best result so far.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     analyse: tuple[str, ...] | None = None
     terms: tuple[str, ...] | None = None
@@ -53,7 +49,7 @@ class Policy(BaseModel):
 
 
 class Lab(WithDevices):
-    """A whole lab file; without ``[devices]`` a lab only analyses what others record in its folder."""
+    """The contents of a lab file; without ``[devices]`` a lab only analyses the recordings in its folder."""
 
     lab: LabSection = LabSection()
     devices: dict[str, DeviceSection] = Field(default_factory=dict)
@@ -65,7 +61,11 @@ POLICY_ANALYSES = (*ANALYSES, "verify")
 
 
 def load_lab(path: Path) -> Lab:
-    """Read a lab file; ExperimentFileError names the file, the field and what was expected."""
+    """Read a lab file.
+
+    Raises:
+        ExperimentFileError: The message gives the file, the field and what was expected.
+    """
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:

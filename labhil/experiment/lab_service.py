@@ -1,7 +1,7 @@
-"""Devices that stay up: their hosts on one bus, what they say recorded in one file after another.
+"""A lab that stays up: the hosts of its devices on one bus, recorded in one file after another.
 
-One device that fails keeps no other from going on. However a service ends, every device is brought to its
-safe state, the hosts end, the recording gets its name, the simulated devices are stopped.
+A device that fails does not stop the others. However a service ends, every device is brought to its safe
+state, the hosts end, the recording gets its name, the simulated devices are stopped.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus
 from labhil.errors import BusError, LabhilError, RecordingFailedError, RunStoppedError, UsageError
+from labhil.experiment.attachments import attach_rigs
 from labhil.experiment.devices import end_hosts, host_config
 from labhil.experiment.experiment import TWIN, RecordSection
 from labhil.experiment.lab import Lab
@@ -26,32 +27,42 @@ from labhil.experiment.result import free_path
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
 from labhil.memory import give_back
-from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.hosts import HostProcess
-from labhil.service.recorder import Recorder, RecordingSummary
+from labhil.service.recorded import RecordingSummary
+from labhil.service.recorder import Recorder
 
-LOOK = 0.2
-"""How often devices and the recording are looked after, s."""
+CHECK_INTERVAL = 0.2
+"""How often devices and the recording are checked, s."""
 
 LAB = "lab"
-Say = Callable[[str], None]
 
 
 class LabService:
-    """The devices of a lab on a bus that is open already; ``folder`` is where recordings go."""
+    """Serves and records the devices of a lab.
 
-    def __init__(self, lab: Lab, bus: Bus, folder: Path, say: Say) -> None:
-        self._lab, self._bus, self._folder, self._say = lab, bus, folder, say
+    Args:
+        lab: The lab file.
+        bus: The bus, open already.
+        folder: Where recordings go.
+        report: Is called with each line for the operator.
+    """
+
+    def __init__(self, lab: Lab, bus: Bus, folder: Path, report: Callable[[str], None]) -> None:
+        self._lab, self._bus, self._folder, self._report = lab, bus, folder, report
         self._plans = [device_plan(lab, name) for name in lab.devices]
         self._hosts: dict[str, HostProcess] = {}
         self._recorder: Recorder | None = None
-        self._began = 0.0
+        self._recording_began = 0.0
         self.failed: dict[str, LabhilError] = {}
 
     def run(self, ended: Callable[[], bool]) -> None:
-        """Serve until ``ended``; LabhilError where no device is left, or nothing can be recorded."""
+        """Serve until ``ended`` returns true.
+
+        Raises:
+            LabhilError: All devices have failed, or nothing can be recorded.
+        """
         names = [plan.name for plan in self._plans]
-        reachable = registered(LAB, self._lab.lab.name, self._bus.endpoint, names)
+        reachable = register(LAB, self._lab.lab.name, self._bus.endpoint, names)
         with session_clock(), ExitStack() as twins, reachable:
             offer_status(self._bus, self._status, twins)
             try:
@@ -59,8 +70,8 @@ class LabService:
                 for plan in self._plans:
                     self._start(plan, twins, ended)
                 while not ended():
-                    time.sleep(LOOK)
-                    self._look_after()
+                    time.sleep(CHECK_INTERVAL)
+                    self._check()
             except RunStoppedError:
                 self._stop()
             except BaseException as error:
@@ -70,7 +81,7 @@ class LabService:
                 self._stop()
 
     def _start(self, plan: DevicePlan, twins: ExitStack, ended: Callable[[], bool]) -> None:
-        """Start a device and wait for it; one that cannot be reached is reported, and the others go on."""
+        """Start a device and wait for it; a failure is reported and does not stop the others."""
         try:
             address = plan.section.address
             if address == TWIN:
@@ -78,10 +89,10 @@ class LabService:
             patient = plan.section.reconnect
             host = HostProcess(replace(host_config(plan, address, self._bus.endpoint), patient=patient))
             self._hosts[plan.name] = host
-            if host.wait_or_absent(ended) is None:
-                self._say(f"{plan.name}: {host.absent}; it is looked for as long as this service lasts")
+            if host.wait_reported(ended) is None:
+                self._report(f"{plan.name}: {host.absent}; the search goes on as long as this service lasts")
             else:
-                self._say_up(plan.name)
+                self._report_up(plan.name)
         except RunStoppedError:
             raise
         except LabhilError as error:
@@ -94,13 +105,13 @@ class LabService:
         twins.callback(twin.stop)
         return address
 
-    def _look_after(self) -> None:
-        if deaf := self._bus.failure():
-            raise BusError(f"the service no longer hears everything: {deaf}")
+    def _check(self) -> None:
+        if fault := self._bus.failure():
+            raise BusError(f"the service no longer hears everything: {fault}")
         for name, host in list(self._hosts.items()):
             try:
-                if host.absent and host.has_come():
-                    self._say_up(name)
+                if host.absent and host.has_connected():
+                    self._report_up(name)
                 failure = host.failure()
             except LabhilError as error:
                 failure = error
@@ -108,15 +119,15 @@ class LabService:
                 self._lose(name, failure)
         if self._recorder is not None:
             self._recorder.check()
-        if self._recorder is not None and time.monotonic() - self._began > self._lab.lab.roll:
+        if self._recorder is not None and time.monotonic() - self._recording_began > self._lab.lab.roll:
             self._record()
 
-    def _say_up(self, name: str) -> None:
+    def _report_up(self, name: str) -> None:
         config = self._hosts[name].config
-        self._say(f"{name}: {config.plugin} at {config.address} is up")
+        self._report(f"{name}: {config.plugin} at {config.address} is up")
 
     def _status(self) -> dict[str, Any]:
-        """What is answered to whoever asks how this lab stands."""
+        """Return the answer to the request ``status``."""
         hosts = dict(self._hosts)
         absent = {name: host.absent for name, host in hosts.items() if host.absent}
         return {
@@ -131,40 +142,38 @@ class LabService:
         }
 
     def _lose(self, name: str, error: LabhilError) -> None:
-        """Go on without a device; raises its error where it was the last one."""
+        """Continue without a device; raises its error where it was the last one."""
         self.failed[name] = error
         host = self._hosts.pop(name, None)
         if host is not None:
             host.stop()
-        self._say(f"{name}: {error}")
+        self._report(f"{name}: {error}")
         event = {"t_ns": unix_ns(), "kind": "failed", "state": "failed", "message": str(error)}
         publish_event(self._bus, name, event)
         if len(self.failed) == len(self._plans):
             raise error
 
     def _record(self) -> None:
-        """Begin a recording, then end the one before it: a few samples are in both, none is in neither."""
+        """Begin a recording, then end the one before it, so that no sample falls between them."""
         if not self._lab.lab.record or not self._plans:
             return
         previous = self._recorder
         path = free_path(self._folder, RecordSection().path, self._lab.lab.name)
-        attachments: dict[str, bytes] = {}
-        for index, plan in enumerate(self._plans):
-            attachments |= rig_attachments(plan.rig, plan.name if index else None)
         metadata = {"lab": {"name": self._lab.lab.name, "roll": repr(self._lab.lab.roll)}}
+        attachments = attach_rigs(self._plans)
         self._recorder = Recorder(self._bus, path, attachments=attachments, metadata=metadata)
-        self._began = time.monotonic()
+        self._recording_began = time.monotonic()
         if previous is not None:
-            self._tell(previous.finish("0", "the next recording began"))
+            self._report_recording(previous.finish("0", "the next recording began"))
             give_back()
 
-    def _tell(self, summary: RecordingSummary) -> None:
-        self._say(f"recorded {summary.path}")
+    def _report_recording(self, summary: RecordingSummary) -> None:
+        self._report(f"recorded {summary.path}")
         for warning in summary.warnings:
-            self._say(f"{summary.path}: {warning}")
+            self._report(f"{summary.path}: {warning}")
 
     def _stop(self, error: BaseException | None = None) -> None:
-        """Devices first, all at once; then what was recorded, with ``error`` as the reason of its end."""
+        """End the hosts first, concurrently; then complete the recording, with ``error`` as its reason."""
         end_hosts(list(self._hosts.values()))
         if self._recorder is None:
             return
@@ -175,17 +184,25 @@ class LabService:
         except RecordingFailedError as failure:
             if error is None:
                 raise
-            self._say(str(failure))  # what ended the service comes first
+            self._report(str(failure))  # the error that ended the service takes precedence
         else:
             if any(stream.samples for stream in summary.streams):
-                self._tell(summary)
+                self._report_recording(summary)
             else:
                 summary.path.unlink()
 
 
-def folder_of(lab: Lab, given: Path | None) -> Path:
-    """Where recordings go: ``given``, or as the lab file says; UsageError where it cannot be made."""
-    folder = given if given is not None else lab.path.parent / lab.lab.folder
+def make_recordings_folder(lab: Lab, folder: Path | None) -> Path:
+    """Make the folder of the recordings and return it.
+
+    Args:
+        lab: The lab file.
+        folder: The folder, instead of that in the lab file.
+
+    Raises:
+        UsageError: It cannot be made.
+    """
+    folder = folder if folder is not None else lab.path.parent / lab.lab.folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A first rig file and experiment file for a device, made of those that come with labhil."""
+"""A first rig file and experiment file for a device, from the examples that come with labhil."""
 
 from __future__ import annotations
 
@@ -15,26 +15,31 @@ from labhil.whole import write_error
 EXAMPLES = files("labhil.experiment") / "examples"
 
 
-def starters() -> tuple[str, ...]:
-    """Return the drivers that there is a first experiment for."""
+def example_drivers() -> tuple[str, ...]:
+    """Return the names of the drivers that have an example, sorted."""
     names = (entry.name for entry in EXAMPLES.iterdir())
     return tuple(sorted(name.removesuffix("_identify.toml") for name in names if "_identify.toml" in name))
 
 
 def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
-    """Write ``KIND.toml`` (the rig) and ``KIND_identify.toml`` (the experiment) into ``folder``.
+    """Write ``KIND.toml`` (the rig) and ``KIND_identify.toml`` (the experiment) into a folder.
 
-    For a real device what the simulated one is known to be is commented out.
+    For a real device the known values of the simulated one are commented out.
+
+    Args:
+        kind: Name of the driver.
+        address: Address of the device, or "twin".
+        folder: Where the files go; it is made if need be.
 
     Returns:
         The paths of the rig file and the experiment file.
 
     Raises:
-        UnknownNameError: There is no first experiment for this driver.
-        UsageError: A file is there already, or the folder cannot be written to.
+        UnknownNameError: There is no example for this driver.
+        UsageError: A file exists already, or the folder cannot be written to.
     """
-    if kind not in starters():
-        raise UnknownNameError("driver", kind, starters())
+    if kind not in example_drivers():
+        raise UnknownNameError("driver", kind, example_drivers())
     if not address.strip():
         raise UsageError('address: expected "twin", a serial port or an address, found nothing')
     rig, experiment = folder / f"{kind}.toml", folder / f"{kind}_identify.toml"
@@ -53,11 +58,11 @@ def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
 
 def _rig_text(kind: str, address: str) -> str:
     text = (EXAMPLES / f"{kind}.toml").read_text(encoding="utf-8")
-    return text if address == TWIN else "\n".join(_without_known(text.splitlines())) + "\n"
+    return text if address == TWIN else "\n".join(_comment_out_known(text.splitlines())) + "\n"
 
 
-def _without_known(lines: list[str]) -> Iterator[str]:
-    """Comment out what is known of the simulated device: a real one has other values."""
+def _comment_out_known(lines: list[str]) -> Iterator[str]:
+    """Comment out the known values of the simulated device: a real one has others."""
     section = ""
     for number, line in enumerate(lines):
         if line.startswith("["):

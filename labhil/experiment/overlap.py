@@ -1,4 +1,4 @@
-"""Which steps of an experiment may run at the same time."""
+"""Refusal of steps that must not run at the same time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def refuse_overlaps(schedule: Sequence[TimedStep]) -> None:
     """Raise ValueError where two steps drive one signal at the same time."""
     for later in schedule:
         for earlier in schedule[: later.index]:
-            same = (earlier.step.device, earlier.step.signal) == (later.step.device, later.step.signal)
-            if same and earlier.start < later.end and later.start < earlier.end:
+            is_same = (earlier.step.device, earlier.step.signal) == (later.step.device, later.step.signal)
+            if is_same and earlier.start < later.end and later.start < earlier.end:
                 raise ValueError(
                     f"steps.{later.index}: {later.step.device}.{later.step.signal} is driven by "
                     f"steps.{earlier.index} at the same time ({later.start:g} s)"
@@ -22,10 +22,14 @@ def refuse_overlaps(schedule: Sequence[TimedStep]) -> None:
 
 
 def refuse_conditions_beside_others(schedule: Sequence[TimedStep], devices: int) -> None:
-    """Raise ValueError for a step with a condition that has others beside it.
+    """Raise ValueError for a step with a condition that runs beside another step.
 
-    Its begin or end is known only in the run and shifts what follows, which cannot be done for what runs
-    beside it.
+    The condition decides in the run when the step begins or ends and shifts all later steps. A step beside
+    it could not be shifted.
+
+    Args:
+        schedule: The steps with their starts.
+        devices: Number of devices of the experiment.
     """
     for timed in schedule:
         key = "until" if timed.step.until is not None else "when" if timed.step.when is not None else ""

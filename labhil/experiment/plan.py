@@ -1,4 +1,4 @@
-"""What a run would do, worked out without touching a device: names resolved, limits checked."""
+"""The plan of a run, made without touching a device: names are resolved and limits are checked."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from labhil.driver import DriverSpec
 from labhil.errors import ExperimentFileError, UnknownNameError
 from labhil.experiment.condition import Condition
 from labhil.experiment.continuity import refuse_jumps
-from labhil.experiment.excitation.function import columns_of, sampled
+from labhil.experiment.device_sections import DeviceSection, WithDevices
+from labhil.experiment.excitation.function import columns_of, sample_at_rate
 from labhil.experiment.excitation.spectrum import Spectrum, spectrum_of
-from labhil.experiment.experiment import TWIN, DeviceSection, Experiment, Step, TimedStep, WithDevices
+from labhil.experiment.experiment import TWIN, Experiment, Step, TimedStep
 from labhil.plugins import load_driver, load_twin
 from labhil.rig import RigFile
 from labhil.rig_sections import Interlock, Limit
+from labhil.service.interlocks import format_thresholds
 from labhil.signals import FloatArray, Signal
 
 
 @dataclass(frozen=True, slots=True)
 class DevicePlan:
-    """One device of a run: how it is reached, what it is, and its steps."""
+    """One device of a run: its section in the file, its driver's declaration, its rig file and its steps."""
 
     name: str
     section: DeviceSection
@@ -35,7 +37,17 @@ class DevicePlan:
 
 @dataclass(frozen=True, slots=True)
 class StepPlan:
-    """What one step asks for: ``lowest`` and ``highest`` in its unit, ``fastest`` in its unit per second."""
+    """One step of a run, evaluated.
+
+    Attributes:
+        timed: The step with its time.
+        unit: Unit of its signal.
+        lowest: Lowest value of the excitation, in ``unit``.
+        highest: Highest value.
+        fastest: Largest change between two samples, ``unit`` per second.
+        spectrum: Spectrum of the excitation.
+        warnings: What a person should know before the run.
+    """
 
     timed: TimedStep
     unit: str
@@ -48,7 +60,7 @@ class StepPlan:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A whole run; ``duration`` in s of the devices' clocks."""
+    """The plan of a run; ``duration`` in s of the devices' clocks."""
 
     experiment: Experiment
     devices: tuple[DevicePlan, ...]
@@ -56,29 +68,29 @@ class Plan:
     duration: float
 
     def warnings(self) -> tuple[str, ...]:
-        """Return what will differ from the experiment file, or goes unchecked."""
+        """Return where the run will differ from the experiment file."""
         return tuple(warning for step in self.steps for warning in step.warnings)
 
     def describe(self) -> str:
-        """Return what the run would do, for a person."""
+        """Describe the run for a person, in several lines."""
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
         yield f"{self.experiment.experiment.name}: {self.duration:g} s of the devices' clocks"
         for device in self.devices:
-            where = "its simulated device" if device.section.address == TWIN else device.section.address
+            address = "its simulated device" if device.section.address == TWIN else device.section.address
             speed = device.section.twin.speed if device.section.address == TWIN else 1.0
-            faster = f", {speed:g} times faster than real time" if speed != 1.0 else ""
-            yield f"  {device.name}: {device.section.plugin} at {where}{faster}"
+            speed_text = f", {speed:g} times faster than real time" if speed != 1.0 else ""
+            yield f"  {device.name}: {device.section.plugin} at {address}{speed_text}"
             for signal, limit in device.rig.limits.items():
-                yield f"    limit {signal}: {_limit_in_words(limit)}"
-            for signal, lock in device.rig.interlocks.items():
-                yield f"    interlock {signal}: {_interlock_in_words(lock)}"
+                yield f"    limit {signal}: {_format_limit(limit)}"
+            for signal, interlock in device.rig.interlocks.items():
+                yield f"    interlock {signal}: {_format_interlock(interlock)}"
             if not device.rig.limits:
                 yield "    no limits: the rig file has no [limits], so nothing is clipped and nothing trips"
         for step in self.steps:
-            yield f"  {_step_in_words(step)}"
-            yield from (f"    {line}" for line in _spectrum_in_words(step))
+            yield f"  {_format_step(step)}"
+            yield from (f"    {line}" for line in _format_spectrum(step))
         for check in self.experiment.checks or ():
             yield f"  check {check.at} the steps, within {check.within:g} s: {check.condition}"
         if self.experiment.experiment.hook is not None:
@@ -90,7 +102,10 @@ class Plan:
 def make_plan(experiment: Experiment) -> Plan:
     """Resolve names, read rig files and check every step against the limits; no device is touched.
 
-    Raises ExperimentFileError, RigFileError or UnknownNameError.
+    Raises:
+        ExperimentFileError: A name, a step or a condition is wrong.
+        RigFileError: A rig file is wrong.
+        UnknownNameError: A driver or simulated device does not exist.
     """
     schedule = experiment.schedule()
     devices = tuple(device_plan(experiment, name, schedule) for name in experiment.devices)
@@ -103,7 +118,17 @@ def make_plan(experiment: Experiment) -> Plan:
 
 
 def device_plan(experiment: WithDevices, name: str, schedule: tuple[TimedStep, ...] = ()) -> DevicePlan:
-    """Resolve a device: its driver, its rig file, its steps. Raises ExperimentFileError or RigFileError."""
+    """Resolve the driver, the rig file and the steps of a device.
+
+    Args:
+        experiment: The file.
+        name: Name of the device in it.
+        schedule: The steps of all devices.
+
+    Raises:
+        ExperimentFileError: A name is unknown, or an interlock watches a signal that the device has not.
+        RigFileError: The rig file is wrong.
+    """
     section = experiment.devices[name]
     try:
         spec = load_driver(section.plugin).spec
@@ -123,13 +148,13 @@ def device_plan(experiment: WithDevices, name: str, schedule: tuple[TimedStep, .
 
 def _check_twin(section: DeviceSection) -> None:
     twin = load_twin(section.plugin)
-    for what, names, known in (
+    for key, names, known in (
         ("twin.terms:", section.twin.terms or (), twin.terms()),
         ("twin.set:", section.twin.set, twin.parameters()),
     ):
         for name in names:
             if name not in known:
-                raise UnknownNameError(what, name, known)
+                raise UnknownNameError(key, name, known)
 
 
 def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
@@ -146,24 +171,24 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     rate, command = device.spec.stream.rate, commands[step.signal]
     values = _values(place, timed, command, rate)
     safe = _safe_values(device.spec, command, values)
-    before = np.vstack([safe, values[:-1]])
+    previous = np.vstack([safe, values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
-    fastest = float(np.max(np.abs(values - before))) * rate
+    fastest = float(np.max(np.abs(values - previous))) * rate
     _check_range(place, command, lowest, highest, device.spec)
     limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
-    reach = (lowest, highest, fastest)
-    warnings = () if limit is None else _check_limit(place, step.signal, command.unit, reach, limit)
-    away = _longest_excursion(values, safe) / rate
-    if away > device.spec.longest_output:
+    extremes = (lowest, highest, fastest)
+    warnings = () if limit is None else _check_limit(place, step.signal, command.unit, extremes, limit)
+    excursion = _longest_excursion(values, safe) / rate
+    if excursion > device.spec.longest_output:
         warnings += (
-            f"{place}: {step.signal} is not at its safe value for {away:g} s without a break; the device "
-            f"ends an output after {device.spec.longest_output:g} s, and the run ends with it",
+            f"{place}: {step.signal} is not at its safe value for {excursion:g} s without a break; the "
+            f"device ends an output after {device.spec.longest_output:g} s, and the run ends with it",
         )
-    return StepPlan(timed, command.unit, *reach, spectrum_of(values, rate), warnings)
+    return StepPlan(timed, command.unit, *extremes, spectrum_of(values, rate), warnings)
 
 
 def _check_conditions(place: str, step: Step, spec: DriverSpec) -> None:
-    """Refuse conditions on signals that are not there, and those that would interrupt a path."""
+    """Refuse conditions on unknown signals, and conditions that would interrupt a path."""
     for key, condition in (("when", step.when), ("until", step.until)):
         if condition is None:
             continue
@@ -176,7 +201,7 @@ def _check_conditions(place: str, step: Step, spec: DriverSpec) -> None:
 
 def _check_signals(place: str, condition: Condition, spec: DriverSpec) -> None:
     try:
-        condition.over(spec.stream.columns())
+        condition.bind(spec.stream.columns())
     except UnknownNameError as error:
         raise ExperimentFileError(f"{place}: {error}") from error
 
@@ -188,7 +213,7 @@ def _refuse_unknown_signals(experiment: Experiment, devices: tuple[DevicePlan, .
 
 
 def _drivable_signals(spec: DriverSpec) -> Iterator[Signal]:
-    """The signals that a step can drive: the commands, and each column of a vector command."""
+    """Yield the signals that a step can drive: the commands, and each column of a vector command."""
     for signal in spec.commands:
         yield signal
         if signal.width > 1:
@@ -201,7 +226,7 @@ def _vector_of(column: str) -> str:
 
 
 def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> FloatArray:
-    """The step's values at the device's rate, (n, columns of the command)."""
+    """Return the excitation at the rate of the device, (n, columns of the command)."""
     try:
         excitation = timed.make()
     except ValueError as error:
@@ -214,30 +239,30 @@ def _values(place: str, timed: TimedStep, command: Signal, rate: float) -> Float
     if command.width > 1 and timed.step.stabilise is not None:
         raise ExperimentFileError(f"{place}.stabilise: only for a plain signal, {command.name} is a vector")
     try:
-        return sampled(excitation, timed.step.duration, rate).reshape(-1, command.width)
+        return sample_at_rate(excitation, timed.step.duration, rate).reshape(-1, command.width)
     except (ValueError, OverflowError) as error:
         raise ExperimentFileError(f"{place}: the excitation cannot be calculated: {error}") from error
 
 
 def _safe_values(spec: DriverSpec, command: Signal, values: FloatArray) -> FloatArray:
-    """Where the command comes from, (columns,): its safe value, or where it begins if it has none."""
-    begins = values[0].tolist()
+    """Return the value before the step, (columns,): the safe value, or its first value where it has none."""
+    first_values = values[0].tolist()
     return np.array(
         [
-            spec.safe.get(column, spec.safe.get(command.name, begun))
-            for column, begun in zip(command.columns(), begins, strict=True)
+            spec.safe.get(column, spec.safe.get(command.name, first))
+            for column, first in zip(command.columns(), first_values, strict=True)
         ]
     )
 
 
 def _longest_excursion(values: FloatArray, safe: FloatArray) -> int:
-    """How many samples in a row, at most, are not at the safe values."""
+    """Return the largest number of samples in a row that are not at the safe values."""
     at_rest = np.flatnonzero(np.all(values == safe, axis=1))
     return int(np.diff(np.concatenate([[-1], at_rest, [len(values)]])).max()) - 1
 
 
 def _check_range(place: str, command: Signal, lowest: float, highest: float, spec: DriverSpec) -> None:
-    """Refuse values beyond the device's own range, whatever the limits."""
+    """Refuse values beyond the range of the device, whatever the limits."""
     low, high = spec.ranges.get(command.name, (-math.inf, math.inf))
     if lowest < low or highest > high:
         allowed = f"{spec.name} takes {low:.4g} to {high:.4g} {command.unit}"
@@ -245,20 +270,19 @@ def _check_range(place: str, command: Signal, lowest: float, highest: float, spe
 
 
 def _range_error(
-    place: str, signal: str, unit: str, reach: tuple[float, float], allowed: str
+    place: str, signal: str, unit: str, extremes: tuple[float, float], allowed: str
 ) -> ExperimentFileError:
-    """The error for an excitation beyond its range, with the allowed range."""
-    lowest, highest = reach
+    lowest, highest = extremes
     return ExperimentFileError(
         f"{place}: the excitation of {signal} reaches from {lowest:.4g} to {highest:.4g} {unit}; {allowed}"
     )
 
 
 def _check_limit(
-    place: str, signal: str, unit: str, reach: tuple[float, float, float], limit: Limit
+    place: str, signal: str, unit: str, extremes: tuple[float, float, float], limit: Limit
 ) -> tuple[str, ...]:
-    """Refuse what lies beyond min and max; what is too fast is slowed, which is worth a warning."""
-    lowest, highest, fastest = reach
+    """Refuse values beyond min and max; return a warning for a rate that the host will limit."""
+    lowest, highest, fastest = extremes
     if lowest < limit.min or highest > limit.max:
         allowed = f"its limits are {limit.min:g} to {limit.max:g} {unit}"
         raise _range_error(place, signal, unit, (lowest, highest), allowed)
@@ -270,37 +294,32 @@ def _check_limit(
     return ()
 
 
-def _limit_in_words(limit: Limit) -> str:
+def _format_limit(limit: Limit) -> str:
     rate = f", {limit.rate:g} per second" if limit.rate != float("inf") else ""
     return f"{limit.min:g} to {limit.max:g}{rate}"
 
 
-def _interlock_in_words(lock: Interlock) -> str:
-    parts = []
-    if lock.trip_above is not None:
-        parts.append(f"trips above {lock.trip_above:g} until below {lock.resume_high:g}")
-    if lock.trip_below is not None:
-        parts.append(f"trips below {lock.trip_below:g} until above {lock.resume_low:g}")
-    return f"{', '.join(parts)}; then {lock.then}"
+def _format_interlock(interlock: Interlock) -> str:
+    return f"{', '.join(format_thresholds(interlock))}; then {interlock.then}"
 
 
-def _step_in_words(step: StepPlan) -> str:
+def _format_step(step: StepPlan) -> str:
     timed, settings = step.timed, step.timed.step
-    words = (
+    text = (
         f"{timed.start:g}–{timed.end:g} s: {settings.device}.{settings.signal} {settings.excitation}, "
         f"{step.lowest:.4g} to {step.highest:.4g} {step.unit}, up to {step.fastest:.4g} {step.unit}/s, "
         f"crest factor {step.spectrum.crest_factor:.2f}, RMS {step.spectrum.rms:.4g} {step.unit}"
     )
     if settings.when is not None:
-        words = f"{words}; begins once {settings.when}, waits {settings.wait:g} s at most"
+        text = f"{text}; begins once {settings.when}, waits {settings.wait:g} s at most"
     if settings.until is not None:
-        words = f"{words}; ends early once {settings.until}"
+        text = f"{text}; ends early once {settings.until}"
     if settings.stabilise is None:
-        return words
-    return f"{words}; kp {settings.stabilise.kp:g}, kd {settings.stabilise.kd:g} on {settings.stabilise.on}"
+        return text
+    return f"{text}; kp {settings.stabilise.kp:g}, kd {settings.stabilise.kd:g} on {settings.stabilise.on}"
 
 
-def _spectrum_in_words(step: StepPlan) -> Iterator[str]:
+def _format_spectrum(step: StepPlan) -> Iterator[str]:
     spectrum = step.spectrum
     if spectrum.occupied is None or spectrum.half_power is None:
         return

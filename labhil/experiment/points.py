@@ -1,4 +1,4 @@
-"""The runs that an experiment file with ``repeat`` or ``[sweep]`` stands for."""
+"""The runs of a campaign: an experiment file with ``repeat`` or ``[sweep]``, expanded."""
 
 from __future__ import annotations
 
@@ -14,17 +14,23 @@ from pydantic import ValidationError
 from labhil.complaints import explain
 from labhil.errors import ExperimentFileError
 from labhil.experiment.experiment import Experiment
-from labhil.experiment.sweep import MOST_RUNS, replace_value
+from labhil.experiment.sweep import MAX_RUNS, replace_value
 
 FREE_TEXT = ("operator", "sample", "notes", "tags")
-"""Keys of ``[experiment]`` that change nothing about the runs."""
+"""Keys of ``[experiment]`` that do not change the runs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One run of a campaign: number ``number`` of ``of``, and repetition ``repetition`` of ``repeat``.
+    """One run of a campaign.
 
-    ``settings`` are the swept values by place; ``experiment`` is the file of this run alone.
+    Attributes:
+        number: Its number, from 1.
+        of: How many runs there are.
+        repetition: Which repetition of its settings it is, from 1.
+        repeat: How many repetitions there are.
+        settings: The swept values, by place.
+        experiment: The experiment of this run alone.
     """
 
     number: int
@@ -35,33 +41,34 @@ class Point:
     experiment: Experiment
 
     def describe(self) -> str:
-        """Return which run this is, for a person."""
-        words = ", ".join(f"{place} = {json.dumps(value)}" for place, value in self.settings.items())
-        again = f"repetition {self.repetition} of {self.repeat}" if self.repeat > 1 else ""
-        return ", ".join(part for part in (f"run {self.number} of {self.of}", words, again) if part)
+        """Describe the run in one line for a person."""
+        repetition = f"repetition {self.repetition} of {self.repeat}" if self.repeat > 1 else ""
+        parts = (f"run {self.number} of {self.of}", _format_settings(self.settings), repetition)
+        return ", ".join(part for part in parts if part)
 
     def public_settings(self) -> dict[str, str]:
-        """Return the settings as a recording may hold them: nothing of what a twin is made of."""
+        """Return the settings that a recording may hold, as JSON: without those of a simulated device."""
         return {place: json.dumps(value) for place, value in self.settings.items() if not _is_of_twin(place)}
 
 
 def is_campaign(experiment: Experiment) -> bool:
-    """Whether the file stands for several recordings."""
+    """Return whether the file describes several runs."""
     return experiment.sweep is not None or experiment.experiment.repeat > 1
 
 
 def points_of(experiment: Experiment) -> tuple[Point, ...]:
-    """Return the runs in their order, each repetition after the other.
+    """Return the runs in their order, the repetitions of each after one another.
 
-    Raises ExperimentFileError for a place that is not in the file, a value that does not belong there, or
-    too many runs.
+    Raises:
+        ExperimentFileError: A swept place is not in the file, a value does not belong there, or there are too
+            many runs.
     """
     repeat = experiment.experiment.repeat
     combinations = [{}] if experiment.sweep is None else list(experiment.sweep.combinations())
     count = len(combinations) * repeat
-    if count > MOST_RUNS:
+    if count > MAX_RUNS:
         raise ExperimentFileError(
-            f"{experiment.path}: expected at most {MOST_RUNS} runs, found {len(combinations)} combinations, "
+            f"{experiment.path}: expected at most {MAX_RUNS} runs, found {len(combinations)} combinations, "
             f"each repeated {repeat} times"
         )
     return tuple(_number_points(experiment, combinations, repeat, count))
@@ -92,8 +99,12 @@ def _with_settings(
     try:
         return Experiment.model_validate({**changed, "path": experiment.path})
     except ValidationError as error:
-        what = ", ".join(f"{place} = {json.dumps(value)}" for place, value in settings.items())
-        raise ExperimentFileError(f"with {what}: {explain(error, experiment.path, Experiment)}") from error
+        explanation = explain(error, experiment.path, Experiment)
+        raise ExperimentFileError(f"with {_format_settings(settings)}: {explanation}") from error
+
+
+def _format_settings(settings: Mapping[str, Any]) -> str:
+    return ", ".join(f"{place} = {json.dumps(value)}" for place, value in settings.items())
 
 
 def _is_of_twin(place: str) -> bool:
@@ -102,7 +113,11 @@ def _is_of_twin(place: str) -> bool:
 
 
 def fingerprint(experiment: Experiment, points: tuple[Point, ...]) -> str:
-    """Return the SHA-256 of what the runs are: the file without its free text, and its rig files."""
+    """Return the SHA-256 of what defines the runs: the file without its free text, and its rig files.
+
+    Raises:
+        ExperimentFileError: A rig file cannot be read.
+    """
     digest = hashlib.sha256()
     for point in points:
         data = point.experiment.model_dump(mode="json", exclude_none=True)

@@ -1,6 +1,6 @@
-"""The reference page of the experiment file, made of the models that read it.
+"""The reference page of the experiment file, generated from the models that read it.
 
-``python -m labhil.experiment.reference > docs/reference/experiment-file.md`` writes it anew.
+``python -m labhil.experiment.reference > docs/reference/experiment-file.md`` writes it.
 """
 
 from __future__ import annotations
@@ -18,15 +18,14 @@ from pydantic.fields import FieldInfo
 
 from labhil.experiment.checks import CheckSection
 from labhil.experiment.condition import Condition
+from labhil.experiment.device_sections import DeviceSection, TwinSection
 from labhil.experiment.excitation.make import EXCITATIONS
 from labhil.experiment.experiment import (
     KEYS_OF_EXCITATIONS,
-    DeviceSection,
     ExperimentSection,
     RecordSection,
     Stabilise,
     Step,
-    TwinSection,
 )
 from labhil.experiment.sweep import SweepSection
 from labhil.terminal import show
@@ -71,10 +70,10 @@ def _excitations() -> Iterator[str]:
     yield "A step's `excitation` is one of these names; the other keys of the step are what that one takes.\n"
     yield "| excitation | needs | takes too | |\n|---|---|---|---|"
     for name, recipe in EXCITATIONS.items():
-        needs = ", ".join(f"`{key}`" for key in recipe.needs)
-        without = ", ".join(f"`{key}`" for key in recipe.understood() if key not in recipe.needs)
-        about = (inspect.getdoc(recipe.make) or "").partition("\n\n")[0]
-        yield f"| `{name}` | {needs} | {without} | {_cell(about)} |"
+        required = ", ".join(f"`{key}`" for key in recipe.required)
+        optional = ", ".join(f"`{key}`" for key in recipe.known_keys() if key not in recipe.required)
+        summary = (inspect.getdoc(recipe.make) or "").partition("\n\n")[0]
+        yield f"| `{name}` | {required} | {optional} | {_cell(summary)} |"
     yield "\n| key | value |\n|---|---|"
     for name, field in Step.model_fields.items():
         if name in KEYS_OF_EXCITATIONS:
@@ -82,7 +81,7 @@ def _excitations() -> Iterator[str]:
 
 
 def _markdown(model: type[BaseModel]) -> str:
-    """The docstring without its title's section name, as Markdown."""
+    """Return the docstring of a model as Markdown."""
     text = inspect.getdoc(model) or ""
     return re.sub(r"``(.+?)``", r"`\1`", text, flags=re.DOTALL)
 
@@ -92,20 +91,21 @@ def _cell(text: str) -> str:
 
 
 def _type(field: FieldInfo) -> str:
-    return _cell(_in_words(field.annotation, field.metadata))
+    return _cell(_describe_type(field.annotation, field.metadata))
 
 
-def _in_words(annotation: Any, metadata: Any = ()) -> str:
+def _describe_type(annotation: Any, metadata: Any = ()) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _in_words(arguments[0], arguments[1:])
+        return _describe_type(arguments[0], arguments[1:])
     if origin in (Union, types.UnionType):
-        return " or ".join(_in_words(one, metadata) for one in arguments if one is not type(None))
+        members = [member for member in arguments if member is not type(None)]
+        return " or ".join(_describe_type(member, metadata) for member in members)
     if origin is Literal:
-        return ", ".join(f'"{one}"' for one in arguments)
+        return ", ".join(f'"{value}"' for value in arguments)
     if origin in (tuple, dict):
-        what, of = ("list", arguments[0]) if origin is tuple else ("table", arguments[1])
-        return f"{what} of {_plural(_in_words(of))}"
+        container, item = ("list", arguments[0]) if origin is tuple else ("table", arguments[1])
+        return f"{container} of {_plural(_describe_type(item))}"
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         return "table, see below"
     names = {
@@ -118,13 +118,13 @@ def _in_words(annotation: Any, metadata: Any = ()) -> str:
     return names.get(annotation, "value") + _bounds(metadata)
 
 
-def _plural(words: str) -> str:
-    if words.startswith("list of "):
-        return f"lists{words.removeprefix('list')}"
+def _plural(description: str) -> str:
+    if description.startswith("list of "):
+        return f"lists{description.removeprefix('list')}"
     for singular, plural in (("whole number", "whole numbers"), ("number", "numbers"), ("value", "values")):
-        if words.startswith(singular):
-            return plural + words.removeprefix(singular)
-    return words + "s" if words == "text" else words
+        if description.startswith(singular):
+            return plural + description.removeprefix(singular)
+    return description + "s" if description == "text" else description
 
 
 def _bounds(metadata: Any) -> str:

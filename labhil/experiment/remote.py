@@ -1,4 +1,4 @@
-"""A run controlled from outside: questions on the bus, answered by the process that runs it."""
+"""Control of a run from other processes: requests over the bus, answered by the process of the run."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from labhil.bus.session import Bus
 from labhil.errors import CommandRefusedError
 from labhil.experiment.control import RunControl, RunState
 
-ANSWER_WITHIN = 1.5
-"""How long an answer waits for the run to carry out the request, s."""
-
-LONGEST_REASON = 200
+MAX_REASON_LENGTH = 200
 """Characters of a reason that are kept."""
 
 Form = TypeVar("Form", bound=Incoming)
@@ -27,14 +24,25 @@ Describe = Callable[[], Mapping[str, Any]]
 
 @contextmanager
 def offer_control(
-    bus: Bus, control: RunControl, describe: Describe, refusals: Refusals | None = None
+    bus: Bus,
+    control: RunControl,
+    describe: Describe,
+    refusals: Refusals | None = None,
+    *,
+    answer_after: float = 1.5,
 ) -> Iterator[None]:
     """Answer on ``lab/@run/cmd/{status,pause,resume,stop,abort,mark}`` as long as the context lasts.
 
-    Each answers with ``{"state", "reason", …}`` and what ``describe`` adds, once the run has carried out the
-    request, or after ``ANSWER_WITHIN`` s as things stand then. ``pause``, ``stop`` and ``abort`` take a
-    ``reason``, ``mark`` a ``text``. What the run's state does not allow, or the run refuses, is answered as
-    refused; so is all but ``status`` where it is not signed with the session's key.
+    ``pause``, ``stop`` and ``abort`` take a ``reason``, ``mark`` a ``text``. The answer is
+    ``{"state", "reason", …}``. Requests that the state does not allow, or that the run refuses, are answered
+    as refused, and so is every request but ``status`` that is not signed with the session's key.
+
+    Args:
+        bus: The bus of the run.
+        control: The handle of the run.
+        describe: Returns what is added to each answer.
+        refusals: Counts messages that are not authentic.
+        answer_after: How long an answer waits at most for the run to carry out the request, s.
     """
     endings = (RunState.STOPPING, RunState.ABORTING, RunState.FINISHED, RunState.FAILED)
     requests: dict[str, tuple[Callable[[str], None], tuple[RunState, ...]]] = {
@@ -51,8 +59,8 @@ def offer_control(
         request, awaited = requests[name]
 
         def handle(message: RunRequest) -> dict[str, Any]:
-            request((message.reason or f"told to {name} over the bus")[:LONGEST_REASON])
-            control.wait_for(*awaited, timeout=ANSWER_WITHIN)
+            request((message.reason or f"told to {name} over the bus")[:MAX_REASON_LENGTH])
+            control.wait_for(*awaited, timeout=answer_after)
             if control.refusal:
                 raise CommandRefusedError(control.refusal)
             return status()
@@ -80,15 +88,15 @@ def _offer(
     refusals: Refusals,
     stack: ExitStack,
 ) -> None:
-    """Answer on ``lab/@run/cmd/<name>`` those who hold the session's key, until ``stack`` is closed."""
+    """Answer signed requests on ``lab/@run/cmd/<name>`` until ``stack`` is closed."""
     reader = partial(parse, form, what=name)
     key = command_key(RUN, name)
     stack.enter_context(
-        serve(bus, key, handle, reader=reader, guarded=lambda _asked: True, refusals=refusals)
+        serve(bus, key, handle, reader=reader, guarded=lambda _request: True, refusals=refusals)
     )
 
 
 def offer_status(bus: Bus, status: Callable[[], Mapping[str, Any]], stack: ExitStack) -> None:
-    """Answer on ``lab/@run/cmd/status``, to anybody, until ``stack`` is closed."""
+    """Answer everybody on ``lab/@run/cmd/status`` until ``stack`` is closed."""
     reader = partial(parse, AnyRequest, what="status")
-    stack.enter_context(serve(bus, command_key(RUN, "status"), lambda _asked: status(), reader=reader))
+    stack.enter_context(serve(bus, command_key(RUN, "status"), lambda _request: status(), reader=reader))

@@ -1,4 +1,4 @@
-"""How far a run has come, what came of it, and where its files go."""
+"""The progress of a run, its result, and the names of its files."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from typing import Any
 from labhil.errors import LabhilError
 from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment
-from labhil.service.recorded import StreamSummary
-from labhil.service.recorder import RecordingSummary
+from labhil.service.recorded import RecordingSummary, StreamSummary
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run has come: ``elapsed`` of ``duration``, s of the slowest device's clock without pauses."""
+    """The progress of a run: ``elapsed`` of ``duration``, s of the slowest device's clock without pauses."""
 
     state: RunState
     elapsed: float
@@ -28,11 +27,16 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What came of a run. ``path`` is None when nothing was recorded.
+    """The result of a run.
 
-    ``duration`` (s) and the rates of ``streams`` (Hz) are measured, in seconds of the devices' worlds.
-    ``error`` is why it failed, None when all went well; ``reason`` says either in words.
-    ``warnings`` say what is wrong with the clocks that stamped the recording.
+    Attributes:
+        path: The recording; None where nothing was recorded.
+        exit_status: Exit status of the command, 0 where the run did not fail.
+        duration: Measured duration, s of the devices' clocks.
+        streams: What was recorded of each stream, with measured rates, Hz of the devices' clocks.
+        reason: Why the run ended, in words.
+        error: Why it failed; None where it did not.
+        warnings: Faults of the clocks that stamped the recording, and of its completeness.
     """
 
     path: Path | None
@@ -44,7 +48,7 @@ class RunResult:
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
-        """Return the result as the contract's ``labhil.run/1``."""
+        """Return the result as JSON data of the schema ``labhil.run/1``."""
         streams = [
             {
                 "device": stream.device,
@@ -67,12 +71,18 @@ class RunResult:
 
 
 def recording_path(experiment: Experiment, out_dir: Path) -> Path:
-    """Return where the recording goes; where that name is taken, a number is added."""
+    """Return the path of a new recording; where that name is taken, a number is added."""
     return free_path(out_dir, experiment.record.path, experiment.experiment.name)
 
 
 def free_path(folder: Path, pattern: str, name: str) -> Path:
-    """Return ``pattern`` in ``folder`` with ``{name}`` and ``{start}`` filled in, and a number if taken."""
+    """Return a path that is not taken.
+
+    Args:
+        folder: Where it is.
+        pattern: Name of the file; ``{name}`` and ``{start}`` (local time) are filled in.
+        name: What is filled in for ``{name}``.
+    """
     plain, start = re.sub(r"[^\w.+-]+", "_", name), time.strftime("%Y%m%dT%H%M%S")
     preferred = folder / pattern.format(name=plain, start=start)
     path, number = preferred, 1
@@ -82,9 +92,9 @@ def free_path(folder: Path, pattern: str, name: str) -> Path:
     return path
 
 
-def answer_path(recording: Path, device: str, several: bool) -> Path:
-    """Return where a twin writes what it is made of: beside the recording."""
-    return recording.with_suffix(f".{device}.twin.json" if several else ".twin.json")
+def answer_path(recording: Path, device: str, are_several: bool) -> Path:
+    """Return where a twin writes its terms and parameters: beside the recording."""
+    return recording.with_suffix(f".{device}.twin.json" if are_several else ".twin.json")
 
 
 def result_of(
@@ -94,9 +104,17 @@ def result_of(
     reason: str,
     error: LabhilError | None,
 ) -> RunResult:
-    """Return what came of a run; ``speeds`` says how fast each device's world ran."""
+    """Return the result of a run, and remove a recording without samples.
+
+    Args:
+        summary: What the recorder wrote.
+        speeds: Seconds of the device's clock per second of the host, by device.
+        status: Exit status.
+        reason: Why the run ended.
+        error: Why it failed, if it did.
+    """
     if not any(stream.samples for stream in summary.streams):
-        # an empty file would only look like a recording
+        # an empty file would look like a recording
         summary.path.unlink()
         return RunResult(None, status, 0.0, (), reason, error)
     streams = tuple(

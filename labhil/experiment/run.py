@@ -1,13 +1,12 @@
-"""Runs an experiment from its first process to the last byte of its recording.
+"""One run of an experiment, from starting its processes to completing its recording.
 
-However a run ends, these things happen, in this order, each whether or not the one before it worked:
-every device is brought to its safe state, the hosts end, the recording is finished and gets its name,
-the simulated devices are stopped.
+However a run ends, these steps happen in this order, each whether or not the one before it worked: every
+device is brought to its safe state, the hosts end, the recording is completed and gets its name, the
+simulated devices are stopped. Its devices are in ``devices.py``, its states in ``control.py``.
 """
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -19,7 +18,7 @@ from typing import Any
 from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus, open_bus
 from labhil.errors import (
     BusError,
@@ -31,18 +30,18 @@ from labhil.errors import (
     UsageError,
 )
 from labhil.experiment.around import AroundSteps
+from labhil.experiment.attachments import attach_files, run_metadata
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.devices import Devices, at_once, host_config
+from labhil.experiment.devices import Devices, host_config, run_concurrently
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.hooks import Hook
-from labhil.experiment.interruption import Interruption, in_place_of, raise_standing_stop
+from labhil.experiment.interruption import Interruption, emergency_stop_or, raise_emergency_stop
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
 from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
-from labhil.recording.rig_attachments import rig_attachments
 from labhil.service.recorder import Recorder
 
 __all__ = [
@@ -56,15 +55,16 @@ __all__ = [
 ]
 
 PROGRESS_INTERVAL = 0.1
+"""How often a run checks its devices and reports progress, s."""
 AFTER_EMERGENCY_STOP = 2.0
 """How long hosts stay after an emergency stop, s."""
-LONGEST_HOLDER = 200
-"""Characters of a run's name that stand with the lease."""
-COMING_TO_REST = 0.5
+MAX_HOLDER_LENGTH = 200
+"""Characters of a run's name that are shown with the lease."""
+SETTLING_TIME = 0.5
 """How long a device that follows a path is recorded after the order to stop, s."""
 
 
-class _Enough(Exception):  # noqa: N818 - no error: somebody said that the steps so far are enough
+class _StopRequested(Exception):  # noqa: N818 - no error: an operator ends the steps early, in order
     pass
 
 
@@ -77,20 +77,26 @@ def run_experiment(
     path: Path | None = None,
     metadata: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
 ) -> RunResult:
-    """Run ``experiment`` and leave its recording in ``out_dir``, whatever happens on the way.
+    """Run an experiment once and leave its recording, however the run ends.
 
-    It is one run. What ``repeat`` and ``[sweep]`` ask for is made by
-    :func:`labhil.experiment.campaign.run_campaign`, which names the recording (``path``) and says which of
-    its runs this is (``metadata``).
+    Runs of ``repeat`` and ``[sweep]`` are made by :func:`labhil.experiment.campaign.run_campaign`. Errors
+    after the start are in the result. In the main thread SIGINT, SIGTERM and SIGHUP abort the run.
 
-    ``control`` is a handle of one's own, to pause, stop or abort this run from another thread; other
-    processes do it over the bus, see :mod:`labhil.experiment.remote`. ``progress`` is told every change of
-    state with its reason, and how far the run has come in between.
+    Args:
+        experiment: The experiment.
+        out_dir: Directory of the recording; it is made if need be.
+        progress: Is called with every change of state and its reason, and with the progress in between.
+        control: A handle to pause, stop or abort this run from another thread; other processes do so over
+            the bus (:mod:`labhil.experiment.remote`).
+        path: The recording, instead of the name in the experiment file.
+        metadata: Tables that are added to the metadata of the recording.
 
-    Raises ExperimentFileError, RigFileError, UsageError for a directory that cannot be made or a handle
-    that served another run, or CommandRefusedError while an emergency stop stands, before anything is
-    started. Everything that goes wrong after that is told by the result. In the main thread SIGINT, SIGTERM
-    and SIGHUP abort the run.
+    Raises:
+        ExperimentFileError: The experiment cannot be run as it is.
+        RigFileError: A rig file is wrong.
+        UsageError: The directory cannot be made, the experiment describes several runs, or ``control``
+            served another run.
+        CommandRefusedError: The emergency stop is pressed.
     """
     control = RunControl() if control is None else control
     if control.state is not RunState.IDLE:
@@ -103,8 +109,8 @@ def run_experiment(
     standing = read_latch()
     if standing is not None:
         raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
-    stated = experiment.experiment.hook
-    hook = None if stated is None else Hook(stated, experiment)
+    reference = experiment.experiment.hook
+    hook = None if reference is None else Hook(reference, experiment)
     try:
         out_dir.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -126,11 +132,11 @@ class _Run:
         metadata: Mapping[str, Mapping[str, str]],
     ) -> None:
         self._plan, self._path, self._progress = plan, path, progress
-        self._more_metadata = metadata
+        self._extra_metadata = metadata
         self._interrupted, self._control = interrupted, control
         self._bus: Bus | None = None
         self._devices: Devices | None = None
-        self._goes_on_alone = False
+        self._resumes_alone = False
         self._around = AroundSteps(plan.experiment, hook, path, control.changed)
         self._refusals = Refusals(lambda text: self._publish("rejected", text))
 
@@ -140,8 +146,8 @@ class _Run:
                 with open_bus() as self._bus, self._make_reachable(self._bus):
                     return self._record(self._bus, twins)
             except LabhilError as error:
-                # only what happens before there is a recorder, or to the recorder itself, comes by here
-                self._give_up(str(error))
+                # only errors before there is a recorder, and those of the recorder itself, get here
+                self._fail(str(error))
                 return RunResult(self._existing_recording(), error.exit_status, 0.0, (), str(error), error)
             finally:
                 self._bus = None
@@ -152,7 +158,7 @@ class _Run:
         names = [device.name for device in self._plan.devices]
         section = self._plan.experiment.experiment
         with (
-            registered("run", section.name, bus.endpoint, names),
+            register("run", section.name, bus.endpoint, names),
             offer_control(bus, self._control, self._describe, self._refusals),
         ):
             yield
@@ -162,14 +168,14 @@ class _Run:
         recorder = Recorder(
             bus,
             self._path,
-            attachments=self._attachments(),
-            metadata=self._metadata(),
+            attachments=attach_files(self._plan),
+            metadata=run_metadata(self._plan, self._extra_metadata),
             waits=True,
             on_failure=self._control.changed.set,
         )
         name = f"run {self._plan.experiment.experiment.name}"
         self._devices = devices = Devices(
-            bus, name[:LONGEST_HOLDER], self._plan.duration, self._control.changed, self._refusals
+            bus, name[:MAX_HOLDER_LENGTH], self._plan.duration, self._control.changed, self._refusals
         )
         error: LabhilError | None = None
         reason = "all steps are done"
@@ -177,21 +183,21 @@ class _Run:
             try:
                 self._transition(RunState.STARTING, "starting")
                 self._connect(bus, devices, twins, subscriptions)
-                self._around.before(devices, partial(self._look, recorder, devices))
+                self._around.before(devices, partial(self._poll, recorder, devices))
                 devices.start()
                 self._transition(RunState.RUNNING, "all devices are connected")
                 recorder.begin()
-                self._follow(recorder, devices)
-            except _Enough as enough:
-                reason = str(enough)
+                self._supervise(recorder, devices)
+            except _StopRequested as request:
+                reason = str(request)
             except LabhilError as exc:
-                error = in_place_of(exc)
-            except Exception as exc:  # noqa: BLE001 - a fault of ours must not look like a run that has ended well
+                error = emergency_stop_or(exc)
+            except Exception as exc:  # noqa: BLE001 - a bug must not look like a run that has ended well
                 error = RunError(f"the run itself failed: {exc!r}")
                 error.__cause__ = exc
             finally:
                 failure = self._stop(recorder, devices, error, reason)
-            error = in_place_of(recorder.failure or error or failure)
+            error = emergency_stop_or(recorder.failure or error or failure)
             reason = reason if error is None else str(error)
             self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()
@@ -204,33 +210,33 @@ class _Run:
 
     def _connect(self, bus: Bus, devices: Devices, twins: ExitStack, subscriptions: ExitStack) -> None:
         try:
-            self._look_at_requests()
+            self._handle_requests()
             addresses = self._addresses(twins)
-            self._look_at_requests()
+            self._handle_requests()
             for device in self._plan.devices:
                 devices.start_host(host_config(device, addresses[device.name], bus.endpoint))
             devices.connect(self._plan.devices, subscriptions, self._is_to_end)
         except RunStoppedError:
-            self._look_at_requests()  # which knows why, and whether it is an error
+            self._handle_requests()  # raises the reason of the stop, which may be no error
             raise
 
     def _addresses(self, twins: ExitStack) -> dict[str, str]:
-        """Where every device is; simulated ones are started, all at once."""
+        """Return the address of every device; simulated ones are started, concurrently."""
         addresses = {device.name: device.section.address for device in self._plan.devices}
         simulated = [device for device in self._plan.devices if addresses[device.name] == TWIN]
 
         def start(device: DevicePlan) -> None:
             addresses[device.name] = self._start_twin(device, twins)
 
-        outcomes = at_once([partial(start, device) for device in simulated])
+        outcomes = run_concurrently([partial(start, device) for device in simulated])
         for error in outcomes:
             if error is not None:
                 raise error
         return addresses
 
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
-        several = sum(candidate.section.address == TWIN for candidate in self._plan.devices) > 1
-        answer = answer_path(self._path, device.name, several)
+        are_several = sum(candidate.section.address == TWIN for candidate in self._plan.devices) > 1
+        answer = answer_path(self._path, device.name, are_several)
         twin, address = start_twin(
             device.name,
             device.section.plugin,
@@ -245,29 +251,15 @@ class _Run:
     def _is_to_end(self) -> bool:
         return self._interrupted() or self._control.is_to_end()
 
-    def _attachments(self) -> dict[str, bytes]:
-        attachments = {"experiment.toml": self._plan.experiment.public_text().encode()}
-        for index, device in enumerate(self._plan.devices):
-            attachments |= rig_attachments(device.rig, device.name if index else None)
-        return attachments
-
-    def _metadata(self) -> dict[str, dict[str, str]]:
-        section = self._plan.experiment.experiment
-        experiment = {"name": section.name, "duration": repr(self._plan.duration)}
-        for key, value in section.metadata().items():
-            if value:
-                experiment[key] = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-        return {"experiment": experiment, **{name: dict(more) for name, more in self._more_metadata.items()}}
-
     # running
 
-    def _follow(self, recorder: Recorder, devices: Devices) -> None:
+    def _supervise(self, recorder: Recorder, devices: Devices) -> None:
         while not devices.done:
             self._control.changed.wait(PROGRESS_INTERVAL)
             self._control.changed.clear()
             self._publish_steps(devices)
-            self._look(recorder, devices)
-            self._wait_or_go_on(devices)
+            self._poll(recorder, devices)
+            self._pause_or_resume(devices)
             self._report("")
         self._publish_steps(devices)
 
@@ -275,44 +267,44 @@ class _Run:
         for text in devices.step_notes():
             self._publish("step", text)
 
-    def _look(self, recorder: Recorder, devices: Devices) -> None:
-        """Carry out requests, and raise what has gone wrong anywhere."""
-        self._look_at_requests()
+    def _poll(self, recorder: Recorder, devices: Devices) -> None:
+        """Carry out requests, and raise the error of anything that has failed."""
+        self._handle_requests()
         self._check(recorder, devices)
 
     def _check(self, recorder: Recorder, devices: Devices) -> None:
         if self._interrupted():
             raise RunStoppedError(f"stopped by {self._interrupted.reason}")
         recorder.check()
-        devices.look_after()
-        raise_standing_stop()
+        devices.check()
+        raise_emergency_stop()
 
-    def _look_at_requests(self) -> None:
-        """Carry out requests; raises _Enough or RunStoppedError for one to end."""
+    def _handle_requests(self) -> None:
+        """Carry out requests; raises _StopRequested or RunStoppedError for a request to end."""
         for t_ns, text in self._control.take_marks():
             self._publish("mark", text, t_ns)
         if self._interrupted():
             raise RunStoppedError(f"stopped by {self._interrupted.reason}")
         state, reason = self._control.take_request() or (None, "")
         if state is RunState.STOPPING:
-            raise _Enough(reason)
+            raise _StopRequested(reason)
         if state is RunState.ABORTING:
             raise RunStoppedError(reason)
         if state is RunState.PAUSED:
-            self._goes_on_alone = False
+            self._resumes_alone = False
             self._pause(reason)
         elif state is RunState.RUNNING:
             self._resume(reason)
 
-    def _wait_or_go_on(self, devices: Devices) -> None:
-        """Pause for a device that has to rest; go on by itself only where the device says that it is back."""
-        rest = devices.rest()
-        if self._control.state is RunState.RUNNING and rest:
-            self._goes_on_alone = devices.comes_back()
-            self._pause(rest)
-        elif self._control.state is RunState.PAUSED and self._goes_on_alone:
-            self._goes_on_alone = devices.comes_back()
-            if not rest:
+    def _pause_or_resume(self, devices: Devices) -> None:
+        """Pause where a device needs it; resume only where its host announces that it is ready again."""
+        pause_reason = devices.pause_reason()
+        if self._control.state is RunState.RUNNING and pause_reason:
+            self._resumes_alone = devices.resume_alone()
+            self._pause(pause_reason)
+        elif self._control.state is RunState.PAUSED and self._resumes_alone:
+            self._resumes_alone = devices.resume_alone()
+            if not pause_reason:
                 self._resume("all devices are back")
 
     def _pause(self, reason: str) -> None:
@@ -346,19 +338,19 @@ class _Run:
             self._transition(RunState.ABORTING, str(error))
         failure = devices.make_safe("the run ends")
         if isinstance(error, EmergencyStopError):
-            # whoever pressed it has yet to hear from each device, and what these do now is worth recording
+            # the sender of the stop still waits for the answer of each host, and the stop itself is recorded
             time.sleep(AFTER_EMERGENCY_STOP)
         elif any(device.spec.waypoint_rate for device in self._plan.devices):
-            time.sleep(COMING_TO_REST)
+            time.sleep(SETTLING_TIME)
         try:
-            look = partial(self._check, recorder, devices)
-            failure = failure or self._around.after(devices, look, error, reason)
+            poll = partial(self._check, recorder, devices)
+            failure = failure or self._around.after(devices, poll, error, reason)
         finally:
             devices.end_hosts()
         return failure
 
-    def _give_up(self, reason: str) -> None:
-        """Go from wherever the run was to its failed end."""
+    def _fail(self, reason: str) -> None:
+        """Go from any state to the failed end."""
         for state in (RunState.ABORTING, RunState.FAILED):
             if self._control.state not in (state, RunState.FINISHED, RunState.FAILED):
                 self._transition(state, reason)
@@ -372,7 +364,7 @@ class _Run:
         if self._bus is not None:
             stamp, state = unix_ns() if t_ns is None else t_ns, self._control.state.value
             event = {"t_ns": stamp, "kind": kind, "state": state, "message": message}
-            # a bus that is closed must not hide why the run ends
+            # an error of a closed bus must not hide why the run ends
             with suppress(BusError):
                 publish_event(self._bus, "run", event)
 

@@ -1,4 +1,4 @@
-"""The progress of a run, drawn on stderr."""
+"""The progress bar of a run on stderr."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labhil.terminal import complain, terminal
 
 
 class ProgressBar:
-    """A bar on stderr, fed with :class:`Progress`; where that is no terminal, a line per change of state."""
+    """Shows :class:`Progress` as a bar on stderr; without a terminal, as a line per change of state."""
 
     def __init__(self) -> None:
         self._console = terminal(stderr=True)
@@ -39,7 +39,7 @@ class ProgressBar:
         self._bar.stop()
 
     def __call__(self, progress: Progress) -> None:
-        """Draw how far the run has come."""
+        """Show the progress."""
         if self._console.is_terminal:
             self._bar.update(
                 self._task,

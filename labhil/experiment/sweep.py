@@ -1,4 +1,4 @@
-"""``[sweep]``: values of an experiment file that differ from run to run."""
+"""``[sweep]``: values of an experiment file that vary from run to run."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from labhil.errors import suggestion
+from labhil.experiment.device_sections import Section
 
-MOST_RUNS = 10_000
-"""Runs of one campaign, at most: more are a typing error."""
+MAX_RUNS = 10_000
+"""Runs of one campaign at most; more are a typing error."""
 NOT_SWEPT = ("sweep", "record", "experiment.name", "experiment.repeat")
-"""What names and counts the runs is the same for all of them."""
+"""Places that name or count the runs, so that they are the same in all of them."""
 
 
-class SweepSection(BaseModel):
+class SweepSection(Section):
     """``[sweep]``: values that differ from run to run; each combination is one recording.
 
     ``over`` maps places of this file, such as ``"steps.0.amplitude"``, to lists of values. ``kind`` "grid"
@@ -24,8 +25,6 @@ class SweepSection(BaseModel):
     second of each. ``on_failure`` "continue" goes on with the next run after one that failed; an
     emergency stop or an interruption always ends the campaign.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     kind: Literal["grid", "list"] = "grid"
     over: Annotated[dict[str, tuple[Any, ...]], Field(min_length=1)]
@@ -47,13 +46,13 @@ class SweepSection(BaseModel):
         if self.kind == "list" and len(set(lengths.values())) > 1:
             actual = ", ".join(f"{place}: {length}" for place, length in lengths.items())
             raise ValueError(f'kind = "list" expects lists of one length, found {actual}')
-        if self.count > MOST_RUNS:
-            raise ValueError(f"expected at most {MOST_RUNS} runs, found {self.count} combinations")
+        if self.count > MAX_RUNS:
+            raise ValueError(f"expected at most {MAX_RUNS} runs, found {self.count} combinations")
         return self
 
     @property
     def count(self) -> int:
-        """How many combinations there are."""
+        """Number of combinations."""
         lengths = [len(values) for values in self.over.values()]
         if self.kind == "list":
             return lengths[0]
@@ -70,10 +69,16 @@ class SweepSection(BaseModel):
 
 
 def replace_value(data: dict[str, Any], place: str, value: object) -> None:
-    """Put ``value`` at ``place`` ("steps.0.amplitude") of nested tables and lists, in place.
+    """Set a value in nested tables and lists, in place.
 
-    A last key that is not there is added: whether the file takes it is for its models to decide. ValueError
-    names the keys that are there where the way leads nowhere.
+    Args:
+        data: The contents of a file.
+        place: Keys and indices, such as "steps.0.amplitude". A last key that does not exist is added: the
+            models of the file decide whether they take it.
+        value: The new value.
+
+    Raises:
+        ValueError: The place does not exist; the message lists the keys that do.
     """
     parts = place.split(".")
     current: Any = data

@@ -1,1 +1,1 @@
-"""Certificates of people and of the machine that serves a lab, and the folder in which they stand."""
+"""Certificates and roles of the people who may use a lab from other machines."""

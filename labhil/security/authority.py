@@ -1,7 +1,7 @@
-"""The folder of a lab's certificate authority: who has a certificate, with which role, and until when.
+"""The folder of a lab's certificate authority: people with their certificates, roles and expiry dates.
 
-Roles stand here, on the machine that serves the lab, and not in the certificates: a certificate only says who
-somebody is. Whoever reads this folder can make a certificate for anybody, so only its owner can.
+Roles are stored here, on the machine that serves the lab, and not in the certificates, which only identify a
+person. Reading this folder is enough to issue certificates, so only its owner may read it.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ from labhil.whole import whole
 LAB, CA, CA_KEY, SERVER, SERVER_KEY = "lab.json", "ca.pem", "ca.key", "server.pem", "server.key"
 PEOPLE = "people"
 AUTHORITY_DAYS = 3650
-MAKING = "making certificates"
+PURPOSE = "making certificates"
+"""What the optional package is needed for, in messages."""
 _LABEL = "[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
 HOST = re.compile(rf"(?=.{{1,253}}$){_LABEL}(\.{_LABEL})*")
 PERSON = re.compile(r"[a-z][a-z0-9-]{0,39}")
 
 
 class Person(BaseModel):
-    """Somebody with a certificate that is valid until ``until``, unless it was ``revoked``."""
+    """A person with a certificate that is valid until ``until``, unless it was ``revoked``."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -49,7 +50,7 @@ class Person(BaseModel):
 
     @property
     def state(self) -> str:
-        """Whether the certificate is good: valid, expired or revoked."""
+        """The state of the certificate: "valid", "expired" or "revoked"."""
         if self.revoked:
             return "revoked"
         return "valid" if self.until > datetime.now(UTC) else "expired"
@@ -66,17 +67,22 @@ class _Lab(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Authority:
-    """A folder that ``labhil security init`` made, as it stands now."""
+    """The present contents of a folder that ``labhil security init`` made."""
 
     folder: Path
     _lab: _Lab
 
     @classmethod
     def create(cls, folder: Path, hosts: Sequence[str], port: int) -> Self:
-        """Make the authority and the certificate of the machine that serves, reached at ``hosts``.
+        """Make the authority and the certificate of the machine that serves the lab.
+
+        Args:
+            folder: A folder that does not exist yet.
+            hosts: Names or addresses at which others reach the machine; the first is the usual one.
+            port: Port at which the lab is served.
 
         Raises:
-            UsageError: The folder is there already, or a host is neither a name nor an address.
+            UsageError: The folder exists already, or a host is neither a name nor an address.
         """
         if not hosts:
             raise OptionError("host", ": expected the name or address of this machine, found none")
@@ -85,7 +91,7 @@ class Authority:
                 raise OptionError(
                     "host", f": expected a name like lab-pc.local or an IP address, found {host!r}"
                 )
-        require("cryptography", MAKING)
+        require("cryptography", PURPOSE)
         from labhil.security import certificates
 
         make_folder(folder)
@@ -101,7 +107,7 @@ class Authority:
 
     @classmethod
     def load(cls, folder: Path) -> Self:
-        """Read the folder; UsageError where something is missing, malformed, or open to others."""
+        """Read the folder; UsageError where a file is missing, malformed, or readable by others."""
         path = folder / LAB
         try:
             lab = _Lab.model_validate(parse_json(read_document(path)))
@@ -121,12 +127,12 @@ class Authority:
 
     @property
     def people(self) -> Mapping[str, Person]:
-        """Everybody who was ever given a certificate, by name."""
+        """Everybody who has or had a certificate, by name."""
         return self._lab.people
 
     @property
     def port(self) -> int:
-        """Where the lab is served."""
+        """Port at which the lab is served."""
         return self._lab.port
 
     @property
@@ -136,15 +142,15 @@ class Authority:
 
     @property
     def until(self) -> datetime:
-        """When the certificate of the machine that serves expires."""
+        """When the certificate of the serving machine expires."""
         return self._lab.until
 
     def valid_people(self) -> dict[str, Role]:
-        """The role of everybody whose certificate is good now."""
+        """Return the role of everybody whose certificate is valid now."""
         return {name: person.role for name, person in self.people.items() if person.state == "valid"}
 
     def check_server(self) -> None:
-        """UsageError where the certificate of the machine that serves has expired."""
+        """Raise UsageError where the certificate of the serving machine has expired."""
         if self.until <= datetime.now(UTC):
             raise UsageError(
                 f"{self.folder}: the certificate of the machine expired on {self.until:%Y-%m-%d}: make a new"
@@ -152,7 +158,7 @@ class Authority:
             )
 
     def tls(self) -> Mapping[str, object]:
-        """Return the settings of the bus that serves others, by their place in its configuration."""
+        """Return the TLS settings of the bus for guests, by their place in its configuration."""
         place = "transport/link/tls"
         return {
             "transport/link/protocols": ["tls"],
@@ -164,7 +170,12 @@ class Authority:
         }
 
     def add(self, name: str, role: Role, days: int) -> Path:
-        """Issue a certificate and return the folder to hand over.
+        """Issue a certificate, and return the folder that the person gets.
+
+        Args:
+            name: Name of the person.
+            role: Role of the person.
+            days: How long the certificate is valid.
 
         Raises:
             UsageError: The name is malformed or in use, was revoked and is still valid, or its folder exists.
@@ -175,10 +186,10 @@ class Authority:
             )
         if not 1 <= days <= AUTHORITY_DAYS:
             raise OptionError("days", f": expected 1 to {AUTHORITY_DAYS}, found {days}")
-        require("cryptography", MAKING)
+        require("cryptography", PURPOSE)
         from labhil.security import certificates
 
-        with self._changing() as now:
+        with self._locked() as now:
             now._refuse_known(name)
             signer = certificates.Certificate(
                 (self.folder / CA).read_bytes(), (self.folder / CA_KEY).read_bytes(), self.until
@@ -201,8 +212,8 @@ class Authority:
         return folder
 
     def revoke(self, name: str) -> Person:
-        """Take all rights from a person; UsageError where there is none of that name."""
-        with self._changing() as now:
+        """Revoke all rights of a person; UsageError where there is no such person."""
+        with self._locked() as now:
             if name not in now.people:
                 known = ", ".join(sorted(now.people)) or "nobody"
                 raise UsageError(f"expected somebody who has a certificate ({known}), found {name!r}")
@@ -225,8 +236,8 @@ class Authority:
         )
 
     @contextmanager
-    def _changing(self) -> Iterator[Self]:
-        """Yield the folder as it stands while nobody else changes it: no revocation gets lost."""
+    def _locked(self) -> Iterator[Self]:
+        """Yield the present contents while no other process can change them: no revocation gets lost."""
         descriptor = os.open(self.folder, os.O_RDONLY)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -243,7 +254,7 @@ class Authority:
 
 
 def bracketed(host: str) -> str:
-    """Write a host as an endpoint has it: an address of IPv6 stands in brackets."""
+    """Return a host as it is written in an endpoint: an IPv6 address in brackets."""
     return f"[{host}]" if ":" in host else host
 
 
@@ -251,6 +262,6 @@ def _is_host(host: str) -> bool:
     try:
         ipaddress.ip_address(host)
     except ValueError:
-        # what looks like an address and is none is no name, either
+        # a malformed address is no name either
         return HOST.fullmatch(host) is not None and not re.fullmatch(r"[0-9.]+", host)
     return True

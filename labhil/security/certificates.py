@@ -1,4 +1,4 @@
-"""Certificates (X.509, ECDSA on P-256): of the authority, of the machine that serves, of people."""
+"""Issuing certificates (X.509, ECDSA on P-256) for the authority, the serving machine and people."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-CLOCKS_DIFFER = timedelta(minutes=5)
-"""By how much the clocks of two machines may differ at first: certificates begin so long ago."""
+MAX_CLOCK_DIFFERENCE = timedelta(minutes=5)
+"""How much the clocks of two machines may differ: certificates are valid from this long ago."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Certificate:
 
 
 def make_authority(name: str, days: int) -> Certificate:
-    """Make a certificate authority that issues no further authorities.
+    """Make a certificate authority that cannot issue further authorities.
 
     Args:
         name: Its common name.
@@ -38,23 +38,30 @@ def make_authority(name: str, days: int) -> Certificate:
         x509.BasicConstraints(True, 0), critical=True
     )
     builder = builder.add_extension(_usage(signs_certificates=True), critical=True)
-    return _signed(builder, key, key)
+    return _sign(builder, key, key)
 
 
 def issue_server(authority: Certificate, hosts: Sequence[str], days: int) -> Certificate:
-    """Issue the certificate of a machine that is reached at ``hosts`` (names or IP addresses)."""
+    """Issue the certificate of the serving machine.
+
+    Args:
+        authority: The issuer.
+        hosts: Names or IP addresses of the machine.
+        days: How long it is valid.
+    """
     names = x509.SubjectAlternativeName([_host(host) for host in hosts])
     return _issue(authority, hosts[0], ExtendedKeyUsageOID.SERVER_AUTH, days, names)
 
 
 def issue_client(authority: Certificate, person: str, days: int) -> Certificate:
-    """Issue the certificate of a person; it is good for connecting, not for serving."""
+    """Issue the certificate of a person, which is valid for connecting but not for serving.
+
+    Args:
+        authority: The issuer.
+        person: Name of the person.
+        days: How long it is valid.
+    """
     return _issue(authority, person, ExtendedKeyUsageOID.CLIENT_AUTH, days)
-
-
-def expiry_of(certificate: bytes) -> datetime:
-    """When a certificate expires; ValueError where ``certificate`` is none."""
-    return x509.load_pem_x509_certificate(certificate).not_valid_after_utc
 
 
 def _issue(
@@ -74,7 +81,7 @@ def _issue(
     builder = builder.add_extension(x509.ExtendedKeyUsage([purpose]), critical=True)
     if hosts is not None:
         builder = builder.add_extension(hosts, critical=False)
-    return _signed(builder, key, signer)
+    return _sign(builder, key, signer)
 
 
 def _builder(
@@ -92,12 +99,12 @@ def _builder(
         .issuer_name(issuer)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - CLOCKS_DIFFER)
+        .not_valid_before(now - MAX_CLOCK_DIFFERENCE)
         .not_valid_after(until if latest is None else min(until, latest))
     )
 
 
-def _signed(
+def _sign(
     builder: x509.CertificateBuilder, key: ec.EllipticCurvePrivateKey, signer: ec.EllipticCurvePrivateKey
 ) -> Certificate:
     certificate = builder.sign(signer, hashes.SHA256())

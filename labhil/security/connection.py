@@ -1,4 +1,4 @@
-"""What a person needs to reach a lab from another machine: a folder that ``labhil security add`` makes."""
+"""The connection of a guest to a lab on another machine: a folder that ``labhil security add`` made."""
 
 from __future__ import annotations
 
@@ -28,9 +28,13 @@ class _Settings(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """Where a lab is reached (``tls/HOST:PORT``), and as whom.
+    """A connection to a lab on another machine.
 
-    ``role`` is what the person was when the folder was made; what counts is what the lab says.
+    Attributes:
+        folder: The folder with the certificates.
+        endpoint: Where the lab is reached, ``tls/HOST:PORT``.
+        name: Name of the person.
+        role: Role of the person when the folder was made; the lab decides by its own list.
     """
 
     folder: Path
@@ -39,7 +43,7 @@ class Connection:
     role: Role
 
     def tls(self) -> Mapping[str, object]:
-        """Return the settings of the bus for this connection, by their place in its configuration."""
+        """Return the TLS settings of the bus for this connection, by their place in its configuration."""
         place = "transport/link/tls"
         return {
             "transport/link/protocols": ["tls"],

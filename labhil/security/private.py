@@ -1,4 +1,4 @@
-"""Files and folders that belong to one user alone, and that nobody overwrites."""
+"""Files and folders that only their owner can read, and that are never overwritten."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ FOLDER, FILE, PUBLIC = 0o700, 0o600, 0o644
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder for this user alone; UsageError where something is there already."""
+    """Make a folder that only this user can read; UsageError where the path exists already."""
     try:
         path.mkdir(mode=FOLDER, parents=True)
-        path.chmod(FOLDER)  # whatever the umask says
+        path.chmod(FOLDER)  # regardless of the umask
     except FileExistsError:
         raise UsageError(
             f"{path}: expected a name that is free, found something there already; nothing is overwritten:"
@@ -27,7 +27,7 @@ def make_folder(path: Path) -> None:
 
 
 def write_new(path: Path, content: bytes, mode: int = FILE) -> None:
-    """Write a file that is not there yet, never readable for more than ``mode`` says."""
+    """Write a new file; it never has more permissions than ``mode``, not even for a moment."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
         with os.fdopen(descriptor, "wb") as file:
@@ -38,7 +38,7 @@ def write_new(path: Path, content: bytes, mode: int = FILE) -> None:
 
 
 def check_private(path: Path) -> Path:
-    """Return the path of a private key; UsageError where it cannot be read, or others can read it."""
+    """Check a private key and return its path; UsageError where it is unreadable, or others can read it."""
     try:
         with path.open("rb") as file:
             file.read(1)

@@ -1,1 +1,1 @@
-"""Drivers of rigs on the framed serial link: all that is the same whatever the rig."""
+"""The common part of the drivers of rigs on the framed serial link."""

@@ -1,4 +1,4 @@
-"""A rig on the framed serial link; what is particular to one is in its :class:`SerialRig`."""
+"""The driver of rigs on the framed serial link; what differs between rigs is in their :class:`SerialRig`."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
 from labhil.host_clock import unix_ns
 from labhil.link import Decoder, Frame, Hello, MessageType, Samples, SetCommand, State, StateFlag, Unwrapper
-from labhil.serial_rig.handshake import Sender, ask_hello, configure
+from labhil.serial_rig.handshake import Sender, configure, request_hello
 from labhil.serial_rig.port import Port
 from labhil.serial_rig.rig import Scaler, SerialRig, info_of
 from labhil.signals import Batch
 
-PATIENCE = 0.05
-"""How long (s) ``close`` from another thread waits for ``read`` to notice."""
+MAX_READ_WAIT = 0.05
+"""Longest wait of ``read`` for bytes, s, and so of a ``close`` from another thread."""
 
 
 class SerialDriver:
-    """Satisfies :class:`labhil.driver.Driver`; a plugin names its ``rig`` and the ``spec`` of that.
+    """Satisfies :class:`labhil.driver.Driver`; a plugin sets ``rig`` and its ``spec``.
 
     Opening a port resets an Arduino, so every ``connect`` waits for the device's HELLO and sends the
-    configuration again. ``spec`` is then that of the device that is there. The device goes to its safe
-    output by itself after ``spec.command_timeout`` without a valid message.
+    configuration again. ``spec`` is then that of the connected device. The device goes to its safe output by
+    itself after ``spec.command_timeout`` without a valid message.
     """
 
     rig: ClassVar[SerialRig]
@@ -47,33 +47,34 @@ class SerialDriver:
         self._writing = threading.RLock()
 
     def connect(self) -> DeviceInfo:
-        """Open the port, wait for HELLO, send the configuration; the device is in its safe state then.
+        """Open the port, wait for HELLO and send the configuration; the device is in its safe state then.
 
-        ConnectError when the port is not there or silent; ProtocolError when what comes from it is
-        not the protocol, or another device.
+        Raises:
+            ConnectError: The port does not exist, or nothing comes from it.
+            ProtocolError: What comes from it is not the protocol, or another device answers.
         """
         self.close()
         with self._reading:
             port = Port(self.address, self.rig.baud_rate)
             try:
-                return self._introduce(port)
+                return self._identify(port)
             except BaseException:
                 port.close()
                 raise
 
-    def _introduce(self, port: Port) -> DeviceInfo:
+    def _identify(self, port: Port) -> DeviceInfo:
         decoder = Decoder()
         sender = Sender(port, first_seq=1 + secrets.randbelow(0xF000))
-        hello = ask_hello(port, decoder, sender)
-        complaint = self.rig.complaint(hello)
-        if complaint:
-            raise ProtocolError(f"{self.address}: {complaint}")
+        hello = request_hello(port, decoder, sender)
+        mismatch = self.rig.mismatch(hello)
+        if mismatch:
+            raise ProtocolError(f"{self.address}: {mismatch}")
         configure(port, decoder, sender, self.rig.config)
         self.counters = Counters()
         self._failure: DeviceError | None = None
         self._hello = hello
         self._decoder, self._sender = decoder, sender
-        self._before = (decoder.frames, decoder.crc_errors, decoder.resyncs)
+        self._counts_before = (decoder.frames, decoder.crc_errors, decoder.resyncs)
         self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
@@ -84,12 +85,15 @@ class SerialDriver:
         return info_of(hello, self.rig.fitted(hello))
 
     def read(self, timeout: float) -> Batch:
-        """Return the samples that have come in, waiting up to ``timeout`` s for the first.
+        """Return the samples that have arrived, in SI units; an empty batch where none have.
 
-        Values in SI units. An empty batch means that nothing came. Raises DeviceResetError when the
-        device booted again and DeviceError when it ended an output that lasted too long (both after
-        the samples from before have been returned), and ConnectError when the wire is gone or the
-        driver is closed.
+        Args:
+            timeout: Longest wait for the first sample, s.
+
+        Raises:
+            DeviceResetError: The device booted again; earlier samples are returned first.
+            DeviceError: The device ended an output that lasted too long; likewise.
+            ConnectError: The connection is lost, or the driver is closed.
         """
         deadline = time.monotonic() + timeout
         pieces: list[Batch] = []
@@ -100,18 +104,18 @@ class SerialDriver:
                 if self._failure is not None:
                     raise self._failure
                 remaining = deadline - time.monotonic()
-                data = self._port.receive(min(max(remaining, 0.0), PATIENCE))
+                data = self._port.receive(min(max(remaining, 0.0), MAX_READ_WAIT))
                 pieces = self._take(self._decoder.feed(data), unix_ns())
                 if remaining <= 0.0 and self._failure is None:
                     break
-            self._count()
+            self._update_counters()
         return Batch.joined(pieces, self._scaler.width)
 
     def _take(self, frames: Sequence[Frame], t_acq_ns: int) -> list[Batch]:
         pieces: list[Batch] = []
         for frame in frames:
             try:
-                piece = self._piece(frame, t_acq_ns)
+                piece = self._decode_frame(frame, t_acq_ns)
             except DeviceError as error:
                 self._failure = error
                 break
@@ -119,17 +123,17 @@ class SerialDriver:
                 pieces.append(piece)
         return pieces
 
-    def _piece(self, frame: Frame, t_acq_ns: int) -> Batch | None:
+    def _decode_frame(self, frame: Frame, t_acq_ns: int) -> Batch | None:
         if frame.type == MessageType.HELLO:
             self._check_boot(Hello.unpack(frame.payload))
             return None
         if frame.type == MessageType.STATE:
             state = State.unpack(frame.payload)
-            one = np.array([state.raw], dtype=np.uint16)
-            return self._batch(frame, state.flags, MessageType.STATE, frame.seq, one, t_acq_ns)
+            raw = np.array([state.raw], dtype=np.uint16)
+            return self._batch(frame, state.flags, MessageType.STATE, frame.seq, raw, t_acq_ns)
         if frame.type == MessageType.SAMPLES:
-            some = Samples.unpack(frame.payload)
-            return self._batch(frame, some.flags, MessageType.SAMPLES, some.first, some.raw, t_acq_ns)
+            block = Samples.unpack(frame.payload)
+            return self._batch(frame, block.flags, MessageType.SAMPLES, block.first, block.raw, t_acq_ns)
         return None
 
     def _batch(
@@ -165,17 +169,21 @@ class SerialDriver:
         self.counters.resets += 1
         return DeviceResetError(f"{self.address}: the device booted again in the middle of the run: {reason}")
 
-    def _count(self) -> None:
-        frames, crc_errors, resyncs = self._before
+    def _update_counters(self) -> None:
+        frames, crc_errors, resyncs = self._counts_before
         self.counters.frames = self._decoder.frames - frames
         self.counters.crc_errors = self._decoder.crc_errors - crc_errors
         self.counters.resyncs = self._decoder.resyncs - resyncs
 
     def command(self, values: Mapping[str, float]) -> None:
-        """Send a new value (SI) for each of ``spec.commands``; with no values at all, a heartbeat.
+        """Send a value for each of ``spec.commands``, or a heartbeat.
 
-        CommandRefusedError for another name, a value that is not finite or out of the rig's range:
-        nothing is sent then. ConnectError when the wire is gone.
+        Args:
+            values: SI values by name; empty for a heartbeat.
+
+        Raises:
+            CommandRefusedError: A name is unknown, or a value is not finite or out of range; nothing is sent.
+            ConnectError: The connection is lost.
         """
         for name, value in values.items():
             self._check_command(name, value)
@@ -200,13 +208,13 @@ class SerialDriver:
             raise CommandRefusedError(f"{name}: expected {low:g} … {high:g} {unit}, found {value:g}")
 
     def safe(self) -> None:
-        """Tell the device to take its safe output and keep it until the next command; never raises."""
+        """Bring the device to its safe output, until the next command; never raises."""
         with self._writing, contextlib.suppress(DeviceError):
             if self._port is not None:
                 self._sender.send(MessageType.SAFE)
 
     def close(self) -> None:
-        """Let go of the port; the device goes to its safe output by itself. Safe to call twice."""
+        """Close the port; the device goes to its safe output by itself. Safe to call twice."""
         self._closing = True
         with self._reading, self._writing:
             if self._port is not None:

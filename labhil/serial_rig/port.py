@@ -15,16 +15,21 @@ from serial.tools import list_ports
 from labhil.errors import ConnectError
 
 BAUD_RATE = 115200
-"""Unless a rig has its own."""
+"""Default baud rate of a rig."""
 OWN_BAUD_RATE = re.compile(r"(/[^@]*|COM\d+)@(\d+)\Z")
 WRITE_TIMEOUT = 1.0
 CHUNK = 4096
 
 
 class Port:
-    """An open port, for us alone. ConnectError when it cannot be opened, and when it goes away.
+    """An open port for this process alone.
 
-    ``address`` may end in a baud rate of its own: ``/dev/ttyACM0@2000000``.
+    Args:
+        address: The port; it may end in a baud rate: ``/dev/ttyACM0@2000000``.
+        baud_rate: Baud rate where the address has none.
+
+    Raises:
+        ConnectError: It cannot be opened.
     """
 
     def __init__(self, address: str, baud_rate: int = BAUD_RATE) -> None:
@@ -38,12 +43,12 @@ class Port:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def receive(self, timeout: float) -> bytes:
-        """Return what has come in, waiting up to ``timeout`` s for the first byte."""
+        """Return received bytes, after waiting up to ``timeout`` s for the first; ConnectError on loss."""
         try:
             if self._fd is not None:
                 ready, _, _ = select.select([self._fd], [], [], timeout)
                 if ready and self._socket is not None:
-                    return _last_words(self._socket)
+                    return _read_socket(self._socket)
                 return bytes(self._serial.read(CHUNK)) if ready else b""
             self._serial.timeout = timeout
             first = bytes(self._serial.read(1))
@@ -53,22 +58,22 @@ class Port:
             raise ConnectError(f"{self.address}: the wire is gone: {error}") from error
 
     def send(self, data: bytes) -> None:
-        """Send bytes, waiting at most a second for the line."""
+        """Send bytes, waiting at most ``WRITE_TIMEOUT`` s; ConnectError on loss."""
         try:
             self._serial.write(data)
         except (OSError, serial.SerialException) as error:
             raise ConnectError(f"{self.address}: nothing can be sent: {error}") from error
 
     def close(self) -> None:
-        """Close the port, whatever state it is in."""
+        """Close the port in any state."""
         with contextlib.suppress(OSError, serial.SerialException):
             self._serial.close()
         if self._socket is not None:
             self._socket.close()
 
 
-def _last_words(connection: socket.socket) -> bytes:
-    """Read once: pyserial would read on and, where the other end has hung up, throw away what it had."""
+def _read_socket(connection: socket.socket) -> bytes:
+    """Read once: pyserial reads on and discards the last bytes where the other end has closed."""
     data = connection.recv(CHUNK)
     if not data:
         raise ConnectionError("the other end has hung up")
@@ -95,7 +100,7 @@ def _open(address: str, baud_rate: int) -> serial.SerialBase:
 
 
 def _reason(error: Exception, address: str) -> str:
-    """The system's own reason, without what pyserial puts around it."""
+    """Return the reason of the operating system, without the text of pyserial around it."""
     number = getattr(error, "errno", None)
     if number is None and isinstance(error.__context__, OSError):
         number = error.__context__.errno
@@ -112,7 +117,7 @@ def _ports_here() -> str:
 
 
 def _descriptor(port: serial.SerialBase) -> int | None:
-    """The file descriptor to wait on; some of pyserial's ports have none."""
+    """Return the file descriptor to wait on; some ports of pyserial have none."""
     try:
         return int(port.fileno())
     except (AttributeError, io.UnsupportedOperation):

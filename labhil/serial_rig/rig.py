@@ -1,4 +1,4 @@
-"""What the driver of one serial rig knows of its device; everything else is the same for all."""
+"""The description of one kind of serial rig, and the conversion of its raw samples to SI units."""
 
 from __future__ import annotations
 
@@ -13,16 +13,20 @@ from labhil.driver import DeviceInfo, DriverSpec
 from labhil.link import ChannelScale, Config, Hello
 from labhil.signals import FloatArray, IntArray, Signal, Stream
 
-TURN = 1 << 16
+COUNTER_RANGE = 1 << 16
+"""Counts after which a 16 bit counter wraps."""
 
 
 @dataclass(frozen=True, slots=True)
 class SerialRig:
     """One kind of device on the link.
 
-    ``spec.stream`` lists every channel that such a device may have, in the order of the wire, its
-    commands last. Those in ``optional`` may be missing; those in ``counters`` wrap at 16 bits and are
-    unwrapped.
+    Attributes:
+        spec: Its declaration; ``spec.stream`` lists all possible channels in the order of the protocol, the
+            commands last.
+        baud_rate: Its baud rate.
+        optional: Channels that may be missing.
+        counters: Channels that wrap at 16 bits and are unwrapped.
     """
 
     spec: DriverSpec
@@ -32,14 +36,14 @@ class SerialRig:
 
     @property
     def config(self) -> Config:
-        """What is sent after HELLO."""
+        """The configuration that is sent after HELLO."""
         longest = self.spec.longest_output
         return Config(
             round(self.spec.command_timeout * 1000), None if math.isinf(longest) else round(longest)
         )
 
-    def complaint(self, hello: Hello) -> str:
-        """What is wrong with a device that introduces itself so; empty when nothing is."""
+    def mismatch(self, hello: Hello) -> str:
+        """Return how the device of a HELLO differs from this kind; empty where it does not."""
         names = self.spec.stream.names()
         if hello.device != self.spec.name:
             return f"expected the device {self.spec.name!r}, found {hello.device!r}: wrong port?"
@@ -55,23 +59,23 @@ class SerialRig:
         return f"expected the channel {missing[0]}, found that it is not fitted" if missing else ""
 
     def spec_of(self, hello: Hello) -> DriverSpec:
-        """The declaration of the device that introduced itself: what is fitted, at its own rate."""
+        """Return the declaration of the device of a HELLO: its fitted channels, at its rate."""
         signals = tuple(signal for signal, _ in self.fitted(hello))
         return replace(self.spec, stream=Stream(self.spec.stream.name, signals, hello.sample_rate))
 
     def fitted(self, hello: Hello) -> list[tuple[Signal, ChannelScale]]:
-        """The channels that the device has, in order."""
+        """Return the channels that the device has, in order."""
         pairs = zip(self.spec.stream.signals, hello.channels, strict=True)
         return [(signal, channel) for signal, channel in pairs if channel.fitted]
 
     def command_scales(self, hello: Hello) -> list[ChannelScale]:
-        """How the commands are scaled, in order."""
+        """Return the scales of the commands, in order."""
         scales = {signal.name: channel for signal, channel in self.fitted(hello)}
         return [scales[command.name] for command in self.spec.commands]
 
 
 class Scaler:
-    """Raw samples of one device to SI units; remembers where its counters stand."""
+    """Converts raw samples of one device to SI units, and unwraps its counters."""
 
     def __init__(self, rig: SerialRig, hello: Hello) -> None:
         fitted = rig.fitted(hello)
@@ -79,28 +83,28 @@ class Scaler:
         self._scale = np.array([channel.scale for _, channel in fitted])
         self._zero = np.array([channel.zero for _, channel in fitted])
         self._counters = [column for column, (signal, _) in enumerate(fitted) if signal.name in rig.counters]
-        self._stand: dict[int, int] = {}
+        self._counts: dict[int, int] = {}
 
     def values(self, raw: NDArray[np.uint16]) -> FloatArray:
-        """Values (n, width) of raw numbers (n, width)."""
+        """Return the SI values (n, width) of raw numbers (n, width)."""
         counts = raw.astype(np.float64)
         for column in self._counters:
             counts[:, column] = self._unwrap(column, raw[:, column])
         return np.asarray((counts - self._zero) * self._scale)
 
     def _unwrap(self, column: int, raw: NDArray[np.uint16]) -> FloatArray:
-        before = self._stand.get(column, int(raw[0])) % TURN
-        counted: IntArray = np.r_[before, raw.astype(np.int64)]
-        steps: IntArray = counted[1:] - counted[:-1]
-        # the shorter way round is the one it went
-        steps = np.mod(steps + TURN // 2, TURN) - TURN // 2
-        stands = self._stand.get(column, int(raw[0])) + np.cumsum(steps)
-        self._stand[column] = int(stands[-1])
-        return np.asarray(stands, dtype=np.float64)
+        previous = self._counts.get(column, int(raw[0])) % COUNTER_RANGE
+        wrapped: IntArray = np.r_[previous, raw.astype(np.int64)]
+        steps: IntArray = wrapped[1:] - wrapped[:-1]
+        # between two samples a counter moves by less than half its range
+        steps = np.mod(steps + COUNTER_RANGE // 2, COUNTER_RANGE) - COUNTER_RANGE // 2
+        unwrapped = self._counts.get(column, int(raw[0])) + np.cumsum(steps)
+        self._counts[column] = int(unwrapped[-1])
+        return np.asarray(unwrapped, dtype=np.float64)
 
 
 def info_of(hello: Hello, fitted: Sequence[tuple[Signal, ChannelScale]]) -> DeviceInfo:
-    """The description of a device by its own HELLO."""
+    """Return the identity and calibration of the device of a HELLO, with its fitted channels."""
     calibration = {"sample_rate": hello.sample_rate, "speed": hello.speed}
     for signal, channel in fitted:
         calibration[f"{signal.name}_scale"] = channel.scale

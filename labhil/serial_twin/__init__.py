@@ -1,1 +1,1 @@
-"""Twins of rigs on the framed serial link: all that is the same whatever the rig."""
+"""The common part of the simulated devices (twins) of rigs on the framed serial link."""

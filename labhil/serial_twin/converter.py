@@ -1,4 +1,4 @@
-"""A channel's converter: SI values to the whole numbers on the wire."""
+"""Converters of a simulated device: SI values to the raw numbers of a channel."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from labhil.signals import FloatArray
 
 
 class Converter:
-    """Whole numbers of ``bits`` bits for ``low`` … ``high`` (SI); what lies beyond is an end of the range.
+    """An analogue-to-digital converter that clips to its range.
 
-    ``scale`` says what its numbers mean.
+    Args:
+        low: Lower end of the range, SI.
+        high: Upper end of the range, SI.
+        bits: Resolution.
     """
 
     def __init__(self, low: float, high: float, bits: int) -> None:
@@ -21,21 +24,21 @@ class Converter:
         self._last = (1 << bits) - 1
 
     def raw(self, values: FloatArray) -> Raw:
-        """Numbers (n,) of the values (n,)."""
+        """Return the raw numbers (n,) of SI values (n,)."""
         counts = np.rint(values / self.scale.scale + self.scale.zero)
         return np.minimum(np.maximum(counts, 0.0), self._last).astype(np.uint16)
 
 
 class Counter:
-    """A counter of ``step`` (SI) that wraps at 16 bits, such as an encoder's."""
+    """A counter that wraps at 16 bits, such as that of an encoder; ``step`` is one count, SI."""
 
     def __init__(self, step: float) -> None:
         self.scale = ChannelScale(float(np.float32(step)), 0.0)
 
     def raw(self, values: FloatArray) -> Raw:
-        """Numbers (n,) of the values (n,); an encoder counts the edges that it has passed."""
+        """Return the raw numbers (n,) of SI values (n,); an encoder counts the edges that it has passed."""
         return (np.floor(values / self.scale.scale).astype(np.int64) % (1 << 16)).astype(np.uint16)
 
 
 NOT_FITTED = ChannelScale(0.0, 0.0)
-"""What HELLO says of a channel that the device has not."""
+"""The scale that HELLO gives for a channel that is not fitted."""

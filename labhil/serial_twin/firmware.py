@@ -1,4 +1,4 @@
-"""What the microcontroller of a bench does, without its wires: messages in, samples out, a watchdog."""
+"""The firmware of a simulated bench, without its wire: messages in, samples out, and a watchdog."""
 
 from __future__ import annotations
 
@@ -36,13 +36,19 @@ Raw = NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """What one rig's microcontroller is made for.
+    """The microcontroller of one kind of rig.
 
-    ``safe`` is the raw command in the safe state and ``allowed`` what becomes of one that is asked for;
-    ``sample_rate`` in Hz of its clock, which runs at ``speed`` and shows ``clock_start`` s at boot.
-    Samples are sent ``per_frame`` at a time, or each as a STATE where that is 0. An output other than
-    the safe one lasts ``longest_output`` s at most. A twin of it that falls behind by less than
-    ``patience`` s of the host's time catches up.
+    Attributes:
+        device: Name of the device.
+        channels: Scale of each channel.
+        safe: Raw command in the safe state.
+        allowed: Returns the raw command that is applied for a requested one.
+        sample_rate: Sample rate, Hz of its clock.
+        speed: Seconds of its clock per second of the host.
+        clock_start: Its clock at boot, s.
+        per_frame: Samples per message; 0 sends each as a STATE.
+        longest_output: How long an output other than the safe one may last, s.
+        patience: Delay up to which a twin catches up, s of the host.
     """
 
     device: str
@@ -58,11 +64,10 @@ class Board:
 
 
 class Firmware:
-    """One microcontroller; ``receive`` and ``samples`` return the bytes that it puts on the wire.
+    """One microcontroller; ``receive`` and ``samples`` return the bytes that it sends.
 
-    Times called ``now`` are seconds of the host's monotonic clock: the watchdog counts those, so
-    that a twin at ten times the speed does not need ten times the heartbeats. How long an output has
-    lasted is counted in samples.
+    Times called ``now`` are s of the host's monotonic clock: the watchdog uses that clock, so that a twin at
+    ten times the speed does not need ten times the heartbeats. An output's duration is counted in samples.
     """
 
     def __init__(self, board: Board) -> None:
@@ -70,67 +75,67 @@ class Firmware:
         self.boot(0.0)
 
     def boot(self, now: float) -> bytes:
-        """Start anew, as after power-on: safe, nothing configured; say HELLO."""
+        """Start as after power-on, safe and without a configuration; return HELLO."""
         self._boot_id = secrets.randbelow(0xFFFFFFFF) + 1
         self._decoder = Decoder()
         self._sent: Counter[MessageType] = Counter()
-        self._taken = 0
+        self._n_samples = 0
         self._waiting: list[Raw] = []
         self._timeout = COMMAND_TIMEOUT
-        self._longest = self.board.longest_output
-        self._lasted = 0
-        self._heard = now
+        self._longest_output = self.board.longest_output
+        self._output_samples = 0
+        self._last_message_at = now
         self._flags = StateFlag.SAFE
         self.output = self.board.safe
         self.was_set = False
         return self._hello(0)
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Take bytes from the host; return the answer, if any."""
+        """Take bytes from the host and return the answer, if there is one."""
         return b"".join(self._dispatch(frame, now) for frame in self._decoder.feed(data))
 
     def watch(self, now: float) -> None:
-        """Go to the safe output when the host has been silent for too long."""
-        if now - self._heard > self._timeout:
+        """Go to the safe output where no valid message has come for too long."""
+        if now - self._last_message_at > self._timeout:
             self._go_safe()
 
     def samples(self, rows: Raw) -> list[bytes]:
-        """Take samples (n, fitted channels) in, and return the messages that they complete."""
-        self._taken += len(rows)
+        """Take samples (n, fitted channels) and return the messages that they complete."""
+        self._n_samples += len(rows)
         self._expire(len(rows))
         if self.board.per_frame == 0:
-            begin = self._taken - len(rows)
-            return [self._state(begin + k, row) for k, row in enumerate(rows)]
+            begin = self._n_samples - len(rows)
+            return [self._state_message(begin + k, row) for k, row in enumerate(rows)]
         self._waiting.append(rows)
         waiting = np.concatenate(self._waiting) if len(self._waiting) > 1 else rows
         size = self.board.per_frame
         complete = len(waiting) // size * size
         self._waiting = [waiting[complete:]]
-        first = self._taken - len(waiting)
-        return [self._some(first + k, waiting[k : k + size]) for k in range(0, complete, size)]
+        first = self._n_samples - len(waiting)
+        return [self._samples_message(first + k, waiting[k : k + size]) for k in range(0, complete, size)]
 
-    def _state(self, number: int, row: Raw) -> bytes:
+    def _state_message(self, number: int, row: Raw) -> bytes:
         state = State(self._flags, tuple(row.tolist()))
         return self._message(MessageType.STATE, state.pack(), number)
 
-    def _some(self, first: int, rows: Raw) -> bytes:
+    def _samples_message(self, first: int, rows: Raw) -> bytes:
         return self._message(MessageType.SAMPLES, Samples(self._flags, first, rows).pack(), first)
 
     def _expire(self, count: int) -> None:
-        self._lasted = 0 if self.output == self.board.safe else self._lasted + count
-        if self._lasted > self._longest * self.board.sample_rate:
+        self._output_samples = 0 if self.output == self.board.safe else self._output_samples + count
+        if self._output_samples > self._longest_output * self.board.sample_rate:
             self._go_safe()
             self._flags |= StateFlag.EXPIRED
 
     def _dispatch(self, frame: Frame, now: float) -> bytes:
         try:
-            answer = self._carry_out(frame)
+            answer = self._execute(frame)
         except ProtocolError:
             return b""
-        self._heard = now
+        self._last_message_at = now
         return answer
 
-    def _carry_out(self, frame: Frame) -> bytes:
+    def _execute(self, frame: Frame) -> bytes:
         if frame.type == MessageType.SET:
             self._set(SetCommand.unpack(frame.payload))
         elif frame.type == MessageType.SAFE:
@@ -153,12 +158,12 @@ class Firmware:
     def _configure(self, config: Config) -> None:
         self._timeout = config.command_timeout_ms * 1e-3
         if config.longest_output_s:
-            self._longest = min(float(config.longest_output_s), self.board.longest_output)
+            self._longest_output = min(float(config.longest_output_s), self.board.longest_output)
         self._flags |= StateFlag.CONFIGURED
 
     def _go_safe(self) -> None:
         self.output = self.board.safe
-        self._lasted = 0
+        self._output_samples = 0
         self._flags |= StateFlag.SAFE
 
     def _hello(self, answers: int) -> bytes:
@@ -173,10 +178,10 @@ class Firmware:
             speed=self.board.speed,
             channels=self.board.channels,
         )
-        return self._message(MessageType.HELLO, hello.pack(), self._taken)
+        return self._message(MessageType.HELLO, hello.pack(), self._n_samples)
 
     def _message(self, kind: MessageType, payload: bytes, sample: int) -> bytes:
-        """A message stamped with the time of the sample with that number."""
+        """Return a message with the time of the sample of that number."""
         t_us = round(self.board.clock_start * 1e6) + round(sample * 1e6 / self.board.sample_rate)
         message = encode(Frame(kind, self._sent[kind], t_us, payload))
         self._sent[kind] += 1

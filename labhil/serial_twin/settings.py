@@ -1,4 +1,4 @@
-"""What can be set about a twin beyond its plant: the wire, the device's clock, and faults to order."""
+"""Settings of a twin besides its plant: the wire, the device's clock, and injected faults."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ WIRES = ("pty", "tcp")
 
 @dataclass(frozen=True, slots=True)
 class WireSettings:
-    """Latency (s) from sample to wire, the clock, and faults.
+    """Latency from sample to wire (s), the clock, and faults.
 
-    Faults happen ``fault_…_at`` seconds of the device's clock after the first SET of a run, once in
-    the life of the twin; 0 is never. After ``fault_silence_at`` nothing more is sent until the next
-    client. ``drop_rate`` is the share of frames that get lost on the way.
+    Each fault happens once, ``fault_…_at`` s of the device's clock after the first SET of a run; 0 is never.
+    After ``fault_silence_at`` nothing is sent until the next client. ``drop_rate`` is the share of frames
+    that are lost.
     """
 
     latency: float = 0.001
     latency_jitter: float = 0.0005
     clock_drift: float = 50.0
-    """How much the device's clock is too fast, in ppm."""
+    """Rate error of the device's clock, ppm; positive is too fast."""
     clock_start: float = 0.0
-    """What the device's clock shows at boot, s."""
+    """The device's clock at boot, s."""
     drop_rate: float = 0.0
     fault_reset_at: float = 0.0
     fault_garbage_at: float = 0.0
@@ -41,11 +41,14 @@ Resolve = Callable[[Iterable[str], Mapping[str, float]], Mapping[str, float]]
 
 @dataclass(frozen=True, slots=True)
 class Settable:
-    """What one rig's twin can be made of.
+    """The parameters of one rig's twin.
 
-    ``plant`` are the parameters of its plant with their defaults (SI), ``resolve`` makes those in force
-    of terms and overrides; ``device`` are the numbers of its electronics, which ``check`` looks at
-    (UsageError).
+    Attributes:
+        default_terms: Effects of the plant by default.
+        plant: Parameters of the plant with their defaults, SI.
+        resolve: Returns the parameters for given terms and overrides.
+        device: Parameters of the electronics with their defaults.
+        check: Raises UsageError for parameters of the electronics that are out of range.
     """
 
     default_terms: tuple[str, ...]
@@ -55,12 +58,12 @@ class Settable:
     check: Callable[[Mapping[str, float]], None]
 
     def parameters(self) -> dict[str, float]:
-        """Every name that ``--set`` takes with its default (SI; ``clock_drift`` in ppm)."""
+        """Return every parameter that ``--set`` takes with its default (SI; ``clock_drift`` in ppm)."""
         return dict(self.plant) | dict(self.device) | dict(WIRE_PARAMETERS)
 
 
 UNEVEN = ("stamp_jitter", "stamp_error")
-"""Of what a plant's recording may suffer: a device on the wire samples evenly, by its own clock."""
+"""Parameters of a plant's recording that a device on the wire has not: it samples evenly by its clock."""
 
 
 def settable_world(
@@ -69,7 +72,14 @@ def settable_world(
     device: Mapping[str, float],
     check: Callable[[Mapping[str, float]], None],
 ) -> Settable:
-    """What a rig of that world can be made of on the wire."""
+    """Return the parameters of a twin on the wire.
+
+    Args:
+        world: The simulated plant.
+        default_terms: Its effects by default.
+        device: Parameters of the electronics with their defaults.
+        check: As in :class:`Settable`.
+    """
     visible = (name for name in world.all_parameters() if name.partition(".")[0] not in world.hidden)
     defaults = world.all_parameters()
     plant = {name: defaults[name] for name in visible if name not in UNEVEN}
@@ -78,7 +88,7 @@ def settable_world(
 
 @dataclass(frozen=True, slots=True)
 class TwinSettings:
-    """A checked :class:`TwinOptions`: ``terms`` and ``plant`` make the plant, the rest what is around it.
+    """Checked :class:`TwinOptions`, divided into those of the plant, the electronics and the wire.
 
     ``tables`` are measured maps by name, as the plant takes them.
     """
@@ -93,7 +103,7 @@ class TwinSettings:
 
     @classmethod
     def of(cls, options: TwinOptions, settable: Settable) -> TwinSettings:
-        """Check the options; UsageError or UnknownNameError names what is wrong."""
+        """Check the options of a twin; UsageError or UnknownNameError for a wrong one."""
         if options.wire not in WIRES:
             raise UnknownNameError("wire", options.wire, WIRES)
         if options.host is not None or options.series is not None:
@@ -111,13 +121,13 @@ class TwinSettings:
         known = settable.parameters()
         for name in given:
             effect = name.partition(".")[0]
-            # what no list of names tells is known to the plant alone
+            # parameters of an effect that is present may be known only to the plant
             if name not in known and effect not in terms:
                 raise UnknownNameError("parameter", name, known)
         return cls(options.seed, options.speed, terms, settable.resolve(terms, given), device, wire)
 
     def answer(self) -> dict[str, object]:
-        """What the twin is made of, as JSON data: the answer to the riddle that its recordings pose."""
+        """Return the terms and parameters of the twin as JSON data: the true answer to a diagnosis."""
         wire = {name: getattr(self.wire, name) for name in WIRE_PARAMETERS}
         parameters = {**self.plant, **self.device, **wire}
         content = {"terms": list(self.terms), "parameters": parameters, "seed": self.seed}
@@ -135,13 +145,13 @@ def _check_wire(wire: WireSettings) -> WireSettings:
 
 
 def check_range(device: Mapping[str, float], name: str, low: float, high: float) -> None:
-    """UsageError when a number of the electronics lies outside ``low`` … ``high``."""
+    """Raise UsageError where a parameter of the electronics is outside ``low`` … ``high``."""
     if not low <= device[name] <= high:
         raise UsageError(f"{name} must lie between {low:g} and {high:g}, found {device[name]:g}")
 
 
 def check_whole(device: Mapping[str, float], name: str, low: int, high: int) -> None:
-    """UsageError when a number of the electronics is no whole number from ``low`` to ``high``."""
+    """Raise UsageError where a parameter of the electronics is no whole number from ``low`` to ``high``."""
     check_range(device, name, low, high)
     if device[name] != int(device[name]):
         raise UsageError(f"{name} must be a whole number, found {device[name]:g}")

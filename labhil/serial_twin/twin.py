@@ -1,4 +1,4 @@
-"""The twin: a plant behind a firmware behind a wire, as a program of its own."""
+"""The twin of a serial rig: a plant, its firmware and a wire, served by a process of its own."""
 
 from __future__ import annotations
 
@@ -18,14 +18,20 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SerialTwin:
-    """A rig on a serial line that is not there; satisfies :class:`labhil.driver.Twin`.
+    """A simulated rig on a serial line; satisfies :class:`labhil.driver.Twin`.
 
-    Each time a client opens the wire the device boots, as an Arduino does, and the plant begins anew.
-    (A pty that is closed and opened again within 20 ms goes unnoticed.) Without a client the world
-    stands still. The watchdog's 0.3 s are the host's, whatever the speed.
+    Each time a client opens the wire the device boots, as an Arduino does, and the plant begins in its
+    initial state. (A pty that is closed and opened again within 20 ms goes unnoticed.) Without a client the
+    simulated time stands still. The 0.3 s of the watchdog are the host's, whatever the speed.
 
-    ``effects`` are what the plant can carry, each with one line about it; ``make`` builds the plant and
-    compiles it; ``tables`` read the files that take the place of some of its numbers.
+    Attributes:
+        name: Its name.
+        rig: Kind of rig.
+        description: One line about it.
+        effects: Effects of the plant, each with one line about it.
+        settable: Its parameters.
+        make: Builds and compiles the plant.
+        tables: Readers of files that replace some of its parameters, by name.
     """
 
     name: str
@@ -37,17 +43,23 @@ class SerialTwin:
     tables: Mapping[str, Callable[[Path], FloatArray]] = field(default_factory=dict)
 
     def terms(self) -> Mapping[str, str]:
-        """Names of the effects that the plant can carry, each with one line about it."""
+        """Return the effects that the plant can have, each with one line about it."""
         return self.effects
 
     def parameters(self) -> Mapping[str, float]:
-        """Names that ``--set`` takes, with their default values (SI; ``clock_drift`` in ppm)."""
+        """Return the parameters that ``--set`` takes, with their defaults (SI; ``clock_drift`` in ppm)."""
         return self.settable.parameters()
 
     def serve(self, options: TwinOptions, ready: ReadyCallback) -> None:
         """Run until SIGINT, SIGTERM or, where standard input is a pipe, its end.
 
-        Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
+        Args:
+            options: The options of the twin.
+            ready: Is called with the address once a client can connect.
+
+        Raises:
+            UsageError: An option is wrong; nothing has been opened.
+            UnknownNameError: A name in the options is unknown; likewise.
         """
         settings = replace(TwinSettings.of(options, self.settable), tables=self._tables(options))
         if options.answer is not None:
@@ -62,7 +74,7 @@ class SerialTwin:
                 wire.close()
 
     def _tables(self, options: TwinOptions) -> dict[str, FloatArray]:
-        """What stands in the files; UsageError where a number is set, too, that a table replaces."""
+        """Read the tables; UsageError where a parameter that a table replaces is set, too."""
         tables = {}
         for name, path in options.tables.items():
             if name not in self.tables:
@@ -75,7 +87,7 @@ class SerialTwin:
 
 
 def write_answer(path: Path, settings: TwinSettings) -> None:
-    """Write what the twin is made of; UsageError when the file cannot be written."""
+    """Write the terms and parameters of the twin; UsageError where the file cannot be written."""
     try:
         path.write_text(json.dumps(settings.answer(), indent=1) + "\n", encoding="utf-8")
     except OSError as error:

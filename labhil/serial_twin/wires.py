@@ -1,7 +1,6 @@
-"""The two wires that a twin can hang on: a pseudo terminal, and a TCP port of this machine.
+"""The two wires of a twin: a pseudo terminal, and a TCP port on the loopback.
 
-Both carry one client at a time, never block, and lose what the client does not fetch, as a serial
-line would.
+Both carry one client at a time, never block, and lose what the client does not read, as a serial line does.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ import socket
 import tty
 from typing import Protocol
 
-UNFETCHED = 65536
-"""How many bytes wait for a client before further messages are lost."""
+MAX_UNSENT = 65536
+"""Bytes that may wait for a client; further messages are lost."""
 
 
 class Wire(Protocol):
-    """Where a client comes and goes."""
+    """A wire that one client at a time opens."""
 
     address: str
 
@@ -27,15 +26,15 @@ class Wire(Protocol):
         ...
 
     def client(self) -> int:
-        """Return the number of the client that is there, letting in one that waits; 0 for none."""
+        """Return the number of the connected client, after accepting a waiting one; 0 for none."""
         ...
 
     def read(self) -> bytes:
-        """Return what the client has sent, nothing when it has sent nothing or is gone."""
+        """Return what the client has sent; empty where there is nothing."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send whole messages to the client, as far as it fetches them."""
+        """Send whole messages to the client, as far as it reads them."""
         ...
 
     def close(self) -> None:
@@ -50,7 +49,7 @@ class PseudoTerminal:
         self._master, device = os.openpty()
         tty.setraw(device)
         self.address = os.ttyname(device)
-        # with our own end closed, the kernel tells whether anybody else has it open
+        # with the device end closed here, the kernel reports whether a client has it open
         os.close(device)
         os.set_blocking(self._master, False)
         self._poll = select.poll()
@@ -81,7 +80,7 @@ class PseudoTerminal:
 
     def write(self, data: bytes) -> None:
         """Send whole messages, as far as the client fetches them."""
-        if len(self._unsent) < UNFETCHED:
+        if len(self._unsent) < MAX_UNSENT:
             self._unsent += data
         with contextlib.suppress(OSError):
             self._unsent = self._unsent[os.write(self._master, self._unsent) :]
@@ -95,21 +94,21 @@ class TcpPort:
     """A port on the loopback interface; ``address`` is ``socket://127.0.0.1:PORT``."""
 
     def __init__(self) -> None:
-        self._door = socket.create_server(("127.0.0.1", 0))
-        self._door.setblocking(False)
-        self.address = f"socket://127.0.0.1:{self._door.getsockname()[1]}"
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener.setblocking(False)
+        self.address = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._client: socket.socket | None = None
         self._clients = 0
         self._unsent = b""
 
     def fileno(self) -> int:
         """What to wait on for a client's bytes, or for a client."""
-        return (self._client or self._door).fileno()
+        return (self._client or self._listener).fileno()
 
     def client(self) -> int:
         """Return the number of the client that is there, 0 for none."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            newcomer, _ = self._door.accept()
+            newcomer, _ = self._listener.accept()
             if self._client is None:
                 newcomer.setblocking(False)
                 newcomer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -130,28 +129,28 @@ class TcpPort:
         except OSError:
             data = b""
         if not data:
-            self._hang_up()
+            self._disconnect()
         return data
 
     def write(self, data: bytes) -> None:
         """Send whole messages, as far as the client fetches them."""
         if self._client is None:
             return
-        if len(self._unsent) < UNFETCHED:
+        if len(self._unsent) < MAX_UNSENT:
             self._unsent += data
         try:
             self._unsent = self._unsent[self._client.send(self._unsent) :]
         except BlockingIOError:
             return
         except OSError:
-            self._hang_up()
+            self._disconnect()
 
     def close(self) -> None:
         """Take the wire down."""
-        self._hang_up()
-        self._door.close()
+        self._disconnect()
+        self._listener.close()
 
-    def _hang_up(self) -> None:
+    def _disconnect(self) -> None:
         if self._client is not None:
             self._client.close()
         self._client = None

@@ -1,1 +1,1 @@
-"""What keeps a device honest: its host, and the recorder."""
+"""The safety layer of a device: its host process with limits, interlocks and watchdog, and the recorder."""

@@ -1,4 +1,4 @@
-"""A child process of ours that speaks in lines, and is gone when we are done with it."""
+"""A child process that communicates in lines and ends with its parent."""
 
 from __future__ import annotations
 
@@ -23,10 +23,15 @@ POLL_INTERVAL = 0.05
 
 
 class Child:
-    """One child process; the end of its standard input tells it to end.
+    """A child process; the end of its standard input is the request to end.
 
-    It has a session of its own, so that Ctrl+C in a terminal reaches only us and we take everything
-    down in order. If we are killed instead, the end of its standard input still reaches it.
+    It has a session of its own, so that Ctrl+C in a terminal reaches only its parent, which ends everything
+    in order. Where the parent is killed, the end of its standard input still reaches the child.
+
+    Args:
+        name: What it is, for messages.
+        arguments: The command line.
+        environment: Environment variables that are added to those of this process.
     """
 
     def __init__(
@@ -55,14 +60,14 @@ class Child:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             self._take_line(line)
-        self._reader.end()  # the child closes its output when it likes
+        self._reader.end()  # a child may close its output at any time: that is no failure
         self._lines.put(None)
 
     def _take_line(self, line: str) -> None:
         self._lines.put(line.rstrip("\n"))
 
-    def deafness(self) -> str:
-        """Return why nothing that the child says is heard any more; empty while all is well."""
+    def reader_failure(self) -> str:
+        """Return why the output of the child is not read any more; empty while it is."""
         return self._reader.failure()
 
     @property
@@ -71,68 +76,73 @@ class Child:
         return self._process.pid
 
     def exit_status(self) -> int | None:
-        """Return how the process ended (negative: by that signal), or None while it runs."""
+        """Return the exit status of the process (negative: number of a signal), or None while it runs."""
         return self._process.poll()
 
     def send(self, line: str) -> None:
-        """Write one line to the child; :meth:`line` notices a child that is gone already."""
+        """Write one line to the child; :meth:`line` reports a child that has ended already."""
         assert self._process.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self._process.stdin.write(line)
             self._process.stdin.flush()
 
     def line(self, timeout: float, interrupted: Callable[[], bool] = lambda: False) -> str | None:
-        """Return the next line; None when the child closed its output or ``interrupted`` turned true.
+        """Wait for the next line; None where the child closed its output, or after an interruption.
 
-        Raises BusError when nothing came within ``timeout`` s.
+        Args:
+            timeout: Longest wait, s.
+            interrupted: Whether to stop waiting.
+
+        Raises:
+            BusError: No line came in time.
         """
         deadline = time.monotonic() + timeout
         while not interrupted():
             with contextlib.suppress(queue.Empty):
                 return self._lines.get(timeout=POLL_INTERVAL)
             if time.monotonic() > deadline:
-                raise BusError(f"{self.name} said nothing for {timeout:g} s{self.complaint()}")
+                raise BusError(f"{self.name} said nothing for {timeout:g} s{self.last_error()}")
         return None
 
     def next_line(self) -> str:
-        """Return the next line if it is there already, else nothing; does not wait."""
+        """Return the next line if there is one already, otherwise an empty text; does not wait."""
         with contextlib.suppress(queue.Empty):
             line = self._lines.get_nowait()
             if line is not None:
                 return line
-            self._lines.put(None)  # the end is for whoever waits, too
+            self._lines.put(None)  # keep the end for a later call of `line`
         return ""
 
-    def complaint(self) -> str:
-        """Return the last line of what the child wrote to its standard error, for a message of ours."""
+    def last_error(self) -> str:
+        """Return ": " and the last line that the child wrote to standard error; empty where there is none."""
         if self._errors.closed:
             return ""
-        # pread leaves the offset alone: the child appends at it
+        # pread does not move the offset, at which the child appends
         written = os.pread(self._errors.fileno(), 1 << 20, 0)
         text = written.decode(errors="replace").strip()
         return f": {text.splitlines()[-1]}" if text else ""
 
     def close_input(self) -> None:
-        """Tell the child to end, without waiting for it."""
+        """Request the child to end; does not wait for it."""
         if self._process.stdin is not None:
             with contextlib.suppress(OSError):
                 self._process.stdin.close()
 
     def has_ended(self, within: float) -> bool:
-        """Whether the child ends within so many s; waits that long at most."""
+        """Wait up to ``within`` s for the child to end, and return whether it has."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(within)
         return self._process.poll() is not None
 
     def stop(self, patience: float = STOP_TIMEOUT) -> None:
-        """Have the child end and wait for it; SIGTERM after ``patience`` s, then SIGKILL. Safe twice."""
+        """End the child and wait for it: SIGTERM after ``patience`` s, then SIGKILL; safe to call twice."""
         self.close_input()
-        for timeout, then in ((patience, self._process.terminate), (KILL_TIMEOUT, self._process.kill)):
+        for timeout, escalate in ((patience, self._process.terminate), (KILL_TIMEOUT, self._process.kill)):
             try:
                 self._process.wait(timeout)
                 break
             except subprocess.TimeoutExpired:
-                then()
+                escalate()
         self._process.wait()
         self._reader.join()
         if self._process.stdout is not None:

@@ -1,4 +1,4 @@
-"""The requests to a host, how each is read, and which of them need the session's key."""
+"""The requests to a host: the model of each, and which have to be signed with the session's key."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from labhil.bus.incoming import (
     LeaseRequest,
     SafeRequest,
     SetpointMessage,
-    is_press,
+    is_stop,
     parse,
 )
 from labhil.errors import CommandRefusedError
@@ -26,17 +26,17 @@ COMMANDS: dict[str, type[Incoming]] = {
     "shutdown": AnyRequest,
 }
 OPEN_TO_ALL = ("status",)
-"""What anybody may ask for. Anybody may press the emergency stop, too."""
+"""Requests without a signature. Pressing the emergency stop needs none either."""
 
 
 def reader_of(name: str) -> Callable[[bytes], Incoming]:
-    """Return what reads the request of a command; a stop counts however badly it is written."""
+    """Return the function that reads the request of a command; a malformed emergency stop counts as one."""
 
     def read(payload: bytes) -> Incoming:
         try:
             return parse(COMMANDS[name], payload, A_SETPOINT if name == "set" else name)
         except CommandRefusedError as error:
-            if name == "estop" and is_press(payload):
+            if name == "estop" and is_stop(payload):
                 return EstopRequest(reason=f"(the message that pressed it was malformed: {error})")
             raise
 
@@ -44,6 +44,6 @@ def reader_of(name: str) -> Callable[[bytes], Incoming]:
 
 
 def is_guarded(name: str, request: Incoming) -> bool:
-    """Whether a request has to be signed with the session's key."""
-    presses = isinstance(request, EstopRequest) and request.action == "press"
-    return not presses and name not in OPEN_TO_ALL
+    """Return whether a request has to be signed with the session's key."""
+    presses_stop = isinstance(request, EstopRequest) and request.action == "press"
+    return not presses_stop and name not in OPEN_TO_ALL

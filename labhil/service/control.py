@@ -1,8 +1,7 @@
-"""The thread that owns a device: what it sends there, what it takes from there, and when it stops it.
+"""The control loop of a host: reads samples, sends commands, and brings the device to its safe state.
 
-All state belongs to one thread, the one in :meth:`DeviceControl.run`. Whatever comes from the bus is put
-into its inbox; only ``safe`` and ``estop`` reach past it, since a device must be stopped even when that
-thread hangs.
+All state belongs to the thread of :meth:`DeviceControl.run`. Requests from the bus go into its inbox; only
+``safe`` and ``estop`` also act directly on the driver, since a device must stop even when that thread hangs.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any, Self
 
-from labhil.bus.ask import Answering, serve
+from labhil.bus.ask import Responder, serve
 from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import AnyRequest, EstopRequest, LeaseRequest, SafeRequest, SetpointMessage
 from labhil.bus.keys import command_key, setpoint_key
@@ -35,20 +34,20 @@ from labhil.service.lease import Lease
 from labhil.service.limits import SampleLimits
 from labhil.service.messages import HostConfig, HostState, Setpoint
 from labhil.service.output import Clock, Output
-from labhil.service.reconnect import GIVE_UP, Continuation, Search, refuse_another
+from labhil.service.reconnect import SEARCH_TIMEOUT, Continuation, Search, refuse_another
 from labhil.signals import Batch
 
 READ_TIMEOUT, IDLE_TIMEOUT = 0.002, 0.01
-"""Longest waits for samples, s, with and without a lease: how late a setpoint or a request is taken up."""
-REACTION = 0.25
-"""Share of the sample period that the setpoint after a sample is waited for."""
-SILENCE = 1.0
-"""How long a connected device may say nothing, s of the host's clock."""
-LONGEST_STALL = 0.05
-"""What one turn of the loop may count for in the watchdog, s: our own stalls are nobody's silence."""
+"""Longest waits for samples, s, with and without a lease; they bound the delay of setpoints and requests."""
+REACTION_SHARE = 0.25
+"""Share of the sample period for which the loop waits for the setpoint after a sample."""
+MAX_SILENCE = 1.0
+"""How long a connected device may send no samples, s of the host's clock."""
+MAX_TURN = 0.05
+"""What one turn of the loop counts for in the watchdog at most, s: its own delays are no missing commands."""
 
-SETPOINTS = 256
-"""Streamed setpoints that may wait: behind more, the true ones of a flooded host would come too late."""
+MAX_SETPOINTS = 256
+"""Streamed setpoints that may wait; behind more, the setpoints of a flooded host would come too late."""
 
 STEADY = (HostState.IDLE, HostState.ACTIVE)
 
@@ -56,7 +55,7 @@ STEADY = (HostState.IDLE, HostState.ACTIVE)
 class DeviceControl:
     """Runs one connected driver on the bus; a context manager around :meth:`run`.
 
-    ``ended`` is called once per turn and returns why it is time to end, or an empty string.
+    ``ended`` is called once per turn and returns the reason to end, or an empty text.
     """
 
     def __init__(
@@ -81,19 +80,19 @@ class DeviceControl:
             "status": self._status,
         }
         self._shut_down_reason = ""
-        self._refused: set[str] = set()
+        self._announced_refusals: set[str] = set()
         self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
-        self._heard_at = 0.0
-        self._heard_any = False
-        self._quiet = False
-        self._mending = False
+        self._last_sample_at = 0.0
+        self._has_samples = False
+        self._is_silent = False
+        self._is_recovering = False
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
-        # a controller answers each sample with a setpoint: wait for it here, and not for the next sample
-        self._reaction_time = REACTION / (spec.stream.rate * info.speed)
-        # what the device itself would wait for, in the host's time, four times over
+        # a controller answers each sample with a setpoint: wait for it, not for the next sample
+        self._reaction_time = REACTION_SHARE / (spec.stream.rate * info.speed)
+        # a command is repeated four times within the device's own timeout
         self._keep_alive = spec.command_timeout / info.speed / 4
 
     def __enter__(self) -> Self:
@@ -106,13 +105,13 @@ class DeviceControl:
             self._commands = StreamPublisher(bus, config.device, commands, metadata)
             resources.callback(self._commands.close)
             for name in COMMANDS:
-                resources.enter_context(self._answering(name))
+                resources.enter_context(self._serve_command(name))
             setpoints = subscribe(
                 bus,
                 setpoint_key(config.device),
                 self._inbox.put_setpoints,
                 self._refusals,
-                depth=SETPOINTS,
+                depth=MAX_SETPOINTS,
                 commands=True,
             )
             resources.enter_context(setpoints)
@@ -123,62 +122,62 @@ class DeviceControl:
     def __exit__(self, *_: object) -> None:
         self._resources.close()
 
-    def _answering(self, name: str) -> Answering:
+    def _serve_command(self, name: str) -> Responder:
         key, handler = command_key(self._config.device, name), self._handler(name)
         guarded, refusals = partial(is_guarded, name), self._refusals
         return serve(self._bus, key, handler, reader=reader_of(name), guarded=guarded, refusals=refusals)
 
     def run(self) -> str:
-        """Serve the device until something ends it, and return what did; the device is safe then.
+        """Serve the device until an end is requested, and return the reason; the device is safe then.
 
-        Raises what the driver raises; the device is brought to its safe state then, too.
+        Raises DeviceError or BusError where the driver or the bus fails; the device is safe then, too.
         """
-        self._heard_at = before = time.monotonic()
+        self._last_sample_at = previous = time.monotonic()
         try:
             while not (reason := self._ended() or self._shut_down_reason):
                 try:
-                    now = self._turn(before)
+                    now = self._turn(previous)
                 except DeviceError as error:
                     if not self._config.reconnect:
                         raise
                     self._search_device(error)
-                    self._heard_at = now = time.monotonic()
-                before = now
+                    self._last_sample_at = now = time.monotonic()
+                previous = now
         finally:
             self._driver.safe()
         self._transition(HostState.STOPPED, reason, counters=asdict(self._driver.counters))
         return reason
 
-    def _turn(self, before: float) -> float:
-        """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
+    def _turn(self, previous: float) -> float:
+        """Read samples, answer requests and check the watchdog; return the time of this turn."""
         self._check_bus()
-        batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(before) else IDLE_TIMEOUT)
+        batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(previous) else IDLE_TIMEOUT)
         now = time.monotonic()
         if len(batch):
-            self._heard_at, self._heard_any = now, True
-            self._take_in(self._continuation.carry_on(batch))
-        elif now - self._heard_at > SILENCE:
+            self._last_sample_at, self._has_samples = now, True
+            self._take_in(self._continuation.apply(batch))
+        elif now - self._last_sample_at > MAX_SILENCE:
             raise DeviceSilentError(
-                f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
+                f"{self._config.address}: the device said nothing for {MAX_SILENCE:g} s; "
                 f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
             )
         self._check_latch(now)
         answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
-        if self._heard_any:  # requests at the very start wait for the first sample, which shows the state
+        if self._has_samples:  # earlier requests wait for the first sample, which shows the state
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
-        self._check_watchdog(now, now - before)
+        self._check_watchdog(now, now - previous)
         return now
 
     def _check_bus(self) -> None:
-        """Raise BusError where something is heard no more: such a host must not go on commanding."""
-        if deaf := self._bus.failure():
-            raise BusError(f"the host of {self._config.device!r}: {deaf}")
+        """Raise BusError where a part of the bus failed: a host that hears nothing must not command."""
+        if fault := self._bus.failure():
+            raise BusError(f"the host of {self._config.device!r}: {fault}")
 
     def _search_device(self, error: DeviceError) -> None:
-        """Try to connect again, and answer meanwhile; raises what the last attempt did."""
+        """Try to connect again while answering requests; raises the error of the last attempt."""
         self._to_safety(HostState.RECONNECTING, f"{error}; looking for it again", "lost")
         lost_at = time.monotonic()
-        search = Search(self._driver, math.inf if self._config.patient else GIVE_UP)
+        search = Search(self._driver, math.inf if self._config.patient else SEARCH_TIMEOUT)
         try:
             while (info := search.result(READ_TIMEOUT)) is None:
                 if self._ended() or self._shut_down_reason:
@@ -190,19 +189,19 @@ class DeviceControl:
         finally:
             search.cancel()
         refuse_another(self._config.address, self._info, info)
-        booted = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
+        boot = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
         self._info = info
-        self._heard_any, self._quiet = False, False
-        self._continuation.tear()
+        self._has_samples, self._is_silent = False, False
+        self._continuation.note_new_connection()
         gap = time.monotonic() - lost_at
-        self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")
+        self._note_return(f"after {gap:.2f} s the device is back, its configuration sent again: {boot}")
 
-    def _return(self, message: str) -> None:
+    def _note_return(self, message: str) -> None:
         state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED
         self._transition(state, message, "reconnected")
 
     def _check_latch(self, now: float) -> None:
-        self._latch.look(now)
+        self._latch.poll(now)
         standing = self._latch.standing
         if standing is not None and self.state not in (HostState.LATCHED, HostState.RECONNECTING):
             self._to_safety(HostState.LATCHED, standing.describe(), "estop")
@@ -212,32 +211,32 @@ class DeviceControl:
     def _take_in(self, batch: Batch) -> None:
         self._output.clock = Clock(int(batch.t_hw_ns[-1]), int(batch.t_acq_ns[-1]))
         self._states.put(batch)
-        beyond = self._sample_limits.violation(batch)
-        self._violation = beyond or self._output.fault()
+        limit_violation = self._sample_limits.violation(batch)
+        self._violation = limit_violation or self._output.fault()
         tripped = self._interlocks.take_in(batch)
-        if beyond is None and self._config.reconnect:
-            self._wait_for_driver()
-        if self._violation is not None and not self._mending and self.state in STEADY:
+        if limit_violation is None and self._config.reconnect:
+            self._note_recovery()
+        if self._violation is not None and not self._is_recovering and self.state in STEADY:
             self._to_safety(HostState.TRIPPED, self._violation)
         if tripped is not None:
             state = HostState.LATCHED if self.state is HostState.LATCHED else HostState.TRIPPED
             self._to_safety(state, tripped.message, "interlock", then=tripped.then)
-        if self._quiet:
-            self._quiet = False
-            self._return("the device sends samples again")
+        if self._is_silent:
+            self._is_silent = False
+            self._note_return("the device sends samples again")
 
-    def _wait_for_driver(self) -> None:
-        """Note that the driver mends something by itself, though samples go on, or that it has."""
-        mending = self._violation is not None and self._output.is_transient()
-        if mending and not self._mending and self.state in STEADY:
-            self._mending = True
+    def _note_recovery(self) -> None:
+        """Note that the driver recovers from a fault by itself while samples go on, or that it has."""
+        recovering = self._violation is not None and self._output.is_transient()
+        if recovering and not self._is_recovering and self.state in STEADY:
+            self._is_recovering = True
             self._to_safety(HostState.IDLE, str(self._violation), "lost")
-        elif self._mending and not mending:
-            self._mending = False
+        elif self._is_recovering and not recovering:
+            self._is_recovering = False
             if self._violation is None and self.state in STEADY:
-                self._return("the device can be commanded again")
+                self._note_return("the device can be commanded again")
 
-    # what comes from the bus, still in the bus's threads
+    # requests from the bus, in the threads of the bus
 
     def _handler(self, name: str) -> Callable[[Any], dict[str, Any]]:
         def handle(payload: Any) -> dict[str, Any]:
@@ -253,13 +252,13 @@ class DeviceControl:
     # the control thread again
 
     def _answer_requests(self, now: float, patience: float) -> None:
-        """Take what is in the inbox; where nothing is, wait up to ``patience`` s for the first."""
+        """Answer the requests in the inbox; where there are none, wait up to ``patience`` s for the first."""
         for request in self._inbox.take(patience):
             try:
                 answer = self._answers[request.name](request.payload, now)
             except CommandRefusedError as error:
                 if request.answer is None:
-                    self._check_latch(now)  # a stop that came in with it is announced before the refusal
+                    self._check_latch(now)  # an emergency stop is announced before the refusal it causes
                     self._refuse_once(str(error))
                 else:
                     request.answer.set_exception(error)
@@ -268,8 +267,8 @@ class DeviceControl:
                     request.answer.set_result(answer)
 
     def _refuse_once(self, message: str) -> None:
-        if message not in self._refused:
-            self._refused.add(message)
+        if message not in self._announced_refusals:
+            self._announced_refusals.add(message)
             self._announce("refused", message)
 
     def _shut_down(self, payload: AnyRequest, now: float) -> dict[str, Any]:
@@ -283,7 +282,7 @@ class DeviceControl:
             "holder": self._lease.holder if self._lease.is_held(now) else None,
             "lease_left": self._lease.remaining(now),
             "objection": self._objection(),
-            "age": now - self._heard_at,
+            "age": now - self._last_sample_at,
             "applied": self._output.applied,
             "counters": asdict(self._driver.counters),
             "overflows": self._states.overflows + self._commands.overflows,
@@ -296,7 +295,7 @@ class DeviceControl:
             if objection is not None:
                 raise CommandRefusedError(objection)
             token = self._lease.take(request.holder, now)
-            self._refused.clear()
+            self._announced_refusals.clear()
             self._transition(HostState.IDLE, f"lease taken by {request.holder!r}", "leased")
             return {"token": token}
         self._lease.renew(request.token, now)
@@ -307,7 +306,7 @@ class DeviceControl:
         return {}
 
     def _objection(self) -> str | None:
-        """Return what stands against commanding the device now, None when nothing does."""
+        """Return why the device cannot be commanded now; None where it can."""
         if self._latch.standing is not None:
             return f"{self._latch.standing.describe()}; release it with `labhil estop --release`"
         if self.state is HostState.RECONNECTING:
@@ -317,7 +316,7 @@ class DeviceControl:
         return self._interlocks.standing()
 
     def _make_safe(self, request: SafeRequest, _now: float) -> dict[str, Any]:
-        # a trip, a latch and a lost device persist: a request to be safe lifts none of them
+        # a trip, a latch and a lost device persist: a request to be safe ends none of them
         state = HostState.IDLE if self.state is HostState.ACTIVE else self.state
         self._to_safety(state, request.reason, "safe")
         return {"applied": self._output.applied}
@@ -342,7 +341,7 @@ class DeviceControl:
     def _follow(self, payload: bytes, now: float) -> dict[str, Any]:
         setpoint = Setpoint.from_bytes(payload)
         if objection := self._lease.objection(setpoint.token, now):
-            # no fault of who holds it: what a second operator sends must not end the first one's run
+            # setpoints of a second operator must not end the run of the holder: count and ignore them
             self._refusals.note(setpoint_key(self._config.device), objection)
             return {}
         self._admit(setpoint, now)
@@ -351,8 +350,8 @@ class DeviceControl:
         return {}
 
     def _admit(self, setpoint: Setpoint, now: float) -> None:
-        # the lease comes first: a stale setpoint must not keep it alive
-        # whoever is of no session of ours stamps by the wall clock, which may have been set since ours began
+        # a stale setpoint must not renew the lease, so its age is checked first
+        # a sender without our session clock stamps by the wall clock, which may have been set since
         age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
         oldest = self._config.watchdog
         if age > oldest:
@@ -373,15 +372,15 @@ class DeviceControl:
     def _check_watchdog(self, now: float, turn: float) -> None:
         if self.state is not HostState.ACTIVE:
             return
-        self._output.unheard += min(turn, LONGEST_STALL)
+        self._output.unheard += min(turn, MAX_TURN)
         if self._output.unheard > self._config.watchdog:
-            stopped = f"watchdog: commands stopped for {self._config.watchdog:g} s"
-            if now - self._heard_at > self._config.watchdog / 2:
-                # a controller that follows the samples has nothing to say when there are none
-                self._quiet = self._config.reconnect
-                self._to_safety(HostState.IDLE, f"{stopped}, as the device sends no samples", "quiet")
+            message = f"watchdog: commands stopped for {self._config.watchdog:g} s"
+            if now - self._last_sample_at > self._config.watchdog / 2:
+                # a controller that answers samples sends nothing when there are none
+                self._is_silent = self._config.reconnect
+                self._to_safety(HostState.IDLE, f"{message}, as the device sends no samples", "quiet")
             else:
-                self._to_safety(HostState.IDLE, stopped, "watchdog")
+                self._to_safety(HostState.IDLE, message, "watchdog")
         elif now - self._output.sent_at > self._keep_alive:
             self._commands.put(self._output.send(now))
 

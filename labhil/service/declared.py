@@ -1,4 +1,4 @@
-"""What a host declares of its device: its stream of commands, metadata beside its samples, safe values."""
+"""What a host declares of its device: the stream of its commands, metadata, and safe values."""
 
 from __future__ import annotations
 
@@ -10,10 +10,15 @@ from labhil.signals import Direction, Signal, Stream
 
 
 def command_stream(state: Stream, commands: tuple[Signal, ...]) -> Stream:
-    """Return the declaration of what was requested and what was sent, per command signal."""
+    """Return the stream of requested and applied values of each command.
+
+    Args:
+        state: The stream of samples, whose rate it has.
+        commands: The commands.
+    """
     signals: list[Signal] = []
     for signal in commands:
-        for suffix, what in (("requested", "before limits"), ("applied", "sent to the device")):
+        for suffix, description in (("requested", "before limits"), ("applied", "sent to the device")):
             signals.append(
                 Signal(
                     f"{signal.name}_{suffix}",
@@ -21,14 +26,14 @@ def command_stream(state: Stream, commands: tuple[Signal, ...]) -> Stream:
                     Direction.REQUESTED,
                     width=signal.width,
                     hold=signal.hold,
-                    description=f"{signal.name}, {what}",
+                    description=f"{signal.name}, {description}",
                 )
             )
     return Stream("command", tuple(signals), state.rate)
 
 
 def safe_values(spec: DriverSpec) -> dict[str, float]:
-    """Return the values of the commands in the safe state, by column; without those that stay as they are."""
+    """Return the safe values by column; commands that keep their value in the safe state are left out."""
     values = {}
     for signal in spec.commands:
         for column in signal.columns():
@@ -39,7 +44,7 @@ def safe_values(spec: DriverSpec) -> dict[str, float]:
 
 
 def stream_metadata(config: HostConfig, driver: Driver, info: DeviceInfo) -> dict[str, str]:
-    """Return the metadata of a device beside its samples: strings, as a recording wants them."""
+    """Return the metadata of a device's streams for a recording."""
     return {
         "plugin": config.plugin,
         "rig": driver.spec.rig,

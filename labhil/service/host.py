@@ -1,9 +1,9 @@
-"""A process for one device: its driver on the bus, and what keeps the device honest.
+"""The host: a process for one device that connects its driver to the bus and keeps the device safe.
 
-``python -m labhil.service.host`` reads one line of configuration on its standard input, says on its
-standard output when the device is there and how it ended (one line of JSON each), and runs until
-something ends it. Whatever that is (a command, SIGINT, SIGTERM, the end of its standard input
-because the parent is gone, a failing device, a failing bus) the device is brought to its safe state.
+``python -m labhil.service.host`` reads one line of configuration from standard input and reports on standard
+output when the device is connected and how it ended (one line of JSON each). However it ends (a command,
+SIGINT, SIGTERM, the end of its standard input because the parent is gone, a failure of the device or the
+bus), the device is brought to its safe state. Its control loop is in ``control.py``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from types import FrameType
 from typing import Any
 
 from labhil.bus.publish import publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import Bus, open_bus
 from labhil.driver import Counters, DeviceInfo, Driver
 from labhil.errors import DeviceError, LabhilError, RigFileError
@@ -32,12 +32,12 @@ from labhil.service.messages import HostConfig, HostState
 from labhil.service.reconnect import Search
 from labhil.terminal import show
 
-SEARCH_LOOK = 0.1
-"""How often a host that looks for its device looks whether it is to end, s."""
+SEARCH_POLL_INTERVAL = 0.1
+"""How often a host that searches for its device checks whether it has to end, s."""
 
 
-class EndOfInput:
-    """Why this process is to end: a signal, or the end of its standard input. Empty while it is not."""
+class EndRequest:
+    """The reason for this process to end: a signal, or the end of its standard input; empty before that."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -46,7 +46,7 @@ class EndOfInput:
         self._reason = ""
 
     def watch_signals(self) -> None:
-        """Let SIGINT, SIGTERM and SIGHUP end this process in order, instead of at once."""
+        """Let SIGINT, SIGTERM and SIGHUP end this process in order instead of immediately."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, self._take_signal)
 
@@ -60,13 +60,21 @@ class EndOfInput:
         return self._reason
 
 
-def serve_device(config: HostConfig, ended: EndOfInput) -> str:
-    """Connect to the device, put it on the bus, and return why that ended; the device is safe then.
+def serve_device(config: HostConfig, ended: EndRequest) -> str:
+    """Connect to the device and serve it on the bus until an end is requested; the device is safe then.
 
-    Raises LabhilError: what the driver or the bus raised.
+    Args:
+        config: The configuration of the host.
+        ended: Returns the reason to end, or an empty text.
+
+    Returns:
+        Why it ended.
+
+    Raises:
+        LabhilError: The driver or the bus failed.
     """
     if ended():
-        return ended()  # whoever started this process is gone: nobody is on the bus
+        return ended()  # the parent is gone, and the bus with it
     driver = load_driver(config.plugin)(config.address)
     with open_bus(config.connect) as bus:
         try:
@@ -74,11 +82,11 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
             if info is None:
                 return ended()
             refuse_unwatched(driver, config)
-            reachable = registered("host", config.device, bus.endpoint, [config.device])
+            reachable = register("host", config.device, bus.endpoint, [config.device])
             with reachable, DeviceControl(config, driver, info, bus, ended) as control:
-                say({"ready": describe(driver, info)})
+                report({"ready": describe(driver, info)})
                 reason = control.run()
-                say({"delivering": reason})
+                report({"delivering": reason})
                 return reason
         except LabhilError as error:
             driver.safe()
@@ -90,16 +98,16 @@ def serve_device(config: HostConfig, ended: EndOfInput) -> str:
 
 
 def connect_patiently(driver: Driver, config: HostConfig, ended: Callable[[], str]) -> DeviceInfo | None:
-    """Connect to the device; a patient host looks for one that is not there until ``ended``, then None."""
+    """Connect to the device; a patient host searches for an absent one, and gets None where ``ended``."""
     try:
         return driver.connect()
     except DeviceError as error:
         if not config.patient:
             raise
-        say({"waiting": str(error)})
+        report({"waiting": str(error)})
     search = Search(driver, math.inf)
     try:
-        while (info := search.result(SEARCH_LOOK)) is None and not ended():
+        while (info := search.result(SEARCH_POLL_INTERVAL)) is None and not ended():
             pass
     finally:
         search.cancel()
@@ -107,10 +115,10 @@ def connect_patiently(driver: Driver, config: HostConfig, ended: Callable[[], st
 
 
 def refuse_unwatched(driver: Driver, config: HostConfig) -> None:
-    """Raise RigFileError for a limit on a channel that such a device may have, but this one has not."""
-    may_have = type(driver).spec.stream.names()
+    """Raise RigFileError for a limit on a channel that is not fitted in this device."""
+    possible = type(driver).spec.stream.names()
     for name in config.limits:
-        if name in may_have and name not in driver.spec.stream.names():
+        if name in possible and name not in driver.spec.stream.names():
             raise RigFileError(
                 f"limits.{name}: expected a device that watches it, found that {config.address} has no such"
                 " channel fitted: fit it, or take the limit out of the rig file"
@@ -118,7 +126,7 @@ def refuse_unwatched(driver: Driver, config: HostConfig) -> None:
 
 
 def describe(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
-    """Return what a parent wants to know of a device that has just been connected."""
+    """Return the report about a connected device for the parent, as JSON data."""
     return {
         "stream": {
             "name": driver.spec.stream.name,
@@ -133,28 +141,28 @@ def describe(driver: Driver, info: DeviceInfo) -> dict[str, Any]:
 
 
 def announce_failure(bus: Bus, device: str, error: LabhilError, counters: Counters) -> None:
-    """Publish that the device failed, with what, and what had been counted on its wire by then."""
+    """Publish the event that the device failed, with the error and the counters of its connection."""
     state = HostState.FAILED.value
     data = {"t_ns": unix_ns(), "kind": state, "state": state, "message": str(error)}
     publish_event(bus, device, {**data, "error": type(error).__name__, "counters": asdict(counters)})
 
 
-def say(data: dict[str, Any]) -> None:
-    """Write one line for the parent, who may be gone."""
+def report(data: dict[str, Any]) -> None:
+    """Write one line for the parent, which may be gone."""
     with contextlib.suppress(OSError):
         show(json.dumps(data))
 
 
 def main() -> int:
-    """Run the process; returns its exit status."""
-    ended = EndOfInput(sys.stdin.fileno())
+    """Run the host and return its exit status."""
+    ended = EndRequest(sys.stdin.fileno())
     ended.watch_signals()
     try:
         reason = serve_device(HostConfig.from_line(sys.stdin.readline()), ended)
     except LabhilError as error:
-        say({"ended": {"error": type(error).__name__, "reason": str(error)}})
+        report({"ended": {"error": type(error).__name__, "reason": str(error)}})
         return error.exit_status
-    say({"ended": {"error": None, "reason": reason}})
+    report({"ended": {"error": None, "reason": reason}})
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Host processes, seen from the process that starts them."""
+"""Host processes as the process that starts them sees them; ``host.py`` is the other side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from labhil import errors
-from labhil.bus.publish import LONGEST_DELIVERY
+from labhil.bus.publish import DELIVERY_TIMEOUT
 from labhil.documents import parse_json
 from labhil.errors import BusError, LabhilError, RunStoppedError
 from labhil.service.child import STOP_TIMEOUT, Child
@@ -17,12 +17,12 @@ from labhil.service.messages import HostConfig
 from labhil.signals import Signal, Stream
 
 CONNECT_TIMEOUT = 30.0
-"""How long a host may take to connect to its device or say why it cannot, s."""
+"""How long a host may take to connect to its device or to report why it cannot, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConnectedDevice:
-    """What a host reports once its device is there."""
+    """What a host reports of its device once it is connected."""
 
     stream: Stream
     safe: Mapping[str, float]
@@ -32,7 +32,7 @@ class ConnectedDevice:
 
 
 class HostProcess:
-    """One device's host: started at once, connected by :meth:`wait_connected`, ended by :meth:`stop`."""
+    """The host of one device: started by the constructor, ended by :meth:`stop`."""
 
     def __init__(self, config: HostConfig) -> None:
         self.config = config
@@ -40,7 +40,7 @@ class HostProcess:
             f"the host of {config.device!r}", [sys.executable, "-P", "-m", "labhil.service.host"]
         )
         self.absent = ""
-        """Why the device is not there, as long as its host looks for it."""
+        """Why the device is absent, as long as its host searches for it; empty where it is connected."""
         self._child.send(config.to_line())
 
     @property
@@ -49,14 +49,19 @@ class HostProcess:
         return self._child.pid
 
     def wait_connected(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice:
-        """Wait for the device; raises what the driver raised, or RunStoppedError when ``interrupted``."""
-        device = self.wait_or_absent(interrupted)
+        """Wait until the device is connected.
+
+        Raises:
+            LabhilError: The error of the driver.
+            RunStoppedError: ``interrupted`` returned true.
+        """
+        device = self.wait_reported(interrupted)
         while device is None:
-            device = self.wait_or_absent(interrupted)
+            device = self.wait_reported(interrupted)
         return device
 
-    def wait_or_absent(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice | None:
-        """The same; None when a patient host says that it looks for the device (why: ``absent``)."""
+    def wait_reported(self, interrupted: Callable[[], bool] = lambda: False) -> ConnectedDevice | None:
+        """Wait until the host reports; None where it searches for an absent device (see ``absent``)."""
         line = self._child.line(CONNECT_TIMEOUT, interrupted)
         if line is None and interrupted():
             raise RunStoppedError("stopped while the devices were being connected")
@@ -66,8 +71,8 @@ class HostProcess:
             return None
         return self._device_in(message)
 
-    def has_come(self) -> bool:
-        """Whether a device that was absent is there now; does not wait. Raises what its host ended with."""
+    def has_connected(self) -> bool:
+        """Return whether an absent device is connected now; raises the error with which its host ended."""
         line = self._child.next_line()
         if not line:
             return False
@@ -90,57 +95,57 @@ class HostProcess:
         )
 
     def failure(self) -> LabhilError | None:
-        """Return why the host ended, when it ended without an order; None while it runs."""
+        """Return why the host ended without a request; None while it runs."""
         if self._child.exit_status() is None:
-            deaf = self._child.deafness()
-            return BusError(f"{self._child.name} is not heard any more: {deaf}") if deaf else None
+            fault = self._child.reader_failure()
+            return BusError(f"{self._child.name} is not heard any more: {fault}") if fault else None
         return self._ending_error(self._last_message())
 
     def _ending_error(self, message: Mapping[str, Any]) -> LabhilError:
-        ended = message.get("ended")
-        if deaf := self._child.deafness():
-            return BusError(f"{self._child.name} is not heard any more: {deaf}")
-        if ended is not None and ended["error"] is not None:
-            return error_named(ended["error"], f"{self.config.device}: {ended['reason']}")
-        if ended is not None:
-            return BusError(f"{self._child.name} ended: {ended['reason']}")
+        ending = message.get("ended")
+        if fault := self._child.reader_failure():
+            return BusError(f"{self._child.name} is not heard any more: {fault}")
+        if ending is not None and ending["error"] is not None:
+            return error_named(ending["error"], f"{self.config.device}: {ending['reason']}")
+        if ending is not None:
+            return BusError(f"{self._child.name} ended: {ending['reason']}")
         status = self._child.exit_status()
-        how = f" ({signal.Signals(-status).name})" if status is not None and status < 0 else ""
-        return BusError(f"{self._child.name} died{how}{self._child.complaint()}")
+        cause = f" ({signal.Signals(-status).name})" if status is not None and status < 0 else ""
+        return BusError(f"{self._child.name} died{cause}{self._child.last_error()}")
 
-    def tell_to_end(self) -> None:
-        """Let the host bring its device to safety and end, without waiting for it."""
+    def request_end(self) -> None:
+        """Request the host to bring its device to its safe state and to end; does not wait."""
         self._child.close_input()
 
     def stop(self) -> None:
-        """End the host and wait until it is gone. Safe twice.
+        """End the host and wait until it has ended; safe to call twice.
 
-        One whose device is safe has time until recorders have received all that it published.
+        A host whose device is safe gets more time, until recorders have received all that it published.
         """
         self._child.close_input()
         is_slow = not self._child.has_ended(STOP_TIMEOUT)
-        self._child.stop(LONGEST_DELIVERY if is_slow and self._is_delivering() else 0.0)
+        self._child.stop(DELIVERY_TIMEOUT if is_slow and self._is_delivering() else 0.0)
 
     def _is_delivering(self) -> bool:
-        """Whether the host has said that its device is safe, and only what it published is left to do."""
+        """Return whether the host has reported that its device is safe and it waits only for recorders."""
         while line := self._child.next_line():
             if "delivering" in _parse(line):
                 return True
         return False
 
     def _last_message(self) -> dict[str, Any]:
-        """What the host said in the end; nothing where it was killed."""
+        """Return the last message of the host; empty where it was killed."""
         message = _parse(self._child.line(1.0))
         return _parse(self._child.line(1.0)) if "delivering" in message else message
 
 
 def error_named(name: str, message: str) -> LabhilError:
-    """Return the error of our tree that bears ``name``; BusError when there is none that says a message."""
+    """Return the error of class ``name`` in :mod:`labhil.errors`; BusError where there is no such class."""
     kind = getattr(errors, name, None)
     if isinstance(kind, type) and issubclass(kind, LabhilError):
         try:
             return kind(message)
-        except TypeError:  # those that build their own message take more than one argument
+        except TypeError:  # an error that builds its message takes more than one argument
             return errors.UsageError(message)
     return BusError(message)
 

@@ -1,4 +1,4 @@
-"""What the bus hands to the thread that owns a device: requests, and setpoints that nobody waits for."""
+"""The queue of requests and setpoints from the threads of the bus to the control thread of a device."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ANSWER_TIMEOUT = 1.0
 
 @dataclass(slots=True)
 class Request:
-    """Something from the bus for the control thread; without ``answer`` nobody waits for one."""
+    """A request for the control thread; without ``answer`` the sender does not wait for one."""
 
     name: str
     payload: Any
@@ -24,19 +24,19 @@ class Request:
 
 
 class Inbox:
-    """Requests to ``device``: put in by the threads of the bus, taken out by its control thread."""
+    """Requests to a device: added by the threads of the bus, taken by its control thread."""
 
     def __init__(self, device: str) -> None:
         self._device = device
         self._requests: queue.Queue[Request] = queue.Queue()
 
     def put_setpoints(self, _key: str, payloads: list[bytes]) -> None:
-        """Leave streamed setpoints, which nobody waits for."""
+        """Add streamed setpoints, which get no answer."""
         for payload in payloads:
             self._requests.put(Request("setpoint", payload))
 
     def ask(self, name: str, payload: Any) -> dict[str, Any]:
-        """Leave a request and return its answer; BusError when none comes within ``ANSWER_TIMEOUT`` s."""
+        """Add a request, wait for its answer and return it; BusError after ``ANSWER_TIMEOUT`` s."""
         answer: Future[dict[str, Any]] = Future()
         self._requests.put(Request(name, payload, answer))
         try:
@@ -47,7 +47,7 @@ class Inbox:
             ) from None
 
     def take(self, patience: float) -> Iterator[Request]:
-        """Yield the requests that are there; where none is, wait up to ``patience`` s for the first."""
+        """Yield the waiting requests; where there are none, wait up to ``patience`` s for the first."""
         while True:
             try:
                 request = (

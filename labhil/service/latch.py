@@ -1,4 +1,4 @@
-"""A host's side of the emergency stop: pressed by a question or by the file, released only by a question."""
+"""The emergency stop in a host: pressed by a request or by the latch file, released only by a request."""
 
 from __future__ import annotations
 
@@ -10,37 +10,42 @@ from labhil.bus import latch
 from labhil.bus.latch import Latch
 from labhil.errors import BusError
 
-LOOK_EVERY = 0.05
-"""How often the file is looked at, s."""
+POLL_INTERVAL = 0.05
+"""How often the file is read, s."""
 
 
 class HostLatch:
-    """Whether the emergency stop stands for this host. May be pressed from any thread."""
+    """The state of the emergency stop in this host; it may be pressed from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._standing = latch.read_latch()
-        self._looked_at = 0.0
+        self._polled_at = 0.0
 
     def press(self, by: str, reason: str) -> None:
-        """Latch the stop, and leave word for hosts that start later."""
+        """Latch the stop, and write the file for hosts that start later.
+
+        Args:
+            by: Who pressed it.
+            reason: Why.
+        """
         with self._lock:
             self._standing = self._standing or Latch(by, reason, time.time())
-        # a directory that fails must not keep a device from stopping
+        # an error of the directory must not keep a device from stopping
         with contextlib.suppress(OSError, BusError):
             latch.press(by, reason)
 
     def release(self) -> None:
-        """Let go of the stop; raises BusError or OSError where the file cannot be removed."""
+        """Release the stop; BusError or OSError where the file cannot be removed."""
         latch.release()
         with self._lock:
             self._standing = None
 
-    def look(self, now: float) -> None:
-        """Look whether somebody has pressed the stop without asking us; ``now`` on the monotonic clock, s."""
-        if now - self._looked_at < LOOK_EVERY:
+    def poll(self, now: float) -> None:
+        """Read the file where that is due; ``now`` is s of the monotonic clock."""
+        if now - self._polled_at < POLL_INTERVAL:
             return
-        self._looked_at = now
+        self._polled_at = now
         with contextlib.suppress(OSError, BusError):
             pressed = latch.read_latch()
             with self._lock:
@@ -48,5 +53,5 @@ class HostLatch:
 
     @property
     def standing(self) -> Latch | None:
-        """What stands, None when nothing does."""
+        """The emergency stop that is pressed; None where none is."""
         return self._standing

@@ -1,4 +1,4 @@
-"""Who may command a device: one holder at a time, and only for as long as it says so."""
+"""The lease on a device: one holder at a time may command it, and has to renew the lease."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import secrets
 from labhil.errors import CommandRefusedError
 
 DURATION = 2.0
-"""How long a lease lasts after its holder was last heard of, s."""
+"""How long a lease lasts after its last renewal, s."""
 
 
 class Lease:
@@ -19,7 +19,7 @@ class Lease:
         self._expires = 0.0
 
     def take(self, holder: str, now: float) -> str:
-        """Give the lease to ``holder`` and return its token; CommandRefusedError while another holds it."""
+        """Give the lease to ``holder`` and return its token; CommandRefusedError while it is held."""
         if self.is_held(now):
             remaining = self._expires - now
             raise CommandRefusedError(
@@ -29,15 +29,15 @@ class Lease:
         return self._token
 
     def remaining(self, now: float) -> float:
-        """How long the lease still lasts if its holder is not heard of again, s; 0 without one."""
+        """Return how long the lease lasts without a renewal, s; 0 where nobody holds it."""
         return max(self._expires - now, 0.0) if self.holder is not None else 0.0
 
     def is_held(self, now: float) -> bool:
-        """Whether somebody holds the lease."""
+        """Return whether somebody holds the lease."""
         return self.holder is not None and now < self._expires
 
     def renew(self, token: str, now: float) -> None:
-        """Extend the lease; CommandRefusedError when ``token`` is not the holder's, or it has run out."""
+        """Extend the lease; CommandRefusedError where it has run out or ``token`` is not its token."""
         if not self.is_held(now):
             raise CommandRefusedError("nobody holds the lease: it was never taken, ran out, or was revoked")
         if objection := self.objection(token, now):
@@ -45,7 +45,7 @@ class Lease:
         self._expires = now + DURATION
 
     def objection(self, token: str, now: float) -> str:
-        """Return who else holds the lease; empty where nobody does, or it is whose ``token`` this is."""
+        """Return a message where somebody with another token holds the lease; otherwise empty."""
         if not self.is_held(now) or secrets.compare_digest(token.encode(), self._token.encode()):
             return ""
         return f"the lease is held by {self.holder!r}; this is not its token"

@@ -1,4 +1,4 @@
-"""What a rig file's ``[limits]`` allow, for commands on their way out and samples on their way in."""
+"""The ``[limits]`` of a rig file, applied to outgoing commands and checked on incoming samples."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ from labhil.rig_sections import Limit
 from labhil.signals import Batch, Signal, Stream
 
 COMMAND_MARGIN = 0.01
-"""Share of its span by which a commanded signal's sample may pass its limits: pulses and converters round."""
+"""Share of its span by which samples of a commanded signal may exceed its limits: converters round."""
 
 NO_LIMIT = Limit()
 
 
 class CommandLimits:
-    """Keeps commands within their limits; a signal without limits passes as it is, if it is finite.
+    """Keeps commands within their limits; a finite value of a signal without limits passes unchanged.
 
-    A vector's columns have the vector's limits, or their own where the rig file gives them.
+    The columns of a vector have the limits of the vector, or their own where the rig file gives them.
+
+    Args:
+        commands: The commands of the device.
+        limits: The limits of the rig file, by signal or column.
     """
 
     def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
@@ -30,20 +34,23 @@ class CommandLimits:
             for column in signal.columns()
         }
 
-    def clip(self, name: str, value: float, before: float | None, elapsed: float) -> float:
-        """Return ``value`` within min, max, and within ``rate``·``elapsed`` of the value ``before``.
+    def clip(self, name: str, value: float, previous: float | None, elapsed: float) -> float:
+        """Clip a command to min and max, and to ``rate``·``elapsed`` around the previous command.
 
-        ``elapsed`` is s of the device's clock since ``before`` was sent; None when nothing was. The value
-        must be finite.
+        Args:
+            name: The column.
+            value: The requested value; it must be finite.
+            previous: The value that was sent before; None where there was none.
+            elapsed: Time since then, s of the device's clock.
         """
         limit = self._limits[name]
         reach = limit.rate * elapsed if elapsed > 0 else 0.0
-        if isfinite(limit.rate) and before is not None:
-            value = min(max(value, before - reach), before + reach)
+        if isfinite(limit.rate) and previous is not None:
+            value = min(max(value, previous - reach), previous + reach)
         return min(max(value, limit.min), limit.max)
 
     def refuse_unusable(self, values: Mapping[str, float]) -> None:
-        """Raise CommandRefusedError for a signal that cannot be commanded or a value that is no number."""
+        """Raise CommandRefusedError for an unknown command or a value that is not finite."""
         for name, value in values.items():
             if name not in self._limits:
                 raise CommandRefusedError(str(UnknownNameError("command", name, self._limits)))
@@ -51,7 +58,7 @@ class CommandLimits:
                 raise CommandRefusedError(f"{name}: expected a finite number, found {value}")
 
     def refuse_beyond(self, values: Mapping[str, float]) -> None:
-        """Raise CommandRefusedError for a value beyond min or max, besides the unusable ones."""
+        """Raise CommandRefusedError for an unusable value, or one beyond min or max."""
         self.refuse_unusable(values)
         for name, value in values.items():
             limit = self._limits[name]
@@ -62,7 +69,13 @@ class CommandLimits:
 
 
 class SampleLimits:
-    """Looks at every sample of a stream; a limited signal that is not a number is outside its limits."""
+    """Checks every sample of a stream; NaN in a limited signal is outside its limits.
+
+    Args:
+        stream: The samples of the device.
+        commands: Its commands, which get a margin for rounding.
+        limits: The limits of the rig file, by signal or column.
+    """
 
     def __init__(self, stream: Stream, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
         self._stream = stream
@@ -72,13 +85,13 @@ class SampleLimits:
         commanded = {signal.name for signal in commands}
         for signal in stream.signals:
             limit = limits.get(signal.name)
-            place = stream.columns_of(signal.name)
+            columns = stream.columns_of(signal.name)
             if limit is not None:
-                self._add(place, limit, signal.name in commanded)
+                self._add(columns, limit, signal.name in commanded)
             for number, column in enumerate(signal.columns() if signal.width > 1 else ()):
                 if column in limits:
-                    one = slice(place.start + number, place.start + number + 1)
-                    self._add(one, limits[column], signal.name in commanded)
+                    single = slice(columns.start + number, columns.start + number + 1)
+                    self._add(single, limits[column], signal.name in commanded)
 
     def _add(self, columns: slice, limit: Limit, commanded: bool) -> None:
         span = limit.max - limit.min
@@ -88,7 +101,7 @@ class SampleLimits:
         self._checked[columns] = True
 
     def violation(self, batch: Batch) -> str | None:
-        """Return what the first sample outside the limits did, in words; None when all are inside."""
+        """Describe the first sample outside the limits; None where all are inside."""
         values = batch.values
         outside = ~((values >= self._low) & (values <= self._high)) & self._checked
         if not outside.any():

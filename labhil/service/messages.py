@@ -1,4 +1,4 @@
-"""What a host receives and sends: plain data, JSON on the way."""
+"""The configuration, the states and the setpoints of a host, as data that travels as JSON."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from labhil.documents import parse_json
 from labhil.rig_sections import Interlock, Limit
 
 WATCHDOG = 0.22
-"""How long commands may stop, s of the host's clock, before a host brings its device to safety.
+"""How long no command may come, s of the host's clock, before a host brings its device to its safe state.
 
-With the wire and one sample period on top the device is safe within a quarter of a second.
+Including the transmission and one sample period the device is safe within 0.25 s.
 """
 
 
 class HostState(StrEnum):
-    """What a host is doing."""
+    """The state of a host."""
 
     CONNECTING = "connecting"
     IDLE = "idle"
@@ -32,20 +32,27 @@ class HostState(StrEnum):
     LATCHED = "latched"
     """The emergency stop was pressed; the device is in its safe state until it is released."""
     RECONNECTING = "reconnecting"
-    """The wire is gone or the device booted again; nothing that is known of it is news."""
+    """The connection is lost or the device booted again; there are no current samples."""
     FAILED = "failed"
-    """The device or the wire to it failed."""
+    """The device or the connection to it failed."""
     STOPPED = "stopped"
-    """Told to end, or left by its parent."""
+    """The host was ended, or its parent is gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class HostConfig:
-    """What a host needs to know; one line of JSON on its standard input.
+    """The configuration of a host; one line of JSON on its standard input.
 
-    ``connect`` is the endpoint of a bus session to join; ``watchdog`` is in s of the host's clock;
-    ``reconnect`` lets it look for a device that it has lost; a ``patient`` one looks for as long as it lasts,
-    and for a device that is not there at the start, too.
+    Attributes:
+        device: Name of the device.
+        plugin: Name of its driver.
+        address: Where the driver connects.
+        limits: The limits of the rig file.
+        connect: Endpoint of the bus to join; None for a bus of its own.
+        watchdog: How long no command may come, s of the host's clock.
+        interlocks: The interlocks of the rig file.
+        reconnect: Whether it searches for a device that it has lost.
+        patient: Whether that search has no time limit and includes a device that is absent at the start.
     """
 
     device: str
@@ -76,7 +83,7 @@ class HostConfig:
 
     @classmethod
     def from_line(cls, line: str) -> HostConfig:
-        """Read what :meth:`to_line` wrote; ValueError when that is not what it is."""
+        """Read a line of :meth:`to_line`; ValueError for any other text."""
         data = parse_json(line)
         limits = {name: Limit.model_validate(limit) for name, limit in data["limits"].items()}
         return cls(
@@ -97,9 +104,13 @@ A_SETPOINT = 'a setpoint is {"token", "t_ns", "values": {name: number}}'
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """Values for some of a device's commands, from the holder of ``token``, sent at Unix time ``t_ns``.
+    """Values for some of a device's commands.
 
-    ``t_hw_ns`` is the time of the device's clock that they belong to, where they are part of a path.
+    Attributes:
+        token: Token of the lease.
+        t_ns: Unix time at which it was sent, ns.
+        values: SI values, by column.
+        t_hw_ns: Time of the device's clock that they belong to, ns, where they are part of a path.
     """
 
     token: str
@@ -108,7 +119,7 @@ class Setpoint:
     t_hw_ns: int | None = None
 
     def to_json(self) -> dict[str, Any]:
-        """Return the setpoint as plain data: what the command ``set`` takes."""
+        """Return the setpoint as JSON data, the request of the command ``set``."""
         data = {"token": self.token, "t_ns": self.t_ns, "values": dict(self.values)}
         return data if self.t_hw_ns is None else {**data, "t_hw_ns": self.t_hw_ns}
 
@@ -118,15 +129,15 @@ class Setpoint:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Setpoint:
-        """Read plain data; CommandRefusedError when something is missing or is not what it should be."""
+        """Read JSON data; CommandRefusedError where a field is missing or wrong."""
         return cls.of(validate(SetpointMessage, data, A_SETPOINT))
 
     @classmethod
     def from_bytes(cls, payload: bytes) -> Setpoint:
-        """Read what :meth:`to_bytes` wrote; CommandRefusedError when that is not what it is."""
+        """Read a streamed setpoint; CommandRefusedError where it is malformed."""
         return cls.of(parse(SetpointMessage, payload, A_SETPOINT))
 
     @classmethod
     def of(cls, message: SetpointMessage) -> Setpoint:
-        """Take over what was read already."""
+        """Return the setpoint of a message."""
         return cls(message.token, message.t_ns, message.values, message.t_hw_ns)

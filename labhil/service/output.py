@@ -1,4 +1,4 @@
-"""What is requested of a device and what it is sent: clipped, sent again in time, and written down."""
+"""The output of a host: requested commands, clipped to the limits, sent to the device and recorded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labhil.signals import Batch
 
 @dataclass(slots=True)
 class Clock:
-    """The device's clock at its newest sample, and when that came; ns."""
+    """The device's clock at its newest sample (``t_hw_ns``) and when that came (``t_acq_ns``), ns."""
 
     t_hw_ns: int = 0
     t_acq_ns: int = 0
@@ -27,9 +27,18 @@ class Clock:
 
 
 class Output:
-    """The commands of one device; host times on the monotonic clock, s.
+    """The commands of one device; times of the host are s of the monotonic clock.
 
-    ``unheard`` is how long no request has come, as the watchdog counts it.
+    Args:
+        driver: The driver of the device.
+        limits: The limits of the rig file.
+        speed: Seconds of the device's clock per second of the host.
+
+    Attributes:
+        requested: Requested values, by column.
+        applied: Values that were sent, by column.
+        unheard: How long no request has come, s, as the watchdog counts it.
+        sent_at: When the last command was sent, s.
     """
 
     def __init__(self, driver: Driver, limits: Mapping[str, Limit], speed: float) -> None:
@@ -46,18 +55,23 @@ class Output:
         self._count = 0
 
     def begin(self, now: float) -> None:
-        """The next command is the first: it may move as far as one sample allows, not as a pause was long."""
+        """Prepare the first command, which may change as much as in one sample period after any pause."""
         self.sent_at = now - self._sample_period
 
     def take(self, values: Mapping[str, float]) -> None:
-        """Note what somebody asks for; the values must be finite and known."""
+        """Note requested values; they must be finite and known."""
         self.requested.update(values)
         self.unheard = 0.0
 
     def send(self, now: float, t_hw_ns: int | None = None) -> Batch:
-        """Send the requested values as far as the limits allow, and return the row that holds both.
+        """Send the requested values, clipped to the limits.
 
-        ``t_hw_ns`` is the time of the device's clock that it belongs to, where it is part of a path.
+        Args:
+            now: Time, s of the monotonic clock.
+            t_hw_ns: Time of the device's clock that they belong to, ns, where they are part of a path.
+
+        Returns:
+            The row of the command stream with requested and applied values.
         """
         elapsed = self._elapsed(now, t_hw_ns)
         self.applied = {
@@ -73,19 +87,19 @@ class Output:
         return self._row()
 
     def _elapsed(self, now: float, t_hw_ns: int | None) -> float:
-        """How long what was sent before has had its effect, s of the device's clock."""
+        """Return how long the previous command has been in effect, s of the device's clock."""
         if self._timed is None:
             return (now - self.sent_at) * self._speed
         if t_hw_ns is None or self._sent_for_ns is None:
-            return math.inf  # the driver takes its own time to get there
+            return math.inf  # the driver limits the rate by itself
         return (t_hw_ns - self._sent_for_ns) * 1e-9
 
     def fault(self) -> str | None:
-        """Return what keeps the device from being commanded, where its driver says so."""
+        """Return why the driver takes no commands; None where it does."""
         return (self._timed.fault() or None) if self._timed is not None else None
 
     def is_transient(self) -> bool:
-        """Whether the driver mends that by itself."""
+        """Return whether the driver recovers from that fault by itself."""
         return self._timed is not None and self._timed.is_transient()
 
     def _row(self) -> Batch:
@@ -101,7 +115,7 @@ class Output:
         return Batch.of([(self._count - 1, t_ns, t_hw_ns, row)], len(row))
 
     def make_safe(self) -> None:
-        """Bring the device to its safe state; nothing is requested of it any more."""
+        """Bring the device to its safe state and clear the requested values."""
         self._driver.safe()
         self._sent_for_ns = None
         self.requested, self.applied = dict(self._safe), dict(self._safe)

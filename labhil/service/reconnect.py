@@ -1,7 +1,7 @@
-"""A device that was lost, looked for again: attempts in a thread of their own, and what carries on after.
+"""Reconnecting to a lost device: attempts in a thread of their own, and continuous numbers and times after.
 
-Nothing is assumed of what comes back: the driver sends the whole configuration again, and a device that is
-another one, or another firmware, is an error.
+Nothing is assumed of the device that comes back: the driver sends its whole configuration again, and another
+device or another firmware is an error.
 """
 
 from __future__ import annotations
@@ -15,19 +15,30 @@ from labhil.errors import BusError, DeviceError, LabhilError, ProtocolError
 from labhil.signals import Batch
 from labhil.supervised import SupervisedThread
 
-FIRST_WAIT = 0.1
-LONGEST_WAIT = 2.0
-"""s between two attempts: doubled each time, up to this."""
-
-GIVE_UP = 60.0
-"""How long a lost device is looked for, s."""
+SEARCH_TIMEOUT = 60.0
+"""How long a host searches for a lost device, s."""
 
 
 class Search:
-    """Connects again and again, until it works or ``give_up`` s have passed. One use each."""
+    """Tries to connect until it succeeds or the time is over. An object serves one search.
 
-    def __init__(self, driver: Driver, give_up: float = GIVE_UP) -> None:
-        self._driver, self._give_up = driver, give_up
+    Args:
+        driver: The driver.
+        timeout: How long it tries, s.
+        first_wait: Time before the first attempt, s; doubled after each.
+        max_wait: Longest time between two attempts, s.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        timeout: float = SEARCH_TIMEOUT,
+        *,
+        first_wait: float = 0.1,
+        max_wait: float = 2.0,
+    ) -> None:
+        self._driver, self._timeout = driver, timeout
+        self._first_wait, self._max_wait = first_wait, max_wait
         self._info: DeviceInfo | None = None
         self._error: LabhilError | None = None
         self._over = threading.Event()
@@ -37,29 +48,29 @@ class Search:
         self._thread.start()
 
     def result(self, timeout: float) -> DeviceInfo | None:
-        """Wait up to ``timeout`` s for the device; raises what the last attempt did, once it was the last."""
+        """Wait up to ``timeout`` s for the device; raises the last error once the search is over."""
         if not self._over.wait(timeout):
             return None
         if self._error is not None:
             raise self._error
-        if died := self._thread.failure():
-            raise BusError(f"the search failed: {died}")
+        if fault := self._thread.failure():
+            raise BusError(f"the search failed: {fault}")
         return self._info
 
     def cancel(self) -> None:
-        """Stop looking after the present attempt."""
+        """Stop after the present attempt."""
         self._cancelled.set()
 
     def _run(self) -> None:
         try:
-            self._look()
+            self._search()
         except LabhilError as error:
             self._error = error
         self._thread.end()
         self._over.set()
 
-    def _look(self) -> None:
-        deadline, wait = time.monotonic() + self._give_up, FIRST_WAIT
+    def _search(self) -> None:
+        deadline, wait = time.monotonic() + self._timeout, self._first_wait
         self._driver.close()
         while not self._cancelled.wait(wait):
             try:
@@ -69,51 +80,56 @@ class Search:
                 if time.monotonic() + wait > deadline:
                     self._error = error
                     break
-            wait = min(2 * wait, LONGEST_WAIT)
+            wait = min(2 * wait, self._max_wait)
 
 
-def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:
-    """Raise ProtocolError unless the device that came back is the one that was lost, but for its boot."""
-    for what in ("serial", "firmware", "speed", "calibration"):
-        expected, actual = getattr(before, what), getattr(now, what)
+def refuse_another(address: str, lost: DeviceInfo, connected: DeviceInfo) -> None:
+    """Raise ProtocolError unless the connected device is the one that was lost, but for its boot."""
+    for field in ("serial", "firmware", "speed", "calibration"):
+        expected, actual = getattr(lost, field), getattr(connected, field)
         if expected != actual:
             raise ProtocolError(
-                f"{address}: another device came back: expected {what} {expected!r}, found {actual!r}"
+                f"{address}: another device came back: expected {field} {expected!r}, found {actual!r}"
             )
 
 
 @dataclass(slots=True)
 class Continuation:
-    """Sequence numbers and the device's clock, carried on across connections.
+    """Keeps sequence numbers and the device's clock continuous across connections.
 
-    After a gap both begin anew at the device. The clock goes on by the host's, and the hole in ``seq`` is
-    as large as the host's clock says that samples are missing at ``rate`` (per s of the host).
+    In a new connection both begin again at the device. Their offsets are set so that the clock advances as
+    the host's did, and the gap in ``seq`` has as many numbers as samples are missing by the host's clock.
+
+    Attributes:
+        rate: Sample rate, per s of the host.
+        speed: Seconds of the device's clock per second of the host.
     """
 
     rate: float
     speed: float
-    _seq: int = 0
-    _t_hw_ns: int = 0
+    _seq_offset: int = 0
+    _t_hw_offset_ns: int = 0
     _last: tuple[int, int, int] | None = None
-    _torn: bool = False
+    _is_new_connection: bool = False
 
-    def tear(self) -> None:
-        """The next batch is the first of another connection."""
-        self._torn = self._last is not None
+    def note_new_connection(self) -> None:
+        """Note that the next batch is the first of another connection."""
+        self._is_new_connection = self._last is not None
 
-    def carry_on(self, batch: Batch) -> Batch:
-        """Return the batch (not empty) as the continuation of what came before."""
-        if self._torn and self._last is not None:
-            self._tie(batch, *self._last)
-        if self._seq or self._t_hw_ns:
-            batch = Batch(batch.seq + self._seq, batch.t_acq_ns, batch.t_hw_ns + self._t_hw_ns, batch.values)
+    def apply(self, batch: Batch) -> Batch:
+        """Return the batch (not empty) with numbers and times that continue those before."""
+        if self._is_new_connection and self._last is not None:
+            self._set_offsets(batch, *self._last)
+        if self._seq_offset or self._t_hw_offset_ns:
+            seq, t_hw_ns = batch.seq + self._seq_offset, batch.t_hw_ns + self._t_hw_offset_ns
+            batch = Batch(seq, batch.t_acq_ns, t_hw_ns, batch.values)
         self._last = (int(batch.seq[-1]), int(batch.t_acq_ns[-1]), int(batch.t_hw_ns[-1]))
         return batch
 
-    def _tie(self, batch: Batch, seq: int, t_acq_ns: int, t_hw_ns: int) -> None:
+    def _set_offsets(self, batch: Batch, seq: int, t_acq_ns: int, t_hw_ns: int) -> None:
         gap_ns = max(int(batch.t_acq_ns[-1]) - t_acq_ns, 1)
         missing = max(round(gap_ns * 1e-9 * self.rate), len(batch))
-        self._seq = seq + missing - int(batch.seq[-1])
-        within = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
-        self._t_hw_ns = t_hw_ns + max(round(gap_ns * self.speed), within + 1) - int(batch.t_hw_ns[-1])
-        self._torn = False
+        self._seq_offset = seq + missing - int(batch.seq[-1])
+        span_ns = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
+        self._t_hw_offset_ns = t_hw_ns + max(round(gap_ns * self.speed), span_ns + 1) - int(batch.t_hw_ns[-1])
+        self._is_new_connection = False

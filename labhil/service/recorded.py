@@ -1,8 +1,9 @@
-"""One stream as it comes in to the recorder: what waits, what is missing, how its device's clock runs."""
+"""One stream in the recorder: its waiting samples, its gaps, the clock of its device; and the summaries."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from labhil.codec import stamps_of
 from labhil.recording.clock import fit_clock
@@ -21,9 +22,27 @@ class StreamSummary:
     rate: float
 
 
+@dataclass(frozen=True, slots=True)
+class RecordingSummary:
+    """What was recorded.
+
+    Attributes:
+        path: The recording.
+        duration: From the first sample to the last, s of the host's clock.
+        streams: What was recorded of each stream.
+        warnings: Faults of the stamps of the devices' clocks and lost samples, a sentence each; known only
+            at the end.
+    """
+
+    path: Path
+    duration: float
+    streams: tuple[StreamSummary, ...]
+    warnings: tuple[str, ...] = ()
+
+
 @dataclass(slots=True)
 class RecordedStream:
-    """One stream as it comes in. ``number`` is None until its schema is known; until then it waits."""
+    """One stream while it is recorded; ``number`` is None until its schema is known and it can be written."""
 
     device: str
     stream: str
@@ -37,9 +56,9 @@ class RecordedStream:
     gaps: int = 0
     refused: int = 0
     missing_at_end: int = 0
-    """Samples that its publisher says it published after the last one that came."""
+    """Samples that its publisher published after the last one that came."""
     end_unknown: bool = False
-    """Whether its publisher is gone without having said that."""
+    """Whether its publisher is gone without stating how many samples it published."""
     first_ns: int = 0
     last_ns: int = 0
     first_seq: int = 0
@@ -53,7 +72,7 @@ class RecordedStream:
     """Where the device's own clock stamps the samples."""
 
     def count(self, payloads: list[bytes]) -> None:
-        """Count samples that were stored, and the numbers missing between them."""
+        """Count stored samples and the gaps between their numbers."""
         stamps = stamps_of(payloads)
         if self.clock is not None:
             self.clock.add(stamps[:, 1], stamps[:, 2], stamps[:, 0])
@@ -66,13 +85,13 @@ class RecordedStream:
         self.samples += len(payloads)
         self.last_ns = int(stamps[-1, 1])
 
-    def take_end(self, last_seq: int) -> None:
-        """Count what is missing up to the last sample that was published."""
+    def note_last_seq(self, last_seq: int) -> None:
+        """Count the samples that are missing up to ``last_seq``, the last one that was published."""
         self.missing_at_end = max(0, last_seq - self.last_seq) if self.samples else 0
         self.gaps += self.missing_at_end
 
     def clock_faults(self) -> tuple[ClockFault, ...]:
-        """What is wrong with the stamps of its device's clock."""
+        """Return the faults of the stamps of its device's clock."""
         if self.clock is None:
             return ()
         stamps = self.clock.stamps(self.rate, self.speed, steady_host=self.steady_host)
@@ -84,7 +103,7 @@ class RecordedStream:
         return find_clock_faults(stamps, fit, fit.t - fit.t[0])
 
     def summary(self) -> StreamSummary:
-        """What came of it."""
+        """Return the summary of the stream."""
         seconds = (self.last_ns - self.first_ns) * 1e-9
         rate = (self.last_seq - self.first_seq) / seconds if seconds > 0 else 0.0
         return StreamSummary(self.device, self.stream, self.samples, self.gaps, rate)

@@ -1,9 +1,9 @@
-"""The recorder: everything that is published goes into one file, as it is, and what is lost is counted.
+"""The recorder: writes everything that is published on a bus to one file, unchanged, and counts losses.
 
-A thread of the subscription hands payloads over; one writer thread learns what a stream is (its publisher
-says so before the first sample, and is asked where that was missed), stores the bytes, counts the holes
-in ``seq`` and forces the file to the disk. A stream whose publisher dies is kept as far as it came; a
-disk that fails ends the recording, but never holds up the publishers.
+The thread of the subscription queues payloads. One writer thread gets the schema of each stream, which its
+publisher declares before the first sample and otherwise answers on request, writes the bytes, counts gaps in
+``seq`` and forces the file to the disk. The samples of a publisher that dies are kept; a disk that fails ends
+the recording but never blocks publishers.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ import queue
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from labhil.bus.authentication import Refusals
 from labhil.bus.incoming import (
-    LARGEST_SCHEMA,
+    MAX_SCHEMA_BYTES,
     EventMessage,
     StreamDeclaration,
     excerpt,
@@ -35,9 +34,9 @@ from labhil.host_clock import unix_ns
 from labhil.recording.device_clocks import DeviceClock, StampCollector, clocks_to_metadata
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
-from labhil.service.recorded import RecordedStream, StreamSummary
+from labhil.service.recorded import RecordedStream, RecordingSummary
 from labhil.service.stream_ends import StreamEnds
-from labhil.service.stream_schemas import MOST_STREAMS, StreamSchemas
+from labhil.service.stream_schemas import MAX_STREAMS, StreamSchemas
 from labhil.signals import Direction
 from labhil.supervised import SupervisedThread
 
@@ -71,28 +70,23 @@ MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
 """How many events of a device that are none are kept as text, and how many bytes of each."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordingSummary:
-    """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last.
-
-    ``warnings`` say what is wrong with the stamps of the devices' clocks, a sentence each; once it has ended.
-    """
-
-    path: Path
-    duration: float
-    streams: tuple[StreamSummary, ...]
-    warnings: tuple[str, ...] = ()
-
-
 class Recorder:
-    """Records all streams and events of a bus from the moment it is made; make it before the devices.
+    """Records all streams and events of a bus from its construction on; make it before the devices.
 
-    ``attachments`` maps names to whole files (the rig file as ``rig.toml``), ``metadata`` names to
-    tables of strings. Raises what :class:`RecordingWriter` raises when the file cannot be made.
+    Args:
+        bus: The bus.
+        path: The recording.
+        attachments: Files by name, such as the rig file as ``rig.toml``.
+        metadata: Tables of strings by name.
+        waits: Keep of the samples before :meth:`begin` only the newest second (but all events): the devices
+            of one run are not ready at the same time.
+        on_failure: Is called in the writer's thread once the recording fails.
 
-    ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
-    called once it does, in the writer's thread. One that ``waits`` keeps events from the start, and of the
-    samples before :meth:`begin` only the newest second: devices of one run are not ready at the same time.
+    Attributes:
+        failure: Why the recording ended early, such as a full disk; None while it has not.
+
+    Raises:
+        RecordingFailedError: The file cannot be made.
     """
 
     def __init__(
@@ -146,9 +140,10 @@ class Recorder:
         self._waits = False
 
     def finish(self, exit_status: str = "done", reason: str = "") -> RecordingSummary:
-        """Take in what is still on its way, end the file and give it its name; safe to call twice.
+        """Write what is still arriving, complete the file and give it its name; safe to call twice.
 
-        RecordingFailedError when the disk failed: what was flushed before can still be read.
+        Raises:
+            RecordingFailedError: The disk failed; what was flushed before can still be read.
         """
         if not self._finished:
             self._finished = True
@@ -162,10 +157,12 @@ class Recorder:
         return self.summary()
 
     def summary(self) -> RecordingSummary:
-        """What has been recorded so far; may be asked for at any time, from any thread."""
+        """Return what has been recorded so far; safe from any thread."""
         channels = [channel for channel in list(self._channels.values()) if channel.samples]
-        ends = [(channel.first_ns, channel.last_ns) for channel in channels]
-        duration = (max(end for _, end in ends) - min(start for start, _ in ends)) * 1e-9 if ends else 0.0
+        spans = [(channel.first_ns, channel.last_ns) for channel in channels]
+        duration = (
+            (max(last for _, last in spans) - min(first for first, _ in spans)) * 1e-9 if spans else 0.0
+        )
         streams = tuple(channel.summary() for channel in channels)
         return RecordingSummary(self._writer.path, duration, streams, self._warnings)
 
@@ -190,7 +187,7 @@ class Recorder:
         self._queue.put((key, payloads))
 
     def check(self) -> None:
-        """Raise RecordingFailedError when nothing is recorded any more, whatever the reason."""
+        """Raise RecordingFailedError where nothing is recorded any more, for any reason."""
         if self.failure is None and not self._finished:
             parts = (self._subscription, self._schemas, self._ends, self._thread)
             why = next((why for part in parts if (why := part.failure())), "")
@@ -204,7 +201,7 @@ class Recorder:
         deadline = time.monotonic() + LONGEST_SETTLING
         while time.monotonic() < min(deadline, self._arrived_at + QUIET):
             time.sleep(QUIET / 5)
-        self._ends.look_for_publishers(list(self._channels.values()))
+        self._ends.check_publishers(list(self._channels.values()))
         self._listening.close()
         self._thread.end()
         self._queue.put(None)
@@ -223,7 +220,7 @@ class Recorder:
             self._guard(self._tick)
 
     def _guard(self, action: Callable[..., None], *args: Any) -> None:
-        """Once the recording has failed, nothing is done, so that publishers are not held up."""
+        """Run an action and note its failure; after a failure run nothing, so that publishers never wait."""
         if self.failure is not None:
             return
         try:
@@ -242,9 +239,9 @@ class Recorder:
             for payload in payloads:
                 self._take_event(key, device, payload)
         elif stream != SETPOINT:
-            if key not in self._channels and len(self._channels) >= MOST_STREAMS:
+            if key not in self._channels and len(self._channels) >= MAX_STREAMS:
                 self._refusals.note(
-                    "new streams", f"there are {MOST_STREAMS} already; {key[:200]} is left out"
+                    "new streams", f"there are {MAX_STREAMS} already; {key[:200]} is left out"
                 )
                 return
             channel = self._channels.setdefault(key, RecordedStream(device, stream))
@@ -252,7 +249,7 @@ class Recorder:
             self._store(channel)
 
     def _keep_waiting(self, key: str, channel: RecordedStream, payloads: list[bytes]) -> None:
-        """Let samples wait until it is known what they are, as long as there is room."""
+        """Keep samples until their schema is known, as long as there is room."""
         size = sum(map(len, payloads))
         if channel.number is None:
             if self._waiting + size > MOST_WAITING:
@@ -264,7 +261,7 @@ class Recorder:
         channel.waiting.extend(payloads)
 
     def _take_event(self, key: str, device: str, payload: bytes) -> None:
-        """Store an event; of one that is none the beginning is kept as text."""
+        """Store an event; of a malformed one keep the beginning as text."""
         try:
             t_ns = parse(EventMessage, payload, "an event").t_ns
             body = load(payload, "an event")
@@ -286,9 +283,9 @@ class Recorder:
         self._writer.flush_when_due()
 
     def _store(self, channel: RecordedStream) -> None:
-        """Write what waits, as soon as it is known what it is."""
+        """Write the waiting samples as soon as their schema is known."""
         if channel.number is None:
-            self._learn(channel)
+            self._open_channel(channel)
         if channel.number is None:
             return
         if self._waits:
@@ -304,7 +301,7 @@ class Recorder:
             self._store_one_by_one(channel, channel.number, payloads)
 
     def _store_one_by_one(self, channel: RecordedStream, number: int, payloads: list[bytes]) -> None:
-        """Among these payloads is one that is no message of the stream: keep the others."""
+        """Store payloads of which at least one is malformed: keep the others."""
         for payload in payloads:
             try:
                 self._writer.write(number, [payload])
@@ -314,12 +311,12 @@ class Recorder:
                 if channel.refused == 1:
                     self._note(f"/{channel.device}/{channel.stream}: left out what is no sample: {error}")
 
-    def _learn(self, channel: RecordedStream) -> None:
-        """Open the channel if it is known what it is; else ask, but not all the time."""
+    def _open_channel(self, channel: RecordedStream) -> None:
+        """Open the channel where its schema is known; otherwise request it, at most once per interval."""
         try:
             if (reply := self._schemas.schema_of(channel)) is None:
                 return
-            parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+            parse(StreamDeclaration, reply.stream, "a stream", MAX_SCHEMA_BYTES)
             stream = stream_from_json(reply.stream)
             metadata = dict(reply.metadata)
             speed = float(metadata.get("speed", "1"))
@@ -353,7 +350,7 @@ class Recorder:
         )
 
     def _write_rest(self, exit_status: str, reason: str) -> None:
-        """The last status, what nobody explained, and the end of the file."""
+        """Write the last status, samples without a schema, and the end of the file."""
         self._waits = False
         self._write_remarks()
         for channel in self._channels.values():
@@ -376,7 +373,7 @@ class Recorder:
         self._writer.finish(exit_status, reason)
 
     def _clocks(self) -> dict[str, DeviceClock]:
-        """How each device's clock ran, by its first stream."""
+        """Return the clock of each device, from its first stream."""
         clocks: dict[str, DeviceClock] = {}
         for channel in self._channels.values():
             clock = channel.clock.clock(channel.speed) if channel.clock is not None else None
@@ -385,7 +382,7 @@ class Recorder:
         return clocks
 
     def _keep_unexplained(self, channel: RecordedStream) -> None:
-        """Attach the bytes of a stream whose schema is unknown: no sample is thrown away."""
+        """Attach the bytes of a stream whose schema is unknown, so that no sample is lost."""
         name = f"{channel.device}.{channel.stream}.unexplained"
         self._writer.attach(name, "application/octet-stream", b"".join(channel.waiting))
         self._note(

@@ -1,4 +1,4 @@
-"""One bus of this machine, passed on to guests: what devices say goes out, what guests may ask comes in."""
+"""The relay between one bus of this machine and guests: samples and events out, permitted requests in."""
 
 from __future__ import annotations
 
@@ -29,21 +29,25 @@ from labhil.bus.subscribe import subscribe
 from labhil.errors import BusError, CommandRefusedError
 
 DEVICE_TIMEOUT, RUN_TIMEOUT = 2.0, 5.0
-"""How long an answer may take, s; a run carries a request out before it answers."""
+"""How long an answer may take, s; a run carries out a request before it answers."""
 
 Answer = Mapping[str, Any] | BusError | CommandRefusedError
 
 
 class Relay:
-    """Passes the samples, events and schemas of a bus on to ``door``; a context manager.
+    """Passes the samples, events and schemas of a bus on to guests; a context manager.
 
-    Only what is signed with the session's key goes out. A guest that takes samples too slowly loses
-    some: nobody holds up the lab. Setpoints do not go out, since the token of a lease stands in them.
+    Only messages that are signed with the session's key go out. A guest that is too slow loses samples and
+    does not block the lab. Setpoints do not go out, since they contain the token of a lease.
+
+    Args:
+        entry: The bus.
+        door: The bus of the guests.
     """
 
     def __init__(self, entry: Registered, door: Bus) -> None:
         self.entry = entry
-        # counted and not reported: who visits several buses at once joins them, and each hears the others
+        # not reported: a process that joins several buses connects them, and each gets the others' messages
         self._door, self._refusals = door, Refusals()
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
         self._resources = ExitStack()
@@ -63,22 +67,22 @@ class Relay:
         self._resources.close()
 
     def serves(self, device: str) -> bool:
-        """Whether a device, or the run, is on this bus."""
+        """Return whether a device, or the run, is on this bus."""
         return device in self.entry.devices or (device == RUN and self.entry.kind in ("run", "lab"))
 
-    def look(self) -> None:
-        """Show guests which devices live; BusError where this bus is not heard any more."""
-        if deaf := self._bus.failure():
-            raise BusError(f"{self.entry.endpoint}: {deaf}")
+    def poll(self) -> None:
+        """Show guests which devices are alive; BusError where this bus is not heard any more."""
+        if fault := self._bus.failure():
+            raise BusError(f"{self.entry.endpoint}: {fault}")
         self._show_live(tuple(name for name in live_devices(self._bus) if name in self.entry.devices))
 
     def ask(self, device: str, command: str, request: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Ask a device or the run, signed with this session's key; raises as ``bus.ask`` does."""
+        """Ask a device or the run, signed with this session's key; raises what ``bus.ask`` raises."""
         timeout = RUN_TIMEOUT if device == RUN else DEVICE_TIMEOUT
         return ask(self._bus, command_key(device, command), request, timeout)
 
     def schemas(self, key: str) -> Mapping[str, Answer]:
-        """What the streams whose keys match ``key`` are."""
+        """Return the schemas of the streams whose keys match ``key``."""
         return ask_all(self._bus, key, timeout=DEVICE_TIMEOUT)
 
     def command(self, device: str, payloads: list[bytes]) -> None:

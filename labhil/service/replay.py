@@ -1,8 +1,8 @@
-"""A recording on the bus as if its devices ran, in a namespace of its own.
+"""Replaying a recording on the bus, in a namespace of its own.
 
-Everything stands under ``replay/`` and never under ``lab/``: no recorder, host, run or emergency stop hears
-of it, and a screen marks it. The samples keep their values, the steps of their numbers and of the device's
-clock; the host's stamps are those of now.
+All keys are under ``replay/`` and never under ``lab/``, so that no recorder, host, run or emergency stop
+receives them, and the terminal UI marks a replay. Samples keep their values and the differences of their
+numbers and device times; the host's stamps are the present time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from labhil.bus.ask import serve
 from labhil.bus.incoming import ReplayMessage, ReplayRequest, parse
 from labhil.bus.keys import EVENT, REPLAY, REPLAY_CONTROL
 from labhil.bus.publish import StreamPublisher, publish_event
-from labhil.bus.register import registered
+from labhil.bus.register import register
 from labhil.bus.session import open_bus
 from labhil.errors import CommandRefusedError, OptionError, RecordingError
 from labhil.host_clock import session_clock, unix_ns
@@ -30,15 +30,15 @@ from labhil.signals import Batch, FloatArray
 from labhil.supervised import SupervisedThread
 
 TICK = 0.02
-"""Samples go out in batches of so many s of the host, as those of a device do."""
+"""Duration of the batches in which samples are published, s of the host, similar to those of a device."""
 
-SLOWEST, FASTEST = 0.01, 100.0
-"""Speeds of a replay: more than a hundred times as many samples as a device sends, no bus takes."""
+MIN_SPEED, MAX_SPEED = 0.01, 100.0
+"""Speeds of a replay; the bus does not take more than a hundred times the samples of a device."""
 
 
 @dataclass(slots=True)
 class _Track:
-    """One stream: its samples over s of the host, and the next one to go out."""
+    """One stream: the times of its samples, s of the host, and the index of the next one to publish."""
 
     data: StreamData
     publisher: StreamPublisher
@@ -49,7 +49,7 @@ class _Track:
     clock_shift: int = 0
 
     def move_to(self, position: float) -> None:
-        """Go on with the first sample from ``position`` on; numbers and clock go on where they were."""
+        """Continue with the first sample at or after ``position`` s, with continuous numbers and clock."""
         last = self.next - 1
         number, clock = self._stamps(max(last, 0))
         self.next = int(np.searchsorted(self.t, position, side="left"))
@@ -58,19 +58,19 @@ class _Track:
             self.seq_shift = number + 1 - int(self.data.seq[self.next])
             self.clock_shift = clock + period - int(self.data.t_hw_ns[self.next])
 
-    def _stamps(self, at: int) -> tuple[int, int]:
-        return int(self.data.seq[at]) + self.seq_shift, int(self.data.t_hw_ns[at]) + self.clock_shift
+    def _stamps(self, index: int) -> tuple[int, int]:
+        return int(self.data.seq[index]) + self.seq_shift, int(self.data.t_hw_ns[index]) + self.clock_shift
 
     def batch(self, position: float, speed: float, now_ns: int) -> Batch:
-        """Return what is due at ``position``, which is now, stamped as if it had just come."""
-        end = int(np.searchsorted(self.t, position, side="right"))
-        rows = slice(self.next, max(end, self.next))
+        """Return the samples that are due at ``position``, with stamps as if they had just come."""
+        stop = int(np.searchsorted(self.t, position, side="right"))
+        rows = slice(self.next, max(stop, self.next))
         self.next = rows.stop
-        ago = np.round((position - self.t[rows]) * 1e9 / speed).astype(np.int64)
+        age_ns = np.round((position - self.t[rows]) * 1e9 / speed).astype(np.int64)
         data = self.data
         return Batch(
             data.seq[rows] + self.seq_shift,
-            now_ns - ago,
+            now_ns - age_ns,
             data.t_hw_ns[rows] + self.clock_shift,
             data.values[rows],
         )
@@ -78,7 +78,7 @@ class _Track:
 
 @dataclass(slots=True)
 class _State:
-    """Where a replay is; times in s of the host, as in the recording."""
+    """The position and settings of a replay; times in s of the host, as in the recording."""
 
     position: float
     duration: float
@@ -91,11 +91,11 @@ class _State:
 
 
 class Replay:
-    """Plays ``recording`` on a bus of its own (loopback) from :meth:`__enter__` until it is closed.
+    """Plays a recording on a bus of its own (loopback); a context manager.
 
     Args:
-        recording: What is played.
-        speed: How many seconds of the recording pass in one.
+        recording: The recording.
+        speed: Seconds of the recording per second.
         start: Where it begins, s of the host since the recording's first sample.
         loop: Whether it begins again at its end.
 
@@ -112,8 +112,8 @@ class Replay:
         if not self._times:
             raise RecordingError(f"{recording.path}: expected samples to replay, found none")
         duration = max(float(t[-1]) for t in self._times.values())
-        if not SLOWEST <= speed <= FASTEST:
-            raise OptionError("speed", f": expected {SLOWEST:g} to {FASTEST:g}, found {speed:g}")
+        if not MIN_SPEED <= speed <= MAX_SPEED:
+            raise OptionError("speed", f": expected {MIN_SPEED:g} to {MAX_SPEED:g}, found {speed:g}")
         if not 0.0 <= start <= duration:
             raise OptionError("from", f": expected 0 to {duration:.4g} s, found {start:g}")
         self._state = _State(start, duration, speed, events=list(_events(recording)))
@@ -124,7 +124,7 @@ class Replay:
         self._resources = ExitStack()
         self.endpoint = ""
         self.fault = ""
-        """Why nothing is played any more; empty while all is well."""
+        """Why nothing is published any more; empty while it is."""
 
     def __enter__(self) -> Self:
         with ExitStack() as resources:
@@ -133,7 +133,7 @@ class Replay:
             self.endpoint = bus.endpoint
             for data in self._recording.streams:
                 if id(data) in self._times:
-                    track = self._track(data, offset)
+                    track = self._make_track(data, offset)
                     resources.enter_context(track.publisher)
                     self._tracks.append(track)
             resources.enter_context(
@@ -146,7 +146,7 @@ class Replay:
                 )
             )
             # without devices: nobody has to answer an emergency stop here
-            resources.enter_context(registered("replay", self._recording.path.name, bus.endpoint, ()))
+            resources.enter_context(register("replay", self._recording.path.name, bus.endpoint, ()))
             self._go_to(self._state.position)
             self._thread = SupervisedThread(self._run, "replay", on_failure=self._note_failure)
             self._thread.start()
@@ -162,7 +162,7 @@ class Replay:
 
     @property
     def status(self) -> ReplayMessage:
-        """Where it is."""
+        """The state of the replay."""
         state = self._state
         return ReplayMessage(
             path=self._recording.path.name[:1000],
@@ -179,37 +179,37 @@ class Replay:
         return sum(track.publisher.overflows for track in self._tracks)
 
     def wait(self, seconds: float) -> bool:
-        """Wait up to ``seconds`` for the end; whether it is there."""
+        """Wait up to ``seconds`` for the end, and return whether it is reached."""
         return self._ended.wait(seconds)
 
     def pause(self) -> None:
-        """Hold it where it is."""
+        """Pause at the present position."""
         with self._lock:
             self._state.paused = True
 
     def play(self) -> None:
-        """Go on; from the beginning where it had ended."""
+        """Continue, or begin again where it has ended."""
         with self._lock:
             if self._state.ended:
                 self._go_to(0.0)
             self._state.paused = False
 
     def set_speed(self, speed: float) -> None:
-        """Play faster or slower from here on; CommandRefusedError for a speed out of range."""
-        if not SLOWEST <= speed <= FASTEST:
-            raise CommandRefusedError(f"speed: expected {SLOWEST:g} to {FASTEST:g}, found {speed:g}")
+        """Change the speed; CommandRefusedError where it is out of range."""
+        if not MIN_SPEED <= speed <= MAX_SPEED:
+            raise CommandRefusedError(f"speed: expected {MIN_SPEED:g} to {MAX_SPEED:g}, found {speed:g}")
         with self._lock:
             self._state.speed = speed
         for track in self._tracks:
             track.metadata["speed"] = repr(track.data.speed * speed)
-            track.publisher.restate(track.metadata)
+            track.publisher.update_metadata(track.metadata)
 
     def seek(self, position: float) -> None:
-        """Go to ``position``, s of the host since the first sample, or as near as there is something."""
+        """Move to ``position``, s of the host since the first sample, clipped to the recording."""
         with self._lock:
             self._go_to(min(max(position, 0.0), self._state.duration))
 
-    def _track(self, data: StreamData, offset_ns: int) -> _Track:
+    def _make_track(self, data: StreamData, offset_ns: int) -> _Track:
         speed = data.speed * self._state.speed
         metadata = {
             **data.metadata,
@@ -251,14 +251,14 @@ class Replay:
         self._ended.set()
 
     def _step(self, now_ns: int) -> None:
-        """Publish what is due by now."""
+        """Publish the samples and events that are due."""
         state = self._state
-        passed, state.at_ns = (now_ns - state.at_ns) * 1e-9, now_ns
+        elapsed, state.at_ns = (now_ns - state.at_ns) * 1e-9, now_ns
         if state.paused or state.ended:
             return
-        wanted = state.position + passed * state.speed
-        state.position = min(wanted, state.duration)
-        now_ns -= round((wanted - state.position) * 1e9 / state.speed)  # when it was there
+        target = state.position + elapsed * state.speed
+        state.position = min(target, state.duration)
+        now_ns -= round((target - state.position) * 1e9 / state.speed)  # when the position was reached
         for track in self._tracks:
             track.publisher.put(track.batch(state.position, state.speed, now_ns))
         while state.next_event < len(state.events) and state.events[state.next_event][0] <= state.position:
@@ -274,14 +274,14 @@ class Replay:
 
 
 def _host_time(data: StreamData) -> FloatArray:
-    """When each sample came, s of the host: never back, also where a clock was set back."""
+    """Return when each sample came, s of the host; it never decreases, even where a clock was set back."""
     return np.maximum.accumulate(np.maximum(data.t_common, 0.0))
 
 
 def _events(recording: Recording) -> Iterator[tuple[float, Event]]:
-    """What happened, over s of the host; routine reports are left out."""
+    """Yield events with their times, s of the host; periodic status reports are left out."""
     speeds = {data.device: data.speed for data in recording.streams}
-    only = next(iter(speeds.values()), 1.0) if len(speeds) == 1 else 1.0
+    default_speed = next(iter(speeds.values()), 1.0) if len(speeds) == 1 else 1.0
     for event in recording.events:
         if event.topic == EVENT:
-            yield max(event.t / speeds.get(event.device, only), 0.0), event
+            yield max(event.t / speeds.get(event.device, default_speed), 0.0), event

@@ -1,23 +1,27 @@
-"""Where the streams of a bus end: what their publishers say when they leave, else whether they still live."""
+"""The ends of the streams of a bus: the statements of publishers that leave, and whether the others live."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from labhil.bus.ask import ask, serve
-from labhil.bus.authentication import OLDEST_SAMPLE, Refusals
+from labhil.bus.authentication import MAX_SAMPLE_AGE, Refusals
 from labhil.bus.incoming import PublishedRequest, parse
 from labhil.bus.keys import PUBLISHED, schema_key
 from labhil.bus.session import Bus
 from labhil.errors import BusError, CommandRefusedError
 from labhil.service.recorded import RecordedStream
-from labhil.service.stream_schemas import MOST_STREAMS, SCHEMA_TIMEOUT
+from labhil.service.stream_schemas import MAX_STREAMS, SCHEMA_TIMEOUT
 
 
 class StreamEnds:
-    """How many samples each publisher that left had published; answers from the moment it is made.
+    """Receives from each publisher that leaves how many samples it published.
 
-    The question comes by the same way as the samples, so all that were sent before it are here by then.
+    The statement travels as the samples do, so all samples that were sent before it have arrived by then.
+
+    Args:
+        bus: The bus.
+        refusals: Counts messages that are not authentic.
     """
 
     def __init__(self, bus: Bus, refusals: Refusals) -> None:
@@ -30,20 +34,19 @@ class StreamEnds:
             reader=lambda payload: parse(PublishedRequest, payload, "the end of a stream"),
             guarded=lambda _: True,
             refusals=refusals,
-            oldest=OLDEST_SAMPLE,
+            max_age=MAX_SAMPLE_AGE,
         )
 
     def count_missing(self, channels: Iterable[RecordedStream]) -> tuple[str, ...]:
-        """Count in each stream what its publisher sent after the last sample that came; a sentence for each.
+        """Count the samples that each publisher sent after the last one that came; return warnings.
 
-        A publisher that is still there states nothing: all that it published before it answers is here then.
+        A publisher that is still there makes no statement: :meth:`check_publishers` has asked it.
         """
         warnings = []
         for channel in channels:
-            place = (channel.device, channel.stream)
-            stated = self._stated.get(place)
-            if stated is not None:
-                channel.take_end(stated)
+            last_seq = self._stated.get((channel.device, channel.stream))
+            if last_seq is not None:
+                channel.note_last_seq(last_seq)
             name = f"{channel.device}/{channel.stream}"
             if channel.missing_at_end:
                 warnings.append(f"{name}: the last {channel.missing_at_end} samples were published, but lost")
@@ -54,8 +57,8 @@ class StreamEnds:
                 )
         return tuple(warnings)
 
-    def look_for_publishers(self, channels: Iterable[RecordedStream]) -> None:
-        """Note which publishers are gone and stated no end; what others published so far is here then."""
+    def check_publishers(self, channels: Iterable[RecordedStream]) -> None:
+        """Note which publishers are gone without a statement; the samples of the others have arrived then."""
         for channel in channels:
             if (channel.device, channel.stream) in self._stated:
                 continue
@@ -65,15 +68,15 @@ class StreamEnds:
                 channel.end_unknown = channel.number is not None
 
     def failure(self) -> str:
-        """Return why nobody is answered any more; empty while all is well."""
+        """Return why statements are not received any more; empty while they are."""
         return self._answering.failure()
 
     def close(self) -> None:
-        """Answer no more; safe to call twice."""
+        """Stop receiving; safe to call twice."""
         self._answering.close()
 
     def _note(self, request: PublishedRequest) -> dict[str, bool]:
-        place = (request.device, request.stream)
-        if place in self._stated or len(self._stated) < MOST_STREAMS:
-            self._stated[place] = request.last_seq
+        stream = (request.device, request.stream)
+        if stream in self._stated or len(self._stated) < MAX_STREAMS:
+            self._stated[stream] = request.last_seq
         return {"received": True}

@@ -1,4 +1,4 @@
-"""What the streams of a bus are: as their publishers declared them, else as they answer when asked."""
+"""The schemas of the streams of a bus: from the declarations of their publishers, or by asking them."""
 
 from __future__ import annotations
 
@@ -6,20 +6,27 @@ import time
 
 from labhil.bus.ask import ask
 from labhil.bus.authentication import Refusals
-from labhil.bus.incoming import LARGEST_SCHEMA, SchemaMessage, parse, validate
+from labhil.bus.incoming import MAX_SCHEMA_BYTES, SchemaMessage, parse, validate
 from labhil.bus.keys import ALL_SCHEMAS, schema_key, split_key
 from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.service.recorded import RecordedStream
 
-MOST_STREAMS = 1000
+MAX_STREAMS = 1000
+"""Streams of one bus at most."""
 SCHEMA_TIMEOUT = 1.0
+"""How long a publisher may take to answer, s."""
 SCHEMA_INTERVAL = 0.25
-"""s between two questions for a schema that nobody answered."""
+"""Time between two requests for a schema that nobody answers, s."""
 
 
 class StreamSchemas:
-    """The schemas of all streams of a bus; listens to their declarations from the moment it is made."""
+    """The schemas of all streams of a bus; receives declarations from its construction on.
+
+    Args:
+        bus: The bus.
+        refusals: Counts messages that are not authentic.
+    """
 
     def __init__(self, bus: Bus, refusals: Refusals) -> None:
         self._bus = bus
@@ -27,14 +34,16 @@ class StreamSchemas:
         self._subscription = subscribe(bus, ALL_SCHEMAS, self._receive, refusals)
 
     def schema_of(self, channel: RecordedStream) -> SchemaMessage | None:
-        """Return the schema of a stream; None where its publisher was asked for it a moment ago.
+        """Return the schema of a stream; None where its publisher was asked less than an interval ago.
 
-        Raises CommandRefusedError for one that is malformed, and what :func:`labhil.bus.ask.ask` raises.
+        Raises:
+            CommandRefusedError: The schema is malformed.
+            BusError: Nobody answers.
         """
-        # each declaration is read once: one that is wrong leaves the question to the publisher itself
+        # each declaration is read once: after a malformed one the publisher itself is asked
         declaration = self._declarations.pop((channel.device, channel.stream), None)
         if declaration is not None:
-            return parse(SchemaMessage, declaration, "a schema", LARGEST_SCHEMA)
+            return parse(SchemaMessage, declaration, "a schema", MAX_SCHEMA_BYTES)
         if time.monotonic() < channel.asked_at + SCHEMA_INTERVAL:
             return None
         channel.asked_at = time.monotonic()
@@ -42,7 +51,7 @@ class StreamSchemas:
         return validate(SchemaMessage, ask(self._bus, key, timeout=SCHEMA_TIMEOUT), "a schema")
 
     def failure(self) -> str:
-        """Return why declarations are heard no more; empty while all is well."""
+        """Return why declarations are not received any more; empty while they are."""
         return self._subscription.failure()
 
     def close(self) -> None:
@@ -50,6 +59,6 @@ class StreamSchemas:
         self._subscription.close()
 
     def _receive(self, key: str, payloads: list[bytes]) -> None:
-        place = split_key(key)
-        if place in self._declarations or len(self._declarations) < MOST_STREAMS:
-            self._declarations[place] = payloads[-1]
+        stream = split_key(key)
+        if stream in self._declarations or len(self._declarations) < MAX_STREAMS:
+            self._declarations[stream] = payloads[-1]

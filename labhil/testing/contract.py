@@ -1,4 +1,4 @@
-"""What every driver must do, as a pytest suite to subclass.
+"""The contract of every driver, as a pytest suite to subclass.
 
 ::
 
@@ -11,7 +11,7 @@
             with my_simulated_device() as address:
                 yield address
 
-The device must be free to make the small ``excursion``. Nothing here asserts how fast the host is.
+The device must be free to make the small ``excursion``. No test depends on the speed of the host.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ from labhil.signals import Batch, FloatArray, Stream
 class DriverContract:
     """The suite; subclass it under a name that begins with ``Test``.
 
-    ``driver`` is the class under test; ``excursion`` gives each command that is tried a harmless
-    value (SI) away from the safe one; ``absent_address`` is an address at which nothing is;
-    ``patience`` is how long (s) a device may take for anything; ``tolerance`` (SI) is how near a
-    signal must come to what was commanded.
+    Attributes:
+        driver: The class under test.
+        excursion: A harmless value away from the safe one for each command that is tested, SI.
+        absent_address: An address without a device.
+        patience: How long the device may take for anything, s.
+        tolerance: Largest distance of a signal from its command, SI.
     """
 
     driver: ClassVar[type[Driver]]
@@ -48,18 +50,18 @@ class DriverContract:
 
     @pytest.fixture
     def driver_address(self) -> str:
-        """Address of a device that is there; every subclass gives its own."""
+        """Return the address of a device; every subclass has to define it."""
         pytest.fail(f"{type(self).__name__} must define the fixture driver_address")
 
     @pytest.fixture
     def connected(self, driver_address: str) -> Iterator[Driver]:
-        """A connected driver, made safe and closed afterwards."""
+        """Yield a connected driver, which is made safe and closed afterwards."""
         with self.driver(driver_address) as driver:
             driver.connect()
             yield driver
 
     def test_the_declaration_is_complete(self) -> None:
-        """Commands have safe values and are shown in the stream; names are unique."""
+        """Commands have safe values and are signals of the stream; names are unique."""
         spec = self.driver.spec
         names = spec.stream.names()
         assert len(set(names)) == len(names) > 0
@@ -69,14 +71,14 @@ class DriverContract:
         assert set(self.excursion) <= {column for signal in spec.commands for column in signal.columns()}
 
     def test_an_unconnected_driver_can_be_made_safe_and_closed(self) -> None:
-        """Constructing does no I/O, and ending is always allowed."""
+        """The constructor does no I/O, and ``safe`` and ``close`` are always allowed."""
         driver = self.driver(self.absent_address)
         driver.safe()
         driver.close()
         driver.close()
 
     def test_connecting_tells_who_is_there(self, driver_address: str) -> None:
-        """The device introduces itself."""
+        """``connect`` returns the identity of the device."""
         with self.driver(driver_address) as driver:
             info = driver.connect()
         assert info.firmware
@@ -84,7 +86,7 @@ class DriverContract:
         assert all(math.isfinite(value) for value in info.calibration.values())
 
     def test_samples_are_numbered_and_timed(self, connected: Driver) -> None:
-        """Both counters grow, the device's clock at the declared rate, and values are finite."""
+        """Numbers and times increase, the device's clock at the declared rate, and values are finite."""
         batch = self.samples(connected, 40)
         assert batch.values.shape == (len(batch), connected.spec.stream.width)
         assert np.all(np.isfinite(batch.values))
@@ -96,11 +98,11 @@ class DriverContract:
         assert connected.counters.frames > 0
 
     def test_a_command_takes_effect(self, connected: Driver) -> None:
-        """What is commanded shows up in the signal of that name."""
+        """A command appears in the signal of that name."""
         self.until(connected, lambda latest: self.near(connected, latest, self.excursion), self.excursion)
 
     def test_safe_is_reached_and_kept(self, connected: Driver) -> None:
-        """After ``safe()`` the device takes its safe values and does not leave them by itself."""
+        """After ``safe()`` the device takes its safe values and keeps them."""
         self.until(connected, lambda latest: self.near(connected, latest, self.excursion), self.excursion)
         connected.safe()
         self.until(connected, lambda latest: self.is_safe(connected, latest))
@@ -108,12 +110,12 @@ class DriverContract:
             assert self.is_safe(connected, row)
 
     def test_a_device_left_alone_goes_safe(self, connected: Driver) -> None:
-        """The watchdog is the device's own: reading is no command."""
+        """The device has a watchdog of its own; reading does not count as a command."""
         self.until(connected, lambda latest: self.near(connected, latest, self.excursion), self.excursion)
         self.until(connected, lambda latest: self.is_safe(connected, latest))
 
     def test_an_unknown_command_is_refused(self, connected: Driver) -> None:
-        """CommandRefusedError names it; nothing is sent, and the connection lives on."""
+        """CommandRefusedError names the command; nothing is sent, and the connection stays open."""
         with pytest.raises(CommandRefusedError, match="no_such_command"):
             connected.command({"no_such_command": 0.0})
         assert len(self.samples(connected, 1)) >= 1
@@ -126,7 +128,7 @@ class DriverContract:
                     connected.command({name: value})
 
     def test_closing_twice_and_reading_after_it(self, driver_address: str) -> None:
-        """``close`` is idempotent; a closed driver says so."""
+        """``close`` may be called twice; a closed driver raises ConnectError."""
         driver = self.driver(driver_address)
         driver.connect()
         driver.close()
@@ -138,7 +140,7 @@ class DriverContract:
             driver.command(self.excursion)
 
     def test_connecting_again_after_closing(self, driver_address: str) -> None:
-        """The same object can be used again, and begins safe."""
+        """The same object can be used again, and begins in the safe state."""
         with self.driver(driver_address) as driver:
             for _ in range(2):
                 driver.connect()
@@ -157,14 +159,14 @@ class DriverContract:
         """No thread and no file descriptor outlives ``close``."""
         with self.driver(driver_address) as driver:
             driver.connect()
-        before = _held()
+        before = _open_resources()
         with self.driver(driver_address) as driver:
             driver.connect()
             self.samples(driver, 5)
-        assert _held() == before
+        assert _open_resources() == before
 
     def samples(self, driver: Driver, count: int) -> Batch:
-        """Read until at least ``count`` samples are there; fails when they do not come."""
+        """Read at least ``count`` samples; fails where they do not come."""
         batches = [Batch.empty(driver.spec.stream.width)]
         deadline = time.monotonic() + self.patience
         while sum(len(batch) for batch in batches) < count:
@@ -183,7 +185,7 @@ class DriverContract:
         reached: Callable[[FloatArray], bool],
         command: Mapping[str, float] | None = None,
     ) -> None:
-        """Read until ``reached(latest values)``, sending ``command``; fails when it never is."""
+        """Read, sending ``command``, until ``reached(latest values)``; fails where that does not happen."""
         deadline = time.monotonic() + self.patience
         latest: FloatArray | None = None
         while latest is None or not reached(latest):
@@ -195,7 +197,7 @@ class DriverContract:
                 latest = batch.values[-1]
 
     def near(self, driver: Driver, values: FloatArray, wanted: Mapping[str, float]) -> bool:
-        """Tell whether the signals in ``wanted`` are within ``tolerance`` of it."""
+        """Return whether the signals in ``wanted`` are within ``tolerance`` of their values."""
         stream = driver.spec.stream
         return all(
             bool(np.all(np.abs(values[columns] - value) <= self.tolerance))
@@ -204,19 +206,19 @@ class DriverContract:
         )
 
     def is_safe(self, driver: Driver, values: FloatArray) -> bool:
-        """Tell whether the device is in its safe state; for one that holds, a subclass says what that is."""
+        """Return whether the device is in its safe state; override it for a device that holds its value."""
         return self.near(driver, values, driver.spec.safe)
 
 
 def _columns(stream: Stream, name: str) -> slice | None:
-    """Where a signal, or one column of a vector, stands in a stream."""
+    """Return the columns of a signal, or of one column of a vector, in a stream."""
     if name in stream.names():
         return stream.columns_of(name)
     columns = stream.columns()
     return slice(columns.index(name), columns.index(name) + 1) if name in columns else None
 
 
-def _held() -> tuple[int, int]:
-    """How many threads there are, and how many file descriptors where the system tells."""
+def _open_resources() -> tuple[int, int]:
+    """Return the number of threads, and of file descriptors where the system reports it."""
     descriptors = Path("/proc/self/fd")
     return threading.active_count(), len(list(descriptors.iterdir())) if descriptors.is_dir() else 0

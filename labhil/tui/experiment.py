@@ -16,7 +16,7 @@ from textual.widgets.button import ButtonVariant
 from textual.widgets.option_list import Option
 
 from labhil.errors import LabhilError
-from labhil.experiment.control import LONGEST_MARK, RECORDED
+from labhil.experiment.control import MAX_MARK_LENGTH, RECORDED
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
@@ -146,7 +146,7 @@ class ExperimentPane(Vertical, Backdrop):
             if text is not None:
                 self._runner.mark(text, pressed_ns)
 
-        self.app.push_screen(Write("What happened at this moment?", LONGEST_MARK), mark)
+        self.app.push_screen(Write("What happened at this moment?", MAX_MARK_LENGTH), mark)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only keys that do something now are shown."""

@@ -6,7 +6,7 @@ from rich.text import Text
 
 from labhil.bus.incoming import ReplayMessage
 from labhil.errors import LabhilError
-from labhil.service.replay import FASTEST, SLOWEST
+from labhil.service.replay import MAX_SPEED, MIN_SPEED
 from labhil.tui.lab import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -30,7 +30,7 @@ def next_speed(speed: float, way: int) -> float:
     """The next round speed above or below."""
     speeds = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
     chosen = speed if not speeds else speeds[0] if way > 0 else speeds[-1]
-    return min(max(chosen, SLOWEST), FASTEST)
+    return min(max(chosen, MIN_SPEED), MAX_SPEED)
 
 
 def steer(lab: Session, action: str, way: int = 0) -> str:

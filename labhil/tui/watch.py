@@ -17,7 +17,7 @@ from typing import Self
 
 from labhil.bus.ask import ask
 from labhil.bus.incoming import (
-    LARGEST_SCHEMA,
+    MAX_SCHEMA_BYTES,
     EventMessage,
     ReplayMessage,
     SchemaMessage,
@@ -192,7 +192,7 @@ class Watch:
 
     def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", LARGEST_SCHEMA))
+            self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", MAX_SCHEMA_BYTES))
         except UNEXPLAINED as error:
             self._fault = f"{key}: {error}"
 
@@ -211,7 +211,7 @@ class Watch:
             watched.take(payloads, time.monotonic(), time.time_ns())
 
     def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
-        parse(StreamDeclaration, reply.stream, "a stream", LARGEST_SCHEMA)
+        parse(StreamDeclaration, reply.stream, "a stream", MAX_SCHEMA_BYTES)
         metadata = dict(reply.metadata)
         speed = float(metadata.get("speed", 1.0))
         if not 0 < speed < float("inf"):

@@ -119,7 +119,7 @@ def test_nothing_listens_but_on_loopback(bus):
 
 def test_an_absent_endpoint_is_an_error_that_names_it(monkeypatch):
     monkeypatch.setattr("labhil.bus.session.CONNECT_TIMEOUT_MS", 200)
-    with pytest.raises(BusError, match=r"expected a process of ours at tcp/127\.0\.0\.1:1"):
+    with pytest.raises(BusError, match=r"expected a labhil process at tcp/127\.0\.0\.1:1"):
         open_bus("tcp/127.0.0.1:1")
 
 

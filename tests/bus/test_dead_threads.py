@@ -6,13 +6,13 @@ import time
 
 import pytest
 
-from labhil.bus.ask import Answering, ask, serve
-from labhil.bus.keys import ALL_STREAMS, command_key, key_by
+from labhil.bus.ask import Responder, ask, serve
+from labhil.bus.keys import ALL_STREAMS, command_key, guest_key
 from labhil.bus.publish import StreamPublisher, publish_event
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import Subscription, subscribe
 from labhil.errors import BusError
-from labhil.experiment.devices import at_once
+from labhil.experiment.devices import run_concurrently
 from labhil.plugins import load_driver
 from labhil.security.roles import Role
 from labhil.service.child import Child
@@ -58,7 +58,7 @@ def test_one_that_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_one_that_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Answering, "_answer", dies)
+    monkeypatch.setattr(Responder, "_answer", dies)
     key = command_key("a", "estop")
     with open_bus() as bus:
         answering = serve(bus, key, lambda _: {})
@@ -84,11 +84,11 @@ def test_one_that_reads_what_a_child_says(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(Child, "_take_line", dies)
     with Child("the child", ["sh", "-c", "echo ready; cat"]) as child:
         assert child.line(20.0) is None
-        assert "SystemExit('struck')" in child.deafness()
+        assert "SystemExit('struck')" in child.reader_failure()
 
 
 def test_one_that_looks_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Search, "_look", dies)
+    monkeypatch.setattr(Search, "_search", dies)
     search = Search(load_driver("ball_beam")("/dev/not-there"))
     with pytest.raises(BusError, match="struck"):
         search.result(20.0)
@@ -96,7 +96,7 @@ def test_one_that_looks_for_a_device(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_one_that_stops_a_device_keeps_no_other_from_it() -> None:
     stopped: list[str] = []
-    failed, well = at_once([dies, lambda: stopped.append("other")])
+    failed, well = run_concurrently([dies, lambda: stopped.append("other")])
     assert "SystemExit('struck')" in str(failed) and well is None and stopped == ["other"]
 
 
@@ -104,7 +104,7 @@ def test_one_that_answers_guests(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Gateway, "_answer", dies)
     with open_bus() as door, Gateway(door, {"ada": Role.ADMIN}, lambda _: None) as gateway:
         with open_bus(door.endpoint) as guest, pytest.raises(BusError):
-            ask(guest, key_by(command_key("a", "status"), "ada"), {}, 1.0)
+            ask(guest, guest_key(command_key("a", "status"), "ada"), {}, 1.0)
         assert "SystemExit('struck')" in wait_for_failure(door)
         with pytest.raises(BusError, match=r"guests are not heard any more: .*struck"):
-            gateway.look()
+            gateway.poll()

@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from typer.testing import CliRunner
 
 from labhil.bus.rights import access_control
-from labhil.bus.session import open_bus, open_to_others
+from labhil.bus.session import open_bus, open_to_guests
 from labhil.cli import app
 from labhil.errors import BusError, LabhilError, UsageError
 from labhil.security.authority import Authority
@@ -133,7 +133,7 @@ def test_without_certificates_a_bus_is_on_the_loopback_only() -> None:
 
 def test_a_door_at_an_address_of_another_machine_cannot_be_opened(authority: Authority) -> None:
     with pytest.raises(BusError, match=r"listen at tls/192.0.2.1:7447.*an address of this machine"):
-        open_to_others(authority, "192.0.2.1")
+        open_to_guests(authority, "192.0.2.1")
 
 
 @pytest.mark.parametrize(
@@ -179,6 +179,7 @@ def test_what_is_wrong_with_a_connection_is_said(authority: Authority, spoil, co
         (["add", "keys", "../anna", "--role", "viewer"], "expected small letters"),
         (["add", "keys", "*", "--role", "viewer"], "expected small letters"),
         (["add", "keys", "anna", "--role", "viewer", "--days", "0"], "--days: expected 1 to 3650, found 0"),
+        (["add", "keys", "anna", "--role", "king"], "any emergency stop), found 'king'"),
         (["revoke", "keys", "nobody"], "expected somebody who has a certificate"),
         (["list", "nowhere"], "expected a folder that `labhil security init` made"),
         (["serve", "nowhere"], "expected a folder that `labhil security init` made"),

@@ -116,7 +116,7 @@ def test_a_check_that_breaks_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_probe_that_crashes_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONHOME", "/nowhere")
-    finding = probes.probe("recording")
+    finding = probes.run_probe("recording")
     assert finding.state is State.BROKEN
     assert finding.advice == probes.ADVICE["recording"]
 

@@ -17,7 +17,7 @@ from labhil.bus.keys import ALL_STREAMS, command_key, event_key, setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
 from labhil.bus.subscribe import subscribe
-from labhil.experiment.experiment import TwinSection
+from labhil.experiment.device_sections import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.rig_sections import Limit
 from labhil.service.hosts import ConnectedDevice, HostProcess

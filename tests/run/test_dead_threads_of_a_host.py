@@ -35,7 +35,7 @@ if "labhil.service.host" in sys.orig_argv:
 @pytest.mark.parametrize(
     ("owner", "method", "module", "key"),
     [
-        ("Answering", "_answer", "labhil.bus.ask", "cmd/status"),
+        ("Responder", "_answer", "labhil.bus.ask", "cmd/status"),
         ("Subscription", "_deliver", "labhil.bus.subscribe", "setpoint"),
         ("StreamPublisher", "_publish", "labhil.bus.publish", "/state"),
         ("StreamPublisher", "_publish", "labhil.bus.publish", "/command"),

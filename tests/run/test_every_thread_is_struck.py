@@ -17,7 +17,7 @@ HOST, SERVE = "tests/run/test_dead_threads_of_a_host.py", "tests/run/test_dead_t
 BACKGROUND = (SCREEN, "test_work_in_the_background_that_raises_is_shown")
 
 STRUCK = {
-    "labhil/bus/ask.py Answering": (BUS, "test_one_that_answers"),
+    "labhil/bus/ask.py Responder": (BUS, "test_one_that_answers"),
     "labhil/bus/publish.py StreamPublisher": (BUS, "test_one_that_publishes_keeps_nobody_waiting"),
     "labhil/bus/subscribe.py Subscription": (BUS, "test_one_that_listens"),
     "labhil/campaign/lab.py serve_lab": (SERVE, "test_a_lab_ends_with_what_its_worker_raised"),
@@ -26,7 +26,10 @@ STRUCK = {
         SCREEN,
         "test_a_process_that_hears_nothing_ends",
     ),
-    "labhil/experiment/devices.py at_once": (BUS, "test_one_that_stops_a_device_keeps_no_other_from_it"),
+    "labhil/experiment/devices.py run_concurrently": (
+        BUS,
+        "test_one_that_stops_a_device_keeps_no_other_from_it",
+    ),
     "labhil/experiment/hooks.py Hook": (
         "tests/run/test_when_and_checks.py",
         "test_a_hook_that_raises_before_the_steps_ends_the_run_before_anything_moves",

@@ -13,7 +13,7 @@ from labhil.experiment.excitation import (
     hold,
     make_excitation,
     multisine,
-    sampled,
+    sample_at_rate,
     schroeder_phases,
     steps,
     two_sine,
@@ -25,14 +25,14 @@ RATE = 100.0
 def test_two_sines_are_the_sum_of_two_sines() -> None:
     t = np.arange(6000) / RATE
     expected = 0.6 * np.sin(2 * pi * 0.23 * t) + 0.6 * np.sin(2 * pi * 0.31 * t)
-    np.testing.assert_allclose(sampled(two_sine([0.23, 0.31], 0.6), 60.0, RATE), expected, atol=1e-12)
+    np.testing.assert_allclose(sample_at_rate(two_sine([0.23, 0.31], 0.6), 60.0, RATE), expected, atol=1e-12)
 
 
 def test_phases_amplitudes_and_offset_go_by_tone() -> None:
     t = np.arange(500) / RATE
     expected = 0.1 + 0.5 * np.sin(2 * pi * 0.4 * t + 0.3) + 0.2 * np.sin(2 * pi * 1.1 * t - 1.0)
     made = multisine([0.4, 1.1], [0.5, 0.2], phases=[0.3, -1.0], offset=0.1)
-    np.testing.assert_allclose(sampled(made, 5.0, RATE), expected, atol=1e-12)
+    np.testing.assert_allclose(sample_at_rate(made, 5.0, RATE), expected, atol=1e-12)
 
 
 def test_schroeder_phases_of_a_flat_comb_are_the_known_ones() -> None:
@@ -43,14 +43,16 @@ def test_schroeder_phases_of_a_flat_comb_are_the_known_ones() -> None:
 
 def test_schroeder_phases_lower_the_crest_factor() -> None:
     comb = [0.1 * k for k in range(1, 17)]
-    values = sampled(multisine(comb, 0.1), 10.0, RATE)
-    aligned = sampled(multisine(comb, 0.1, phases=[pi / 2] * 16), 10.0, RATE)
+    values = sample_at_rate(multisine(comb, 0.1), 10.0, RATE)
+    aligned = sample_at_rate(multisine(comb, 0.1, phases=[pi / 2] * 16), 10.0, RATE)
     assert crest_factor(aligned) == pytest.approx(np.sqrt(2 * 16), rel=1e-6)
     assert crest_factor(values) < 2.0
 
 
 def test_a_sines_crest_factor_is_the_root_of_two() -> None:
-    assert crest_factor(sampled(multisine([1.0], 2.0), 10.0, 1000.0)) == pytest.approx(np.sqrt(2), rel=1e-5)
+    assert crest_factor(sample_at_rate(multisine([1.0], 2.0), 10.0, 1000.0)) == pytest.approx(
+        np.sqrt(2), rel=1e-5
+    )
     assert crest_factor(np.zeros(3)) == np.inf
 
 
@@ -58,7 +60,7 @@ def test_a_chirp_passes_through_its_frequencies() -> None:
     made = chirp([0.5, 4.5], 1.0, duration=10.0)
     t = np.arange(10000) / 1000.0
     expected = np.sin(2 * pi * (0.5 * t + 0.2 * t**2))
-    np.testing.assert_allclose(sampled(made, 10.0, 1000.0), expected, atol=1e-9)
+    np.testing.assert_allclose(sample_at_rate(made, 10.0, 1000.0), expected, atol=1e-9)
 
 
 def test_steps_dwell_and_begin_again() -> None:
@@ -67,7 +69,7 @@ def test_steps_dwell_and_begin_again() -> None:
 
 
 def test_hold_holds() -> None:
-    assert set(sampled(hold(0.3), 1.0, RATE)) == {0.3}
+    assert set(sample_at_rate(hold(0.3), 1.0, RATE)) == {0.3}
 
 
 def test_an_unknown_excitation_names_those_there_are() -> None:

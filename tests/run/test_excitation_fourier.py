@@ -13,10 +13,10 @@ from labhil.experiment.excitation import (
     ExcitationKeys,
     Excitations,
     FourierSeries,
+    evaluate_motion,
     fourier,
     hold,
     make_excitation,
-    motion,
     sample,
 )
 
@@ -50,7 +50,7 @@ def test_limits_hold_and_ends_are_at_rest(keys: dict[str, Any]) -> None:
     made = fourier(**keys)
     duration = keys["duration"]
     t = np.linspace(0.0, duration, 4001)  # no multiple of the grid that was searched
-    q, qd, qdd = motion(made, t)
+    q, qd, qdd = evaluate_motion(made, t)
     low, high, speed, hardest = (np.array(keys[k]) for k in ("low", "high", "speed", "acceleration"))
     assert np.all(q >= low)
     assert np.all(q <= high)
@@ -81,7 +81,7 @@ def six(**changes: Any) -> Excitations | FourierSeries:
 def test_positions_velocities_and_accelerations_belong_together() -> None:
     made = six(seed=4)
     t = np.linspace(0.0, 10.0, 20001)
-    q, qd, qdd = motion(made, t)
+    q, qd, qdd = evaluate_motion(made, t)
     assert q.shape == (20001, 6)
     np.testing.assert_allclose(sample(made, t[::500]), q[::500], atol=1e-12)
     np.testing.assert_allclose(np.gradient(q, t, axis=0)[1:-1], qd[1:-1], atol=1e-5)
@@ -130,7 +130,7 @@ def test_wrong_settings_are_told(changes: dict[str, Any], message: str) -> None:
 
 def test_only_fourier_series_have_known_derivatives() -> None:
     with pytest.raises(TypeError, match="expected Fourier series, found Hold"):
-        motion(Excitations((hold(1.0),)), [0.0])
+        evaluate_motion(Excitations((hold(1.0),)), [0.0])
 
 
 def test_six_joints_from_an_experiments_keys() -> None:

@@ -19,14 +19,14 @@ from labhil.experiment.excitation import (
     chirp,
     columns_of,
     crest_factor,
-    file,
     make_excitation,
     maximum_length_sequence,
     multisine,
     prbs,
     prms,
+    read_table,
     sample,
-    sampled,
+    sample_at_rate,
     schroeder_phases,
     spectrum_of,
     staircase,
@@ -104,7 +104,7 @@ def test_a_seed_makes_one_sequence_and_another_makes_another(seed: int) -> None:
 
 
 def test_a_prms_covers_its_range_evenly() -> None:
-    values = sampled(prms(-5.0, 5.0, 11, 0.5, 55.0, seed=2), 55.0, 100.0)
+    values = sample_at_rate(prms(-5.0, 5.0, 11, 0.5, 55.0, seed=2), 55.0, 100.0)
     counts = np.unique(np.round(values, 9), return_counts=True)[1]
     assert set(counts) == {500}
     assert spectrum_of(values, 100.0).crest_factor == pytest.approx(5.0 / np.sqrt(10.0))
@@ -119,16 +119,16 @@ def test_a_staircase_goes_both_ways() -> None:
 def test_phases_are_never_worse_than_schroeders(count: int, base: float, seed: int) -> None:
     comb = [base * k for k in range(1, count + 1)]
     rate = 40 * comb[-1]
-    chosen = crest_factor(sampled(multisine(comb, 1.0, seed=seed), 1 / base, rate))
-    schroeder = crest_factor(sampled(multisine(comb, 1.0, phases="schroeder"), 1 / base, rate))
+    chosen = crest_factor(sample_at_rate(multisine(comb, 1.0, seed=seed), 1 / base, rate))
+    schroeder = crest_factor(sample_at_rate(multisine(comb, 1.0, phases="schroeder"), 1 / base, rate))
     assert chosen <= schroeder * 1.035
     assert multisine(comb, 1.0, seed=seed) == multisine(comb, 1.0, seed=seed)
 
 
 def test_a_comb_of_many_tones_has_a_low_crest_factor() -> None:
     comb = [0.1 * k for k in range(1, 17)]
-    assert crest_factor(sampled(multisine(comb, 0.1), 10.0, 400.0)) < 1.5
-    assert crest_factor(sampled(multisine(comb, 0.1, phases="schroeder"), 10.0, 400.0)) > 1.6
+    assert crest_factor(sample_at_rate(multisine(comb, 0.1), 10.0, 400.0)) < 1.5
+    assert crest_factor(sample_at_rate(multisine(comb, 0.1, phases="schroeder"), 10.0, 400.0)) > 1.6
     drawn = multisine(comb, 0.1, phases="random", seed=3)
     assert drawn == multisine(comb, 0.1, phases="random", seed=3)
     assert drawn != multisine(comb, 0.1, phases="random", seed=4)
@@ -137,7 +137,7 @@ def test_a_comb_of_many_tones_has_a_low_crest_factor() -> None:
 
 def phase_rate(made: Chirp, t: float) -> float:
     """Frequency (Hz) at ``t``, from the phase's own differences."""
-    turns = made._turns
+    turns = made._cycles
     return (turns(t + 1e-5) - turns(t - 1e-5)) / 2e-5
 
 
@@ -147,7 +147,7 @@ def test_a_logarithmic_sweep_passes_octaves_in_even_times() -> None:
         assert phase_rate(made, t) == pytest.approx(expected, rel=1e-4)
     t = np.arange(1000) / 100.0
     turns = 0.5 * 10 / log(16) * (16 ** (t / 10) - 1)
-    np.testing.assert_allclose(sampled(made, 10.0, 100.0), np.sin(2 * pi * turns), atol=1e-9)
+    np.testing.assert_allclose(sample_at_rate(made, 10.0, 100.0), np.sin(2 * pi * turns), atol=1e-9)
 
 
 @pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
@@ -160,12 +160,12 @@ def test_a_sweep_there_and_back_mirrors_itself(sweep: str) -> None:
 
 def test_a_table_is_followed(tmp_path: Path) -> None:
     (tmp_path / "u.csv").write_text("t,value\n0,1\n\n1.0,3\n2.0, -1\n")
-    line = file("u.csv", directory=tmp_path)
+    line = read_table("u.csv", directory=tmp_path)
     np.testing.assert_allclose(sample(line, [-1, 0, 0.5, 1, 1.5, 2, 9]), [1, 1, 2, 3, 1, -1, -1])
-    held = file("u.csv", "hold", tmp_path)
+    held = read_table("u.csv", "hold", tmp_path)
     np.testing.assert_allclose(sample(held, [0, 0.99, 1, 1.99, 2]), [1, 1, 3, 3, -1])
     (tmp_path / "q.csv").write_text("0,1,2,3\n1,2,3,4\n")
-    joints = file("q.csv", directory=tmp_path)
+    joints = read_table("q.csv", directory=tmp_path)
     assert isinstance(joints, Excitations)
     assert len(columns_of(joints)) == 3
     np.testing.assert_allclose(sample(joints, [0.5]), [[1.5, 2.5, 3.5]])
@@ -185,13 +185,13 @@ def test_a_table_is_followed(tmp_path: Path) -> None:
 def test_a_table_that_is_none_says_where(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "u.csv").write_text(text)
     with pytest.raises(ValueError, match=message):
-        file("u.csv", directory=tmp_path)
+        read_table("u.csv", directory=tmp_path)
     with pytest.raises(ValueError, match=r"v\.csv cannot be read as a table"):
-        file("v.csv", directory=tmp_path)
+        read_table("v.csv", directory=tmp_path)
 
 
 def test_bands_are_where_the_power_is() -> None:
-    tone = spectrum_of(sampled(multisine([2.0], 1.0), 20.0, 100.0), 100.0)
+    tone = spectrum_of(sample_at_rate(multisine([2.0], 1.0), 20.0, 100.0), 100.0)
     assert tone.rms == pytest.approx(np.sqrt(0.5))
     assert tone.occupied is not None
     assert tone.half_power is not None
@@ -199,7 +199,7 @@ def test_bands_are_where_the_power_is() -> None:
     assert tone.occupied.high == pytest.approx(2.0)
     assert tone.half_power.low < 2.0 < tone.half_power.high
     assert tone.bars().strip() in ("█", "██")
-    binary = spectrum_of(sampled(prbs(-1.0, 1.0, 0.1, 102.3, stages=10), 102.3, 1000.0), 1000.0)
+    binary = spectrum_of(sample_at_rate(prbs(-1.0, 1.0, 0.1, 102.3, stages=10), 102.3, 1000.0), 1000.0)
     assert binary.half_power is not None
     assert (
         4.4 <= binary.half_power.high <= 5.6

@@ -288,6 +288,6 @@ def test_a_vector_is_asked_for_column_by_column() -> None:
         duration=20.0,
     )
     stream = Stream("state", (Signal("target_q", "rad", Direction.INPUT, width=2),), 125.0)
-    asked = Controller([TimedStep(0, joints, 1.0)], stream, {}).requested(3.0, [0.0, 0.0])
+    asked = Controller([TimedStep(0, joints, 1.0)], stream, {}).setpoints(3.0, [0.0, 0.0])
     expected = sample(joints.make(), [2.0])[0]
     assert asked == {"target_q_0": expected[0], "target_q_1": expected[1]}

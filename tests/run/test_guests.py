@@ -17,7 +17,7 @@ import zenoh
 
 from labhil.bus import latch
 from labhil.bus.ask import ask
-from labhil.bus.keys import ALL_STREAMS, RUN, command_key, key_by, setpoint_key, stream_key
+from labhil.bus.keys import ALL_STREAMS, RUN, command_key, guest_key, setpoint_key, stream_key
 from labhil.bus.live import live_devices
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
@@ -114,13 +114,13 @@ def test_a_guest_in_any_mode_cannot_use_another_name_or_pretend_to_be_a_device(
     lab: OpenLab, mode: str
 ) -> None:
     forged: list[str] = []
-    own, others = (key_by(command_key(BENCH, "status"), name) for name in ("vera", "otto"))
+    own, others = (guest_key(command_key(BENCH, "status"), name) for name in ("vera", "otto"))
     with (
         open_bus(lab.folder("ada")) as admin,
         subscribe(admin, stream_key("ghost", "state"), lambda key, _: forged.append(key)),
         enter(lab.authority.endpoint, mode, **certificate(lab.folder("vera"))) as guest,
     ):
-        asked = key_by(command_key(BENCH, "status"), "ada")
+        asked = guest_key(command_key(BENCH, "status"), "ada")
         # this session's own questions for everything come here, too
         guest.declare_queryable(
             "lab/*/by/ada/cmd/*",
@@ -131,13 +131,13 @@ def test_a_guest_in_any_mode_cannot_use_another_name_or_pretend_to_be_a_device(
             wait_for(lambda: any(reply.ok for reply in guest.get(own, timeout=2.0)), "an answer")
         else:  # a peer or a router has to learn who answers, and learns nothing
             time.sleep(1.0)
-        for key in (others, key_by(command_key(BENCH, "status"), "*"), "lab/**", "**"):
+        for key in (others, guest_key(command_key(BENCH, "status"), "*"), "lab/**", "**"):
             own_places = (own, "@/")  # a session also answers of itself
             replies = [str(reply.ok.key_expr) for reply in guest.get(key, timeout=2.0) if reply.ok]
             assert not [place for place in replies if not place.startswith(own_places)], key
         guest.put(stream_key("ghost", "state"), b"x")
         guest.put("lab/ghost/event", b'{"text": "fire"}')
-        guest.put(key_by(setpoint_key(BENCH), "otto"), b"{}")
+        guest.put(guest_key(setpoint_key(BENCH), "otto"), b"{}")
         status_of(admin)  # what was sent before has been dealt with
         time.sleep(0.5)
         assert [live_devices(admin) for _ in range(8)] == 8 * [(BENCH,)]

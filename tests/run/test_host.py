@@ -104,7 +104,7 @@ def test_signals_end_a_host_in_order(bench: Any, number: int) -> None:
 
 
 def test_a_host_ends_when_its_parent_is_gone(bench: Any) -> None:
-    bench.host.tell_to_end()
+    bench.host.request_end()
     event = bench.wait_for_event("stopped")
     assert event["message"] == "standard input closed"
     assert event["counters"]["crc_errors"] == 0

@@ -51,17 +51,17 @@ def test_a_device_that_is_back_before_the_run_has_looked_is_started_again(tmp_pa
         run.start()
         run._take_event(event("quiet"))
         run._take_event(event("reconnected"))
-        assert run.rests and run.comes_back  # so the run pauses …
+        assert run.pause_reason and run.resumes_alone  # so the run pauses …
         with pytest.raises(LabhilError):
             run.make_safe("paused")  # no host is here to answer
-        assert run.rests == ""  # … and goes on
+        assert run.pause_reason == ""  # … and goes on
         run.start()
         run._take_event(event("quiet"))
         with pytest.raises(LabhilError):
             run.make_safe("paused")
-        assert run.rests
+        assert run.pause_reason
         run._take_event(event("reconnected"))
-        assert run.rests == ""
+        assert run.pause_reason == ""
 
 
 def test_a_step_is_not_over_before_it_was_asked_for(tmp_path: Path) -> None:

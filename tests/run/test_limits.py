@@ -22,15 +22,15 @@ def batch(*rows: tuple[float, float]) -> Batch:
 
 def test_a_streamed_value_is_clipped_to_range_and_rate() -> None:
     limits = CommandLimits((SERVO,), LIMITS)
-    assert limits.clip("servo_angle", 3.0, before=0.99, elapsed=1.0) == 1.0
-    assert limits.clip("servo_angle", -1.0, before=0.0, elapsed=0.01) == pytest.approx(-0.05)
-    assert limits.clip("servo_angle", 0.03, before=0.0, elapsed=0.01) == 0.03
-    assert limits.clip("servo_angle", 0.5, before=0.2, elapsed=0.0) == 0.2
+    assert limits.clip("servo_angle", 3.0, previous=0.99, elapsed=1.0) == 1.0
+    assert limits.clip("servo_angle", -1.0, previous=0.0, elapsed=0.01) == pytest.approx(-0.05)
+    assert limits.clip("servo_angle", 0.03, previous=0.0, elapsed=0.01) == 0.03
+    assert limits.clip("servo_angle", 0.5, previous=0.2, elapsed=0.0) == 0.2
 
 
 def test_without_limits_nothing_is_clipped_but_numbers_are_asked_for() -> None:
     limits = CommandLimits((SERVO,), {})
-    assert limits.clip("servo_angle", 30.0, before=0.0, elapsed=0.01) == 30.0
+    assert limits.clip("servo_angle", 30.0, previous=0.0, elapsed=0.01) == 30.0
     with pytest.raises(CommandRefusedError, match="finite"):
         limits.refuse_unusable({"servo_angle": float("nan")})
     with pytest.raises(CommandRefusedError, match="did you mean 'servo_angle'"):

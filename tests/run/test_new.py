@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from labhil.experiment.experiment import load_experiment
-from labhil.experiment.new import starters, write_new
+from labhil.experiment.new import example_drivers, write_new
 from labhil.experiment.plan import make_plan
 from labhil.rig import load_rig
 
@@ -30,7 +30,7 @@ def new(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("kind", starters())
+@pytest.mark.parametrize("kind", example_drivers())
 @pytest.mark.parametrize("address", ["twin", "192.168.1.9"])
 def test_what_is_written_can_be_planned(tmp_path: Path, kind: str, address: str) -> None:
     rig, experiment = write_new(kind, address, tmp_path / "bench")

@@ -22,7 +22,7 @@ from textual.widgets import Static
 
 from labhil.bus import ask, live_devices, open_bus, subscribe
 from labhil.bus.keys import ALL_STREAMS, REPLAY_CONTROL, REPLAYED_STREAMS
-from labhil.bus.register import find_run, running
+from labhil.bus.register import find_run, registered_processes
 from labhil.bus.session import Bus
 from labhil.codec import Codec, stream_from_json
 from labhil.errors import BusError, CommandRefusedError, OptionError, RecordingError, UsageError
@@ -192,8 +192,8 @@ def test_going_back_and_looping_never_turn_numbers_or_clocks_back(recording: Rec
 
 def test_nobody_takes_it_for_a_device_or_a_run(recording: Recording) -> None:
     with Replay(recording) as replay, open_bus(replay.endpoint) as bus:
-        assert [entry.devices for entry in running("replay")] == [()]
-        assert not running("run")
+        assert [entry.devices for entry in registered_processes("replay")] == [()]
+        assert not registered_processes("run")
         with pytest.raises(UsageError, match="found none"):
             find_run()
         ask(bus, REPLAY_CONTROL, {}, patience=5.0)
@@ -238,7 +238,7 @@ def test_the_command_plays_and_ends_with_its_recording_or_with_ctrl_c(tmp_path: 
             wait_until(lambda: len(heard.payloads.get(key_of(read_recording(FILE)), [])) > 50)
         os.kill(process.pid, signal.SIGINT)
         assert process.wait(PATIENCE) == 0
-    assert not running("replay")
+    assert not registered_processes("replay")
 
 
 def test_the_live_page_draws_it_says_so_and_steers_it(recording: Recording, tmp_path: Path) -> None:

@@ -22,7 +22,8 @@ from labhil.bus.keys import setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.errors import CommandRefusedError, RigFileError, UsageError
 from labhil.experiment.control import RunControl, RunState
-from labhil.experiment.experiment import TwinSection, parse_experiment
+from labhil.experiment.device_sections import TwinSection
+from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.run import Progress, RunResult, run_experiment
 from labhil.experiment.twins import start_twin
 from labhil.recording.reader import read_recording
@@ -242,15 +243,15 @@ def test_a_run_is_controlled_over_the_bus(hold: Callable[..., Held]) -> None:
 def test_what_a_killed_process_left_in_the_register_is_swept() -> None:
     directory = register.runtime_directory()
     assert directory.stat().st_mode & 0o077 == 0
-    with register.registered("run", "mine", "tcp/127.0.0.1:1", ["bench"]):
-        (mine,) = register.running("run")
+    with register.register("run", "mine", "tcp/127.0.0.1:1", ["bench"]):
+        (mine,) = register.registered_processes("run")
         entry = {"kind": "run", "name": "dead", "endpoint": "tcp/127.0.0.1:2", "devices": [], "since": 0.0}
         dead = {**entry, "pid": os.getpid(), "birth": "another process of this number"}
         away = {**entry, "pid": os.getpid(), "birth": mine.birth, "endpoint": "tcp/10.0.0.1:2"}
         (directory / "1-0.json").write_text(json.dumps(dead))
         (directory / "1-1.json").write_text(json.dumps(away))
         (directory / "1-2.json").write_text("{")
-        assert register.running("run") == (mine,)
+        assert register.registered_processes("run") == (mine,)
         assert register.find_run() == mine.endpoint
     assert list(directory.glob("*.json")) == []
     with pytest.raises(UsageError, match="found none"):
@@ -373,19 +374,19 @@ def test_a_device_that_boots_again_is_taken_back_where_that_is_allowed(hold: Cal
 @pytest.fixture
 def link(tmp_path: Path) -> Iterator[Callable[[], Any]]:
     """Return what starts a twin behind the same name; whoever opens the name gets the newest one."""
-    name, running = tmp_path / "ttyBENCH", []
+    name, registered_processes = tmp_path / "ttyBENCH", []
 
     def start() -> Any:
         section = TwinSection(speed=2.0, seed=1)
         twin, address = start_twin("bench", "ball_beam", section, tmp_path / "twin.json", lambda: False)
-        running.append(twin)
+        registered_processes.append(twin)
         draft = tmp_path / "draft"
         draft.symlink_to(address)
         draft.replace(name)
         return twin
 
     yield start
-    for twin in running:
+    for twin in registered_processes:
         twin.stop()
 
 

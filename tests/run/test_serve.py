@@ -18,7 +18,7 @@ from labhil.bus.keys import command_key
 from labhil.bus.register import find_run
 from labhil.bus.session import open_bus
 from labhil.errors import ExperimentFileError, UsageError
-from labhil.experiment.experiment import TwinSection, parse_devices
+from labhil.experiment.device_sections import TwinSection, parse_devices
 from labhil.experiment.lab import Lab, load_lab
 from labhil.experiment.lab_service import LabService
 from labhil.experiment.twins import start_twin

@@ -10,7 +10,7 @@ import pytest
 
 from labhil.bus import latch
 from labhil.errors import CommandRefusedError, DeviceError, EmergencyStopError
-from labhil.experiment.interruption import in_place_of
+from labhil.experiment.interruption import emergency_stop_or
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
 
@@ -23,13 +23,14 @@ def no_stop_stands() -> Iterator[None]:
 
 def test_a_stop_takes_the_place_of_a_good_end_and_of_a_refusal_and_of_nothing_else() -> None:
     refusal, failure = CommandRefusedError("an emergency stop stands"), DeviceError("the wire is gone")
-    assert (in_place_of(None), in_place_of(refusal), in_place_of(failure)) == (None, refusal, failure)
+    for unchanged in (None, refusal, failure):
+        assert emergency_stop_or(unchanged) is unchanged
     latch.press("a test", "the ball jumped")
     for error in (None, refusal):
-        found = in_place_of(error)
+        found = emergency_stop_or(error)
         assert isinstance(found, EmergencyStopError) and found.exit_status == 1
         assert "the ball jumped" in str(found)
-    assert in_place_of(failure) is failure
+    assert emergency_stop_or(failure) is failure
 
 
 @pytest.mark.extended

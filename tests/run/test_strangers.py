@@ -159,7 +159,7 @@ class Running:
         self.thread = threading.Thread(target=self._run, args=(experiment, directory))
         self.thread.start()
         assert self.control.wait_for(RunState.RUNNING, timeout=PATIENCE), self.control.reason
-        (self.entry,) = register.running("run")
+        (self.entry,) = register.registered_processes("run")
 
     def _run(self, experiment: Any, directory: Path) -> None:
         self.result = run_experiment(experiment, directory, control=self.control)
@@ -353,7 +353,7 @@ def test_numbers_come_once_in_any_order_and_not_from_before(monkeypatch: pytest.
     assert Verifier([key], transit=60.0).objection("a", b"x", codes[61]) == ""
     monkeypatch.setattr(time, "monotonic_ns", partial(int, time.monotonic_ns() + 60 * 10**9))
     assert "another time" in Verifier([key], transit=100.0).objection("a", b"x", codes[61])
-    assert Verifier([key], oldest=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
+    assert Verifier([key], max_age=120.0, transit=100.0).objection("a", b"x", codes[61]) == ""
 
 
 @pytest.mark.extended

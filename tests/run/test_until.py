@@ -51,7 +51,7 @@ COLUMNS = ("speed", "winding_temperature")
     ],
 )
 def test_a_condition_is_what_it_says(text: str, values: tuple[float, ...], expected: bool) -> None:
-    assert parse_condition(text).over(COLUMNS)(values) is expected
+    assert parse_condition(text).bind(COLUMNS)(values) is expected
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_what_is_no_condition_is_refused(text: str) -> None:
 
 def test_a_signal_that_is_not_there_is_named() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'speed'"):
-        parse_condition("sped < 1").over(COLUMNS)
+        parse_condition("sped < 1").bind(COLUMNS)
 
 
 @pytest.mark.parametrize(

@@ -186,7 +186,7 @@ duration = 5.0
         values = [0.0] * len(stream.columns())
         values[place] = ball
         clock.advance(t_ns, values)
-        return controller.requested(clock.elapsed, values, waiting=clock.is_waiting)["servo_angle"]
+        return controller.setpoints(clock.elapsed, values, waiting=clock.is_waiting)["servo_angle"]
 
     clock.start(0)
     assert at(0, 0.12) == pytest.approx(-0.7)

@@ -18,7 +18,7 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable
 
 from labhil.bus.latch import read_latch
-from labhil.bus.register import running
+from labhil.bus.register import registered_processes
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 from labhil.tui.app import LabApp
@@ -151,7 +151,7 @@ def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_sto
         "finished",
     ]
     assert "safe" in kinds(recording, "bench")
-    assert running() == ()
+    assert registered_processes() == ()
 
 
 @pytest.mark.extended
@@ -227,7 +227,7 @@ def test_however_the_screen_ends_the_run_ends_too_and_a_crash_is_a_failure(
         screen.send_signal(how)
         screen.wait(PATIENCE)
         wait(lambda: any(bench.glob("*.mcap")))
-        wait(lambda: running() == ())
+        wait(lambda: registered_processes() == ())
     finally:
         screen.kill()
         screen.wait()
@@ -245,7 +245,7 @@ def press_start(screen: int) -> bool:
     for key in (b"3", b"\r"):
         os.write(screen, key)
         time.sleep(1.0)
-    return any(entry.kind == "run" for entry in running())
+    return any(entry.kind == "run" for entry in registered_processes())
 
 
 def wait(condition: Callable[[], object]) -> None:

@@ -22,7 +22,7 @@ import psutil
 import pytest
 
 from labhil.bus.latch import read_latch
-from labhil.bus.register import running
+from labhil.bus.register import registered_processes
 from labhil.recording.reader import read_recording
 from labhil.service.emergency import release_everywhere
 
@@ -282,7 +282,7 @@ def test_a_run_ends_in_order_with_its_page(tmp_path: Path, how: str) -> None:
 
         in_page(address, talk)
         asyncio.run(until(lambda: any(tmp_path.glob("*.mcap"))))
-        asyncio.run(until(lambda: running() == ()))
+        asyncio.run(until(lambda: registered_processes() == ()))
     (path,) = tmp_path.glob("*.mcap")
     end = read_recording(path).metadata["end"]
     assert "terminal UI" in end["reason"]

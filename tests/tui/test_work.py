@@ -17,7 +17,7 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, OptionList, Static
 
-from labhil.bus.register import running
+from labhil.bus.register import registered_processes
 from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Notice
@@ -217,7 +217,7 @@ def test_connect_shows_a_bus_that_does_not_announce_itself_and_stops_its_devices
     assert service.stdout is not None
     try:
         endpoint = service.stdout.readline().strip()
-        assert running() == ()
+        assert registered_processes() == ()
 
         async def drive(pilot: Pilot[None], app: LabApp) -> None:
             await until(pilot, lambda: [view.name for _, view in app.lab.devices()] == ["far"])

@@ -98,12 +98,12 @@ def test_what_is_not_fitted_is_absent(kind):
     driver = DRIVERS[kind]("nowhere")
     hello = told(driver, kind)
     spec = driver.rig.spec_of(hello)
-    assert driver.rig.complaint(hello) == ""
+    assert driver.rig.mismatch(hello) == ""
     assert set(spec.stream.names()) == set(driver.spec.stream.names()) - driver.rig.optional
     assert spec.stream.rate == 250.0
     raw = np.full((1, spec.stream.width), 12, dtype=np.uint16)
     np.testing.assert_array_equal(Scaler(driver.rig, hello).values(raw), 1.0)
-    assert driver.rig.complaint(told(driver, "ball_beam")).startswith(f"expected the device '{kind}'")
+    assert driver.rig.mismatch(told(driver, "ball_beam")).startswith(f"expected the device '{kind}'")
 
 
 def test_a_channel_that_must_be_there_is_missed():
@@ -111,8 +111,8 @@ def test_a_channel_that_must_be_there_is_missed():
     without = Hello(
         1, (1, 0, 0), "dc_motor", "", 1, 2, 100.0, 1.0, (ChannelScale(0.0, 0.0), *hello.channels[1:])
     )
-    assert "expected the channel speed" in MOTOR.complaint(without)
-    assert "expected 5 channels" in SOLENOID.complaint(
+    assert "expected the channel speed" in MOTOR.mismatch(without)
+    assert "expected 5 channels" in SOLENOID.mismatch(
         Hello(1, (1, 0, 0), "solenoid", "", 1, 2, 100.0, 1.0, hello.channels[:2])
     )
 

@@ -176,9 +176,9 @@ def test_faults_by_a_line() -> None:
                 while True:
                     client.doubles()
         deadline = time.monotonic() + 5.0
-        while "done: truncate" not in twin.complaint() and time.monotonic() < deadline:
+        while "done: truncate" not in twin.last_error() and time.monotonic() < deadline:
             time.sleep(0.05)
-        assert "done: truncate" in twin.complaint()
+        assert "done: truncate" in twin.last_error()
 
 
 @pytest.mark.extended

@@ -31,7 +31,7 @@ def running_twin(host: str, *arguments: str) -> Iterator[Child]:
     command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", host, *arguments]
     with Child("the twin", command) as twin:
         said = twin.line(START)
-        assert said == host, (said, twin.complaint())
+        assert said == host, (said, twin.last_error())
         yield twin
 
 

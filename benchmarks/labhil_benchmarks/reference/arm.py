@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from labhil.experiment.excitation import fourier, motion
+from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS
 from labhil.physics.model import Record
 from labhil.plants.arm import ArmPlant
@@ -58,7 +58,7 @@ def _run(truth: Mapping[str, float], seed: int) -> Record:
         low, high, SPEED, ACCELERATION, BASE, DURATION, harmonics=HARMONICS, centre=CENTRE, seed=seed
     )
     t: FloatArray = PERIOD * np.arange(round(DURATION / PERIOD), dtype=np.float64)
-    seen = plant.follow(*motion(series, t))
+    seen = plant.follow(*evaluate_motion(series, t))
     return _record(seen.t, seen.actual_q, seen.actual_qd, seen.actual_current)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labhil.experiment.excitation import fourier, motion
+from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
@@ -67,7 +67,7 @@ def follow(terms: Sequence[str], values: Overrides, seed: int) -> Record:
         harmonics=7, centre=tuple(CENTRE), seed=seed,
     )  # fmt: skip
     t: FloatArray = PERIOD * np.arange(round(DURATION / PERIOD), dtype=np.float64)
-    seen = plant.follow(*motion(series, t))
+    seen = plant.follow(*evaluate_motion(series, t))
     per_joint = range(JOINTS)
     return Record(
         t=seen.t,

@@ -72,7 +72,7 @@ class Helper:
         deadline = time.monotonic() + LISTEN
         while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
             time.sleep(0.01)
-        complaint = self._child.complaint()
+        complaint = self._child.last_error()
         self._thread.end()
         self._ended.set()
         self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})

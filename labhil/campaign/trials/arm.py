@@ -12,7 +12,7 @@ from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.secret import Drawn, Secret, Walk
 from labhil.campaign.trials.sizes import draw_size, power_of, spread
 from labhil.errors import UsageError
-from labhil.experiment.excitation import fourier, motion
+from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS, KINDS
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
@@ -265,7 +265,7 @@ class ArmSetup:
         t: FloatArray = conditions.period * np.arange(
             round(conditions.duration / conditions.period), dtype=np.float64
         )
-        plan = motion(series, t)
+        plan = evaluate_motion(series, t)
         seen = self._plant(secret, measured, which).follow(*plan)
         signals = {signal.name: getattr(seen, signal.name) for signal in self.signals}
         return Walk(seen.t, plan[0], signals)

@@ -1,9 +1,9 @@
 """Trajectories of an arm's joints as Fourier series that begin and end at rest.
 
 Every joint moves on q(t) = ``centre`` + Σ_k a_k/(kω)·sin(kωt) − b_k/(kω)·cos(kωt), ω = 2π times the base
-frequency (Swevers et al. 1997: periodic, band-limited, velocities and accelerations known exactly). Here
-Σ a_k = 0, Σ k·b_k = 0 and Σ b_k/k = 0, so that velocity and acceleration vanish and the joint stands at
-``centre`` whenever a period begins: a robot can be brought there before, and stops there after.
+frequency (Swevers et al. 1997: periodic, band-limited, with exact velocities and accelerations). Here
+Σ a_k = 0, Σ k·b_k = 0 and Σ b_k/k = 0, so that the joint rests at ``centre`` with zero acceleration at every
+beginning of a period, which is where a robot can be brought before the run and stops after it.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ import numpy as np
 from labhil.experiment.excitation.function import Excitations, Seed
 from labhil.signals import FloatArray
 
-FEWEST_HARMONICS = 3
-"""Fewer leave no cosine that meets both of its conditions."""
-POINTS_PER_HARMONIC = 64
-WHOLE = 1e-6
-"""How near to a whole number of periods a duration must be."""
+MIN_HARMONICS = 3
+"""With fewer no cosine coefficients meet both of their conditions."""
+REST_TOLERANCE = 1e-6
+"""Relative tolerance of whole numbers of periods, and of zero velocity and acceleration where they begin."""
 ROUNDING = 1 - 1e-9
+"""Factor on a scaled trajectory that keeps rounding from passing a limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class FourierSeries:
-    """One joint's trajectory; ``sine`` are the a_k and ``cosine`` the b_k in unit/s, k = 1, 2, …"""
+    """The trajectory of one joint; ``sine`` are the a_k and ``cosine`` the b_k in unit/s, k = 1, 2, …"""
 
     centre: float
     base_frequency: float
@@ -44,7 +44,7 @@ class FourierSeries:
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """What one joint may do: ``low`` to ``high`` around ``centre``, ``speed``, ``acceleration``; SI units."""
+    """Limits of one joint: ``low`` to ``high`` around ``centre``, ``speed``, ``acceleration``; SI units."""
 
     low: float
     high: float
@@ -76,11 +76,24 @@ def fourier(
 ) -> Excitations | FourierSeries:
     """Return Fourier series for as many joints as the longest list has values; one where there is none.
 
-    Coefficients are drawn with ``seed``, brought to rest at the ends, and scaled so that each joint
-    reaches the first of its limits: positions ``low`` to ``high`` (unit), ``speed`` (unit/s),
-    ``acceleration`` (unit/s²). ``sine`` and ``cosine``, a list for each joint, are taken as they are,
-    and refused when they break a limit or do not begin at rest. ``duration`` (s) is whole periods of
-    ``base_frequency`` (Hz). Raises ValueError.
+    Random coefficients are projected so that the joints begin and end at rest, and scaled so that each joint
+    reaches the first of its limits.
+
+    Args:
+        low: Lowest position, one number or one per joint, in the unit of the joint.
+        high: Highest position.
+        speed: Highest speed, unit/s.
+        acceleration: Highest acceleration, unit/s².
+        base_frequency: Frequency of the first harmonic, Hz.
+        duration: Duration, s: a whole number of periods.
+        harmonics: Number of harmonics.
+        centre: Position at rest; the middle between ``low`` and ``high`` by default.
+        sine: Coefficients a_k, a list for each joint, that replace the random ones.
+        cosine: Coefficients b_k, likewise.
+        seed: Seed of the random coefficients.
+
+    Raises:
+        ValueError: Coefficients break a limit or do not begin at rest, or an argument is out of range.
     """
     _check_periods(base_frequency, duration)
     limits = _limits(low, high, speed, acceleration, centre)
@@ -89,16 +102,24 @@ def fourier(
     if sine is not None and cosine is not None:
         joints = _from_coefficients(limits, base_frequency, sine, cosine)
     else:
-        joints = _draw(limits, base_frequency, harmonics, seed)
+        joints = _draw_series(limits, base_frequency, harmonics, seed)
     return joints[0] if len(joints) == 1 else Excitations(joints)
 
 
-def motion(
+def evaluate_motion(
     joints: Excitations | FourierSeries, t: Sequence[float] | FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return positions, velocities and accelerations (n, joints) at the times ``t`` (n,) in s.
+    """Evaluate Fourier series and their derivatives.
 
-    TypeError for an excitation that is no Fourier series.
+    Args:
+        joints: The series of one joint or of several.
+        t: Times (n,), s.
+
+    Returns:
+        Positions, velocities and accelerations, each (n, joints).
+
+    Raises:
+        TypeError: An excitation is no Fourier series.
     """
     times = np.asarray(t, dtype=np.float64)
     parts = joints.columns if isinstance(joints, Excitations) else (joints,)
@@ -106,55 +127,55 @@ def motion(
     for part in parts:
         if not isinstance(part, FourierSeries):
             raise TypeError(f"expected Fourier series, found {type(part).__name__}")
-        q, qd, qdd = _motion(np.array(part.sine), np.array(part.cosine), part.base_frequency, times)
+        q, qd, qdd = _evaluate(np.array(part.sine), np.array(part.cosine), part.base_frequency, times)
         columns.append((part.centre + q, qd, qdd))
-    q, qd, qdd = (np.column_stack(kind) for kind in zip(*columns, strict=True))
+    q, qd, qdd = (np.column_stack(quantity) for quantity in zip(*columns, strict=True))
     return q, qd, qdd
 
 
-def _motion(
+def _evaluate(
     sine: FloatArray, cosine: FloatArray, base_frequency: float, t: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    rates = 2 * pi * base_frequency * np.arange(1, len(sine) + 1)
-    s, c = np.sin(np.outer(t, rates)), np.cos(np.outer(t, rates))
-    position = s @ (sine / rates) - c @ (cosine / rates)
-    return position, c @ sine + s @ cosine, c @ (cosine * rates) - s @ (sine * rates)
+    """Return position without the centre, velocity and acceleration, each (n,)."""
+    omegas = 2 * pi * base_frequency * np.arange(1, len(sine) + 1)
+    s, c = np.sin(np.outer(t, omegas)), np.cos(np.outer(t, omegas))
+    position = s @ (sine / omegas) - c @ (cosine / omegas)
+    return position, c @ sine + s @ cosine, c @ (cosine * omegas) - s @ (sine * omegas)
 
 
-def _extremes(
-    sine: FloatArray, cosine: FloatArray, base_frequency: float
+def _bounds(
+    sine: FloatArray, cosine: FloatArray, base_frequency: float, *, points_per_harmonic: int = 64
 ) -> tuple[float, float, float, float]:
-    """Bounds on lowest and highest excursion, speed and acceleration, over all time and not a grid alone.
+    """Bound lowest and highest excursion, speed and acceleration at all times, from values on a grid.
 
     A trigonometric polynomial of degree K that stays within M on N even points of its period stays
-    within M/cos(πK/N) everywhere (Ehlich and Zeller 1964); excursions to the two sides are separated
-    by their mean, of which the same is true.
+    within M/cos(πK/N) everywhere (Ehlich and Zeller 1964). The same holds for excursions about their mean.
     """
-    points = POINTS_PER_HARMONIC * len(sine)
+    points = points_per_harmonic * len(sine)
     t = np.arange(points) / (points * base_frequency)
-    beyond = 1 / cos(pi * len(sine) / points)
-    q, qd, qdd = _motion(sine, cosine, base_frequency, t)
-    middle, reach = (q.max() + q.min()) / 2, beyond * (q.max() - q.min()) / 2
-    fastest, hardest = beyond * np.abs(qd).max(), beyond * np.abs(qdd).max()
-    return float(middle - reach), float(middle + reach), float(fastest), float(hardest)
+    margin = 1 / cos(pi * len(sine) / points)
+    q, qd, qdd = _evaluate(sine, cosine, base_frequency, t)
+    middle, reach = (q.max() + q.min()) / 2, margin * (q.max() - q.min()) / 2
+    max_speed, max_acceleration = margin * np.abs(qd).max(), margin * np.abs(qdd).max()
+    return float(middle - reach), float(middle + reach), float(max_speed), float(max_acceleration)
 
 
-def _draw(
+def _draw_series(
     limits: Sequence[JointLimits], base_frequency: float, harmonics: int, seed: Seed
 ) -> tuple[FourierSeries, ...]:
-    if harmonics < FEWEST_HARMONICS:
-        raise ValueError(f"`harmonics` must be {FEWEST_HARMONICS} at least, found {harmonics}")
-    draw, k = np.random.default_rng(seed), np.arange(1, harmonics + 1)
+    if harmonics < MIN_HARMONICS:
+        raise ValueError(f"`harmonics` must be {MIN_HARMONICS} at least, found {harmonics}")
+    rng, k = np.random.default_rng(seed), np.arange(1, harmonics + 1)
     joints = []
     for limit in limits:
-        sine = _project_out(draw.standard_normal(harmonics), np.ones((1, harmonics)))
-        cosine = _project_out(draw.standard_normal(harmonics), np.stack([k, 1 / k]))
-        down, up, fastest, hardest = _extremes(sine, cosine, base_frequency)
+        sine = _project_out(rng.standard_normal(harmonics), np.ones((1, harmonics)))
+        cosine = _project_out(rng.standard_normal(harmonics), np.stack([k, 1 / k]))
+        lowest, highest, max_speed, max_acceleration = _bounds(sine, cosine, base_frequency)
         scale = ROUNDING * min(
-            (limit.high - limit.centre) / up,
-            (limit.low - limit.centre) / down,
-            limit.speed / fastest,
-            limit.acceleration / hardest,
+            (limit.high - limit.centre) / highest,
+            (limit.low - limit.centre) / lowest,
+            limit.speed / max_speed,
+            limit.acceleration / max_acceleration,
         )
         joints.append(_series(limit.centre, base_frequency, scale * sine, scale * cosine))
     return tuple(joints)
@@ -186,29 +207,31 @@ def _from_coefficients(
                 f"joint {joint}: `sine` and `cosine` need as many values, found {len(a)} and {len(b)}"
             )
         series = _series(limit.centre, base_frequency, np.array(a, float), np.array(b, float))
-        _refuse_beyond(joint, limit, series)
+        _check_limits(joint, limit, series)
         joints.append(series)
     return tuple(joints)
 
 
-def _refuse_beyond(joint: int, limit: JointLimits, series: FourierSeries) -> None:
+def _check_limits(joint: int, limit: JointLimits, series: FourierSeries) -> None:
+    """Raise ValueError for a series that breaks a limit or does not begin at rest."""
     a, b = np.array(series.sine), np.array(series.cosine)
-    down, up, fastest, hardest = _extremes(a, b, series.base_frequency)
-    reach = (
-        ("position", limit.centre + down, limit.low, limit.high),
-        ("position", limit.centre + up, limit.low, limit.high),
-        ("speed", fastest, 0.0, limit.speed),
-        ("acceleration", hardest, 0.0, limit.acceleration),
+    lowest, highest, max_speed, max_acceleration = _bounds(a, b, series.base_frequency)
+    reached = (
+        ("position", limit.centre + lowest, limit.low, limit.high),
+        ("position", limit.centre + highest, limit.low, limit.high),
+        ("speed", max_speed, 0.0, limit.speed),
+        ("acceleration", max_acceleration, 0.0, limit.acceleration),
     )
-    for name, value, lowest, highest in reach:
-        if not lowest <= value <= highest:
-            raise ValueError(
-                f"joint {joint}: {name} reaches {value:.4g}, its limits are {lowest:g} to {highest:g}"
-            )
+    for name, value, low, high in reached:
+        if not low <= value <= high:
+            raise ValueError(f"joint {joint}: {name} reaches {value:.4g}, its limits are {low:g} to {high:g}")
     k = np.arange(1, len(a) + 1)
-    sums = (("velocity", abs(a.sum()), fastest), ("acceleration", abs(float(k @ b)), float(k @ np.abs(b))))
-    for name, value, scale in sums:
-        if value > WHOLE * scale:
+    at_rest = (
+        ("velocity", abs(a.sum()), max_speed),
+        ("acceleration", abs(float(k @ b)), float(k @ np.abs(b))),
+    )
+    for name, value, scale in at_rest:
+        if value > REST_TOLERANCE * scale:
             raise ValueError(
                 f"joint {joint}: its {name} is not zero where the period begins: expected "
                 "Σ sine = 0 and Σ k·cosine = 0"
@@ -219,7 +242,8 @@ def _check_periods(base_frequency: float, duration: float) -> None:
     if not 0 < base_frequency < inf:
         raise ValueError(f"`base_frequency` must be a positive number of Hz, found {base_frequency:g}")
     periods = duration * base_frequency
-    if not (isfinite(periods) and round(periods) >= 1 and abs(periods - round(periods)) <= WHOLE * periods):
+    whole_periods = round(periods) if isfinite(periods) else 0
+    if not (whole_periods >= 1 and abs(periods - whole_periods) <= REST_TOLERANCE * periods):
         raise ValueError(
             f"`duration` must be whole periods of {1 / base_frequency:g} s, for the joints to be at rest "
             f"at the end; found {duration:g} s"
@@ -233,10 +257,10 @@ def _limits(
     acceleration: float | Sequence[float],
     centre: float | Sequence[float] | None,
 ) -> tuple[JointLimits, ...]:
-    stated = {"low": low, "high": high, "speed": speed, "acceleration": acceleration}
+    given = {"low": low, "high": high, "speed": speed, "acceleration": acceleration}
     if centre is not None:
-        stated["centre"] = centre
-    rows = {name: [v] if isinstance(v, (int, float)) else list(v) for name, v in stated.items()}
+        given["centre"] = centre
+    rows = {name: [v] if isinstance(v, (int, float)) else list(v) for name, v in given.items()}
     width = max(len(row) for row in rows.values())
     for name, row in rows.items():
         if len(row) not in (1, width):

@@ -1,4 +1,4 @@
-"""Levels that are held: steps, staircases, random ones, and a single one."""
+"""Piecewise constant excitations: steps, staircases, random levels, and a constant."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import numpy as np
 
 from labhil.experiment.excitation.function import Seed
 
-MOST_HOLDS = 10_000_000
-
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """``levels`` one after another, each held for ``dwell`` s, and again from the first."""
+    """``levels`` one after another, each held for ``dwell`` s, repeated from the first."""
 
     levels: tuple[float, ...]
     dwell: float
@@ -27,7 +25,7 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """One value, ``level``, all the time."""
+    """The constant ``level``."""
 
     level: float
 
@@ -47,59 +45,60 @@ def steps(levels: Sequence[float], dwell: float) -> Steps:
 def staircase(low: float, high: float, count: int, dwell: float) -> Steps:
     """Return ``count`` even levels from ``low`` up to ``high`` and down again, each held for ``dwell`` s.
 
-    Both ways, so that what depends on the direction shows; the two ends are held once a turn.
+    It goes both ways so that effects of the direction show; the lowest and the highest level are held once
+    per cycle.
     """
-    up = _ladder(low, high, count)
+    up = _even_levels(low, high, count)
     check_dwell(dwell)
     return Steps((*up, *up[-2:0:-1]), dwell)
 
 
 def hold(level: float) -> Hold:
-    """Return one value for the whole step."""
+    """Return a constant for the whole step."""
     return Hold(level)
 
 
 def prms(low: float, high: float, count: int, dwell: float, duration: float, seed: Seed = 0) -> Steps:
     """Return a pseudo-random multilevel sequence that lasts ``duration`` s at least.
 
-    ``count`` even levels between ``low`` and ``high``, each held for ``dwell`` s. They come in rounds:
-    each round holds every level once, in an order of its own, so that even a short sequence visits the
-    whole range (drawing each anew would leave out every third level of a first round).
+    It has ``count`` even levels between ``low`` and ``high``, each held for ``dwell`` s. Every round of
+    ``count`` holds is a random permutation of the levels, so that even a short sequence covers the whole
+    range (independent draws would miss a third of the levels in the first round).
     """
-    ladder = np.array(_ladder(low, high, count))
+    levels = np.array(_even_levels(low, high, count))
     check_dwell(dwell)
-    holds = holds_in(duration, dwell)
-    draw = np.random.default_rng(seed)
-    rounds = [draw.permutation(ladder) for _ in range(ceil(holds / count))]
-    return Steps(tuple(np.concatenate(rounds)[:holds].tolist()), dwell)
+    n_holds = count_holds(duration, dwell)
+    rng = np.random.default_rng(seed)
+    rounds = [rng.permutation(levels) for _ in range(ceil(n_holds / count))]
+    return Steps(tuple(np.concatenate(rounds)[:n_holds].tolist()), dwell)
 
 
-def holds_in(duration: float, dwell: float) -> int:
-    """Return how many holds of ``dwell`` s fill ``duration`` s; ValueError when they are too many."""
+def count_holds(duration: float, dwell: float, *, max_holds: int = 10_000_000) -> int:
+    """Count the holds of ``dwell`` s that fill ``duration`` s; ValueError for more than ``max_holds``."""
     if not 0 < duration < inf:
         raise ValueError(f"`duration` must be positive, found {duration:g}")
-    holds = ceil(duration / dwell)
-    if holds > MOST_HOLDS:
+    n_holds = ceil(duration / dwell)
+    if n_holds > max_holds:
         raise ValueError(
-            f"`dwell` of {dwell:g} s makes {holds} holds in {duration:g} s; at most {MOST_HOLDS}"
+            f"`dwell` of {dwell:g} s makes {n_holds} holds in {duration:g} s; at most {max_holds}"
         )
-    return holds
+    return n_holds
 
 
 def check_dwell(dwell: float) -> None:
-    """Raise ValueError for a hold time (s) that is none."""
+    """Raise ValueError unless a hold time (s) is positive and finite."""
     if not 0 < dwell < inf:
         raise ValueError(f"`dwell` must be positive, found {dwell:g}")
 
 
-def check_ends(low: float, high: float) -> None:
+def check_order(low: float, high: float) -> None:
     """Raise ValueError unless ``low`` is below ``high``."""
     if not low < high:
         raise ValueError(f"`low` must be smaller than `high`, found {low:g} and {high:g}")
 
 
-def _ladder(low: float, high: float, count: int) -> tuple[float, ...]:
-    check_ends(low, high)
+def _even_levels(low: float, high: float, count: int) -> tuple[float, ...]:
+    check_order(low, high)
     if count < 2:
         raise ValueError(f"`count` must be two levels at least, found {count}")
     return tuple(float(level) for level in np.linspace(low, high, count))

@@ -1,4 +1,4 @@
-"""From the settings of an experiment file's step to its excitation."""
+"""Building the excitation of a step from its keys in the experiment file; :data:`EXCITATIONS` lists all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from labhil.experiment.excitation.fourier import fourier
 from labhil.experiment.excitation.function import Excitation, Excitations, Seed
 from labhil.experiment.excitation.levels import Steps, hold, prms, staircase, steps
 from labhil.experiment.excitation.shift_register import prbs
-from labhil.experiment.excitation.table import Between, file
+from labhil.experiment.excitation.table import Between, read_table
 from labhil.experiment.excitation.tones import PhaseRule, Sweep, chirp, multisine, two_sine
 
 Numbers = tuple[float, ...]
@@ -20,7 +20,7 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True)
 class ExcitationKeys:
-    """The settings of an experiment file's step that shape an excitation; None where not given."""
+    """The keys of a step in the experiment file that shape its excitation; None where not given."""
 
     frequencies: Numbers | None = None
     amplitude: float | Numbers | None = None
@@ -47,9 +47,9 @@ class ExcitationKeys:
     seed: int | None = None
 
     def given(self) -> dict[str, Any]:
-        """Return what was given, by name."""
-        named = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: value for name, value in named.items() if value is not None}
+        """Return the keys that were given, with their values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if value is not None}
 
 
 def _steps(
@@ -71,20 +71,23 @@ def _steps(
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What makes an excitation, and of what.
+    """How to make one kind of excitation.
 
-    The keys that it ``needs``, those that it can do ``without``, and what of its surroundings it
-    ``takes`` (``duration``, ``seed``, ``directory``).
+    Attributes:
+        make: The function that makes it; takes the keys below by name.
+        required: Keys of the step that it needs.
+        optional: Keys of the step that it also takes.
+        context: What it needs to know of the step itself: ``duration``, ``seed``, ``directory``.
     """
 
     make: Callable[..., Excitation | Excitations]
-    needs: tuple[str, ...]
-    without: tuple[str, ...] = ()
-    takes: tuple[str, ...] = ()
+    required: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    context: tuple[str, ...] = ()
 
-    def understood(self) -> tuple[str, ...]:
-        """Return the keys of a step that it understands."""
-        return self.needs + self.without + (("seed",) if "seed" in self.takes else ())
+    def known_keys(self) -> tuple[str, ...]:
+        """Return all keys of a step that it takes."""
+        return self.required + self.optional + (("seed",) if "seed" in self.context else ())
 
 
 EXCITATIONS: Mapping[str, Recipe] = {
@@ -103,41 +106,48 @@ EXCITATIONS: Mapping[str, Recipe] = {
         ("duration", "seed"),
     ),
     "hold": Recipe(hold, ("level",)),
-    "file": Recipe(file, ("path",), ("between",), ("directory",)),
+    "file": Recipe(read_table, ("path",), ("between",), ("directory",)),
 }
-"""How each is made, by name."""
+"""The recipe of each excitation, by name."""
 
-SCALAR = {"low": ("prbs", "prms", "steps"), "high": ("prbs", "prms", "steps")}
-"""Keys that may be a list, but not for these."""
+SCALAR_KEYS = {"low": ("prbs", "prms", "steps"), "high": ("prbs", "prms", "steps")}
+"""Keys that are lists for other excitations, and single numbers for these."""
 
 
 def make_excitation(
     name: str, keys: ExcitationKeys, duration: float, seed: Seed = 0, directory: Path = Path()
 ) -> Excitation | Excitations:
-    """Build the excitation ``name`` for a step of ``duration`` s.
+    """Build the excitation of a step.
 
-    ``seed`` begins what is drawn unless the keys hold one of their own; paths are relative to
-    ``directory``. Raises UnknownNameError, with the names there are, and ValueError for a setting that
-    is missing, does not belong to this excitation, or has a wrong value.
+    Args:
+        name: One of :data:`EXCITATIONS`.
+        keys: The keys of the step.
+        duration: Duration of the step, s.
+        seed: Seed of random values, unless ``keys`` have their own.
+        directory: Where relative paths begin.
+
+    Raises:
+        UnknownNameError: There is no such excitation; the message lists them.
+        ValueError: A key is missing, does not belong to this excitation, or has a wrong value.
     """
     given = check_keys(name, keys)
     recipe = EXCITATIONS[name]
-    around = {"duration": duration, "seed": given.pop("seed", seed), "directory": directory}
-    return recipe.make(**given, **{key: around[key] for key in recipe.takes})
+    context = {"duration": duration, "seed": given.pop("seed", seed), "directory": directory}
+    return recipe.make(**given, **{key: context[key] for key in recipe.context})
 
 
 def check_keys(name: str, keys: ExcitationKeys) -> dict[str, Any]:
-    """Return the keys given for the excitation ``name``; raises as :func:`make_excitation` does."""
+    """Return the keys given for the excitation ``name``; raises what :func:`make_excitation` raises."""
     if name not in EXCITATIONS:
         raise UnknownNameError("excitation", name, EXCITATIONS)
     recipe, given = EXCITATIONS[name], keys.given()
-    for key in recipe.needs:
+    for key in recipe.required:
         if key not in given:
             raise ValueError(f"excitation {name!r} needs the key `{key}`")
     for key, value in given.items():
-        if key not in recipe.understood():
-            takes = ", ".join(recipe.understood())
-            raise ValueError(f"excitation {name!r} has no key `{key}`; it takes: {takes}")
-        if name in SCALAR.get(key, ()) and not isinstance(value, (int, float)):
+        if key not in recipe.known_keys():
+            known = ", ".join(recipe.known_keys())
+            raise ValueError(f"excitation {name!r} has no key `{key}`; it takes: {known}")
+        if name in SCALAR_KEYS.get(key, ()) and not isinstance(value, (int, float)):
             raise ValueError(f"`{key}` of {name} must be one number, found {len(value)}")
     return given

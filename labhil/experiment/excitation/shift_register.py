@@ -1,4 +1,4 @@
-"""Pseudo-random binary sequences from a shift register with feedback."""
+"""Pseudo-random binary sequences from a linear feedback shift register."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labhil.experiment.excitation.function import Seed
-from labhil.experiment.excitation.levels import Steps, check_dwell, check_ends, holds_in
+from labhil.experiment.excitation.levels import Steps, check_dwell, check_order, count_holds
 
 TAPS: Mapping[int, tuple[int, ...]] = {
     2: (2, 1),
@@ -31,15 +31,22 @@ TAPS: Mapping[int, tuple[int, ...]] = {
     19: (19, 18, 17, 14),
     20: (20, 17),
 }
-"""By the register's length, the stages whose sum modulo 2 is fed back: with these it takes on every state
-but zero before it repeats (primitive polynomials over GF(2), as in the usual tables)."""
-SHORTEST_BY_ITSELF = 5
+"""Feedback taps by the number of stages: their sum modulo 2 is fed back, and the register then takes every
+state but zero before it repeats (primitive polynomials over GF(2), as in the usual tables)."""
 
 
 def maximum_length_sequence(stages: int, start: int = 1) -> NDArray[np.bool_]:
-    """Return one period, (2^``stages`` − 1,), of the sequence that begins at the state ``start``.
+    """Return one period of a maximum-length sequence.
 
-    ``start`` is 1 … 2^``stages`` − 1. Another start gives the same sequence, shifted.
+    Args:
+        stages: Stages of the shift register.
+        start: Initial state, 1 … 2^stages − 1. Another state gives the same sequence, shifted.
+
+    Returns:
+        Bits (2^stages − 1,).
+
+    Raises:
+        ValueError: ``stages`` or ``start`` is out of range.
     """
     if stages not in TAPS:
         raise ValueError(f"`stages` must be {min(TAPS)} to {max(TAPS)} stages, found {stages}")
@@ -56,20 +63,34 @@ def maximum_length_sequence(stages: int, start: int = 1) -> NDArray[np.bool_]:
 
 
 def prbs(
-    low: float, high: float, dwell: float, duration: float, stages: int | None = None, seed: Seed = 0
+    low: float,
+    high: float,
+    dwell: float,
+    duration: float,
+    stages: int | None = None,
+    seed: Seed = 0,
+    *,
+    min_stages: int = 5,
 ) -> Steps:
     """Return a pseudo-random binary sequence between two levels, each bit held for ``dwell`` s.
 
-    A maximum-length sequence of a register of so many ``stages``; without it, of the shortest whose
-    period, (2^stages − 1)·``dwell``, lasts for ``duration`` s. ``seed`` says where in its period it
-    begins. Over a whole period ``high`` is held once more often than ``low``, the autocorrelation is
-    −1/(2^stages − 1) at every other lag, and the power is flat up to about 0.44/``dwell`` Hz (−3 dB).
+    Over a whole period ``high`` is held once more often than ``low``, the normalised autocorrelation is
+    −1/(2^stages − 1) at every lag but zero, and the power is flat up to about 0.44/``dwell`` Hz (−3 dB).
+
+    Args:
+        low: Lower level.
+        high: Upper level.
+        dwell: Duration of a bit, s.
+        duration: Duration of the step, s.
+        stages: Stages of the shift register; without them the shortest whose period,
+            (2^stages − 1)·``dwell``, lasts for ``duration`` is taken.
+        seed: Seed of the place in the period at which the sequence begins.
+        min_stages: Fewest stages that are taken where ``stages`` is not given.
     """
-    check_ends(low, high)
+    check_order(low, high)
     check_dwell(dwell)
     if stages is None:
-        enough = (holds_in(duration, dwell)).bit_length()
-        stages = min(max(enough, SHORTEST_BY_ITSELF), max(TAPS))
+        stages = min(max(count_holds(duration, dwell).bit_length(), min_stages), max(TAPS))
     elif stages not in TAPS:
         raise ValueError(f"`stages` must be {min(TAPS)} to {max(TAPS)} stages, found {stages}")
     start = int(np.random.default_rng(seed).integers(1, 2**stages))

@@ -1,4 +1,4 @@
-"""Sines: two of them, many at once, and one that sweeps."""
+"""Sinusoidal excitations: two sines, a multisine, and a chirp."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Sweep = Literal["linear", "logarithmic"]
 
 @dataclass(frozen=True, slots=True)
 class Tones:
-    """A sum of sines: Σ ``amplitudes``·sin(2π·``frequencies``·t + ``phases``) + ``offset``; Hz and rad."""
+    """A multisine: Σ ``amplitudes``·sin(2π·``frequencies``·t + ``phases``) + ``offset``; Hz and rad."""
 
     frequencies: tuple[float, ...]
     amplitudes: tuple[float, ...]
@@ -35,10 +35,10 @@ class Tones:
 
 @dataclass(frozen=True, slots=True)
 class Chirp:
-    """A sine whose frequency goes from ``start`` to ``stop`` Hz in ``duration`` s, then on as it was going.
+    """A sine whose frequency sweeps from ``start`` to ``stop`` Hz in ``duration`` s, and on at that pace.
 
-    ``sweep`` "linear" passes every Hz, "logarithmic" every octave, in the same time. With
-    ``there_and_back`` it arrives after half of ``duration`` and goes back the way it came.
+    A "linear" ``sweep`` passes every Hz in the same time, a "logarithmic" one every octave. With
+    ``there_and_back`` it arrives after half of ``duration`` and returns in the other half.
     """
 
     start: float
@@ -52,17 +52,18 @@ class Chirp:
 
     def __call__(self, t: float) -> float:
         """Return the value at time ``t`` s."""
-        return self.offset + self.amplitude * sin(2 * pi * self._turns(t) + self.phase)
+        return self.offset + self.amplitude * sin(2 * pi * self._cycles(t) + self.phase)
 
-    def _turns(self, t: float) -> float:
+    def _cycles(self, t: float) -> float:
+        """Return the phase at time ``t`` s, in cycles."""
         if not self.there_and_back:
-            return self._one_way(t, self.duration)
+            return self._sweep_cycles(t, self.duration)
         half = self.duration / 2
         if t <= half:
-            return self._one_way(t, half)
-        return 2 * self._one_way(half, half) - self._one_way(2 * half - t, half)
+            return self._sweep_cycles(t, half)
+        return 2 * self._sweep_cycles(half, half) - self._sweep_cycles(2 * half - t, half)
 
-    def _one_way(self, t: float, duration: float) -> float:
+    def _sweep_cycles(self, t: float, duration: float) -> float:
         ratio = self.stop / self.start
         if self.sweep == "linear" or ratio == 1.0:
             return self.start * t + (self.stop - self.start) * t * t / (2 * duration)
@@ -75,10 +76,10 @@ def two_sine(
     phases: Sequence[float] | None = None,
     offset: float = 0.0,
 ) -> Tones:
-    """Return the sum of two sines, both starting at zero unless ``phases`` (rad) says otherwise."""
+    """Return the sum of two sines, both starting at zero unless ``phases`` (rad) are given."""
     if len(frequencies) != 2:
         raise ValueError(f"`frequencies` has {len(frequencies)} values; two_sine takes two")
-    return _tones(frequencies, amplitude, _numbers("two_sine", phases) or (0.0, 0.0), offset)
+    return _make_tones(frequencies, amplitude, _explicit_phases("two_sine", phases) or (0.0, 0.0), offset)
 
 
 def multisine(
@@ -89,10 +90,16 @@ def multisine(
     duration: float = inf,
     seed: Seed = 0,
 ) -> Tones:
-    """Return a sum of sines (Hz).
+    """Return a multisine: a sum of sines.
 
-    ``phases`` are rad, one each, or a rule: "schroeder" in closed form, "low_crest" improved from
-    there so that the peak within ``duration`` s is low for the power, "random" drawn.
+    Args:
+        frequencies: Frequencies of the tones, Hz.
+        amplitude: Amplitude of all tones, or one each.
+        phases: Phases, rad, one each, or a rule: "schroeder" (closed form), "low_crest" (improved from there
+            for a low crest factor within ``duration``), or "random".
+        offset: Constant that is added.
+        duration: Duration of the step, s.
+        seed: Seed of random phases.
     """
     _check_frequencies(frequencies)
     amplitudes = _one_per_tone(amplitude, len(frequencies), "amplitude")
@@ -101,13 +108,13 @@ def multisine(
     elif phases == "schroeder":
         phases = schroeder_phases(amplitudes)
     elif phases == "random":
-        drawn = np.random.default_rng(seed).uniform(-pi, pi, len(frequencies))
-        phases = tuple(float(phase) for phase in drawn)
+        random_phases = np.random.default_rng(seed).uniform(-pi, pi, len(frequencies))
+        phases = tuple(float(phase) for phase in random_phases)
     elif isinstance(phases, str):
         raise ValueError(
             f"`phases` must be numbers (rad), 'low_crest', 'schroeder' or 'random', found {phases!r}"
         )
-    return _tones(frequencies, amplitudes, phases, offset)
+    return _make_tones(frequencies, amplitudes, phases, offset)
 
 
 def chirp(
@@ -127,14 +134,14 @@ def chirp(
         raise ValueError(f"`duration` must be positive, found {duration:g}")
     if sweep not in ("linear", "logarithmic"):
         raise ValueError(f"`sweep` must be 'linear' or 'logarithmic', found {sweep!r}")
-    (phase,) = _one_per_tone(_numbers("chirp", phases) or 0.0, 1, "phases")
-    (height,) = _one_per_tone(amplitude, 1, "amplitude")
-    first, last = frequencies
-    return Chirp(first, last, height, duration, phase, offset, sweep, there_and_back)
+    (phase,) = _one_per_tone(_explicit_phases("chirp", phases) or 0.0, 1, "phases")
+    (scalar_amplitude,) = _one_per_tone(amplitude, 1, "amplitude")
+    start, stop = frequencies
+    return Chirp(start, stop, scalar_amplitude, duration, phase, offset, sweep, there_and_back)
 
 
-def _numbers(name: str, phases: PhaseRule | Sequence[float] | None) -> Sequence[float]:
-    """Phases as numbers, none when absent: a rule is for many tones."""
+def _explicit_phases(name: str, phases: PhaseRule | Sequence[float] | None) -> Sequence[float]:
+    """Return phases that are numbers, none when absent; a rule only makes sense for many tones."""
     if phases is None:
         return ()
     if not isinstance(phases, str):
@@ -142,7 +149,7 @@ def _numbers(name: str, phases: PhaseRule | Sequence[float] | None) -> Sequence[
     raise ValueError(f"`phases` of {name} must be numbers (rad), found {phases!r}")
 
 
-def _tones(
+def _make_tones(
     frequencies: Sequence[float], amplitude: float | Sequence[float], phases: Sequence[float], offset: float
 ) -> Tones:
     _check_frequencies(frequencies)
