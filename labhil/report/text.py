@@ -21,7 +21,7 @@ from labhil.analysis.schema import (
 from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.diagnose.fault import FaultKind
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import group_undecided, joints_table, limits_by_joint
+from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.faults import fault_lines
 from labhil.report.html.quantity import NOTHING, quantity, squared
 from labhil.report.parameter_columns import COLUMNS, number_text, p_text

@@ -20,7 +20,7 @@ from textual.widgets.selection_list import Selection
 from labhil.campaign.studies.catalogue import MODULE, Catalogue
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
-from labhil.tui.words import duration
+from labhil.tui.formatting import duration
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 """How long the work may take, s."""

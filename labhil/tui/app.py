@@ -27,20 +27,20 @@ from labhil.tui.background import OUT_OF_DATE
 from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
-from labhil.tui.endings import end_in_order
+from labhil.tui.emergency_stop import EmergencyStop, StopButton
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
-from labhil.tui.lab import Session
+from labhil.tui.frame_limiter import FrameLimiter
+from labhil.tui.library_reader import ShelfReader
 from labhil.tui.live import LivePane
 from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
-from labhil.tui.pace import FrameLimiter
-from labhil.tui.pages import LabScreen, Pages
 from labhil.tui.palette import TABS, Palette, commands
+from labhil.tui.panes import LabScreen, Pages
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
-from labhil.tui.shelf_reader import ShelfReader
-from labhil.tui.stop import EmergencyStop, StopButton
+from labhil.tui.session import Session
+from labhil.tui.shutdown import end_in_order
 from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
 

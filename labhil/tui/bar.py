@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.text import Text
 
 from labhil.campaign.studies.jobs import Job
+from labhil.tui.formatting import RUN_STATES
 from labhil.tui.runner import Runner
-from labhil.tui.words import RUN_STATES
 
 
 def bar_text(folder: Path, runner: Runner, at_work: Sequence[Job], colours: dict[str, str]) -> Text:

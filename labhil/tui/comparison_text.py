@@ -12,8 +12,8 @@ from labhil.analysis.schema import ComparedModel, ComparisonPart, VerificationPa
 from labhil.physics.terms import keyed, listed
 from labhil.report.comparison import AGREE, comparison_basis, value_text
 from labhil.report.html.quantity import p_value, percent, quantity
+from labhil.tui.formatting import PlainTable
 from labhil.tui.result_text import next_steps_lines
-from labhil.tui.words import PlainTable
 
 Colours = dict[str, str]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from labhil.signals import FloatArray
 from labhil.tui.raster import ACROSS, DOWN, Raster
-from labhil.tui.ring import envelope, pieces
+from labhil.tui.ring_buffer import envelope, pieces
 from labhil.tui.ticks import Limits
 
 

@@ -10,11 +10,8 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
-from labhil.tui.lab import Session
-from labhil.tui.lists import LabTable
-from labhil.tui.pages import Backdrop
-from labhil.tui.watch import REPLAYED, Announcement, DeviceView
-from labhil.tui.words import (
+from labhil.tui.bus_watch import REPLAYED, Announcement, DeviceView
+from labhil.tui.formatting import (
     NOTHING,
     PlainTable,
     count,
@@ -24,6 +21,9 @@ from labhil.tui.words import (
     milliseconds,
     plain_grid,
 )
+from labhil.tui.lists import LabTable
+from labhil.tui.panes import Backdrop
+from labhil.tui.session import Session
 
 COLUMNS = (
     ("device", 10),

@@ -21,13 +21,13 @@ from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
 from labhil.tui.dialogs import Write
-from labhil.tui.lab import Session
+from labhil.tui.formatting import RUN_STATES, duration
 from labhil.tui.lists import LabOptions
 from labhil.tui.messages import StartRequested
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Backdrop
 from labhil.tui.recording_library import ExperimentFile, experiments
 from labhil.tui.runner import Runner
-from labhil.tui.words import RUN_STATES, duration
+from labhil.tui.session import Session
 
 BUTTONS: tuple[tuple[str, str, ButtonVariant], ...] = (
     ("start", "Start ⏎", "success"),

@@ -14,21 +14,21 @@ from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
 from labhil.signals import Direction, FloatArray
-from labhil.tui import lab as labs
+from labhil.tui import clock
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Place, Session
+from labhil.tui.formatting import duration
 from labhil.tui.lists import LabSelection
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Backdrop
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import models
-from labhil.tui.replaying import replay_line, steer
+from labhil.tui.replay_control import replay_line, steer
+from labhil.tui.session import Place, Session
 from labhil.tui.shadow import ShadowView
 from labhil.tui.stream_watch import trace
 from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits, limits_of
-from labhil.tui.words import duration
 
 WINDOWS = (2.0, 5.0, 10.0, 20.0, 60.0)
 MOST_CHARTS = 6
@@ -123,7 +123,7 @@ class LivePane(Horizontal, Backdrop):
         self._show_state()
         if self.frozen:
             return
-        now_ns = labs.clock_ns()
+        now_ns = clock.clock_ns()
         for number, (key, chart) in enumerate(self._charts.items()):
             place = self._places.get(key)  # a signal that has just gone has its chart until the next layout
             if place is not None and chart.is_attached:

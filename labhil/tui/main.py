@@ -9,7 +9,7 @@ from pathlib import Path
 
 from labhil.errors import UsageError
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil.tui.themes import DARK, LIGHT
 
 SWITCH_INTERVAL = 0.001

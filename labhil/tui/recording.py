@@ -20,10 +20,10 @@ from labhil.recording.recording import Recording, StreamData
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import PENS, Curve
 from labhil.tui.footer import KeyFooter
+from labhil.tui.formatting import count, duration, ended_look, frequency
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
 from labhil.tui.themes import CURVES
-from labhil.tui.words import count, duration, ended_look, frequency
 
 MOST_EVENTS = 40
 ROUTINE = "status"

@@ -16,12 +16,12 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
+from labhil.tui.formatting import count, duration, ended_look, size
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Backdrop
 from labhil.tui.recording import RecordingScreen
 from labhil.tui.recording_library import LibraryEntry, models
-from labhil.tui.words import count, duration, ended_look, size
 
 COLUMNS = (
     ("mark", "", 1),

@@ -21,10 +21,10 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import group_undecided, joints_table, limits_by_joint
+from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
 from labhil.report.parameter_columns import COLUMNS
-from labhil.tui.words import PlainTable
+from labhil.tui.formatting import PlainTable
 
 Colours = dict[str, str]
 

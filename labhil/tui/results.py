@@ -17,10 +17,11 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
+from labhil.tui.formatting import duration
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Backdrop
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, results
 from labhil.tui.result_files import (
@@ -34,7 +35,6 @@ from labhil.tui.result_files import (
     shorten,
 )
 from labhil.tui.studies import has_result
-from labhil.tui.words import duration
 
 EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
 

@@ -41,7 +41,7 @@ class Runner:
         self._number += 1
         number, on_line = self._number, self._on_line
         self._helper = Helper(
-            "the run", "labhil.tui.running", request, lambda line: on_line({**line, "number": number})
+            "the run", "labhil.tui.run_process", request, lambda line: on_line({**line, "number": number})
         )
 
     def ask(self, what: str, reason: str = "") -> None:

@@ -14,14 +14,14 @@ from textual.message import Message
 from textual.widgets import Static
 
 from labhil.campaign.studies.process import Helper
-from labhil.tui import lab as labs
+from labhil.tui import clock
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import Curve, Pen
-from labhil.tui.lab import Place
 from labhil.tui.plot import Chart
+from labhil.tui.session import Place
 from labhil.tui.shadow_state import Output, ShadowState
 
-MODULE = "labhil.tui.shadowing"
+MODULE = "labhil.tui.shadow_process"
 ROOM_FOR_ORIGIN = 100
 """Columns from which on there is room for the origin of the band."""
 
@@ -102,7 +102,7 @@ class ShadowView(Vertical):
         state = self.state
         if state is None or not self.is_attached:
             return
-        colours, now_ns = self.app.theme_variables, labs.clock_ns() + state.ahead_ns
+        colours, now_ns = self.app.theme_variables, clock.clock_ns() + state.ahead_ns
         rows = state.rows(colours, now_ns, wide=self._is_wide)[:MOST_SHOWN]
         line_end = Text("\n", no_wrap=True, overflow="ellipsis")
         lines = line_end.join([state.title(colours, now_ns), *rows])

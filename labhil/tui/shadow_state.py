@@ -11,7 +11,7 @@ import numpy as np
 from rich.text import Text
 
 from labhil.signals import FloatArray
-from labhil.tui.words import duration
+from labhil.tui.formatting import duration
 
 KEPT_STRETCHES = 400
 """Stretches kept of each output: some minutes, more than any chart shows."""

@@ -16,7 +16,7 @@ from labhil.errors import ProtocolError
 from labhil.host_clock import steady_ns
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.signals import Batch, FloatArray, Stream
-from labhil.tui.ring import Ring
+from labhil.tui.ring_buffer import Ring
 
 KEPT = 60.0
 """How far back a plot can look, s of the host's clock."""

@@ -23,7 +23,7 @@ from textual_serve.download_manager import DownloadManager
 
 from labhil.errors import UsageError
 from labhil.terminal import complain, show
-from labhil.tui.endings import SERVER
+from labhil.tui.shutdown import SERVER
 from labhil.tui.web_gate import Gate, is_loopback
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

@@ -26,7 +26,7 @@ from labhil.errors import BusError, CommandRefusedError, LabhilError
 from labhil.host_clock import unix_ns
 from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.messages import Setpoint
-from labhil.tui.watch import Watch
+from labhil.tui.bus_watch import Watch
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
 from open_lab import PEOPLE, REVOKED, OpenLab, free_port, labhil, make_people, open_lab, wait_for

@@ -32,9 +32,9 @@ from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.replay import Replay
 from labhil.signals import Batch
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
-from labhil.tui.replaying import next_speed
+from labhil.tui.replay_control import next_speed
+from labhil.tui.session import Session
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "recordings" / "ball_beam_identify.mcap"

@@ -8,9 +8,9 @@ from labhil.bus.incoming import ReplayMessage
 from labhil.bus.latch import Latch
 from labhil.service.emergency import Outcome
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
-from labhil.tui.lab import Place
+from labhil.tui.bus_watch import Announcement, DeviceView
+from labhil.tui.session import Place
 from labhil.tui.stream_watch import StreamHealth, StreamWatch
-from labhil.tui.watch import Announcement, DeviceView
 
 NOW_NS = 1_790_000_000_000_000_000
 ENDPOINT = "tcp/127.0.0.1:40123"

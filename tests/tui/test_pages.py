@@ -14,7 +14,7 @@ from textual.widgets import HelpPanel
 
 from labhil.tui.app import LabApp
 from labhil.tui.footer import KeyFooter
-from labhil.tui.pages import Pages
+from labhil.tui.panes import Pages
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -17,7 +17,7 @@ from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task, free_name
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.recording_library import RecordingLibrary, experiments, results
-from labhil.tui.ring import Ring, envelope, pieces
+from labhil.tui.ring_buffer import Ring, envelope, pieces
 from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import labels, limits_of, round_step, ticks
 

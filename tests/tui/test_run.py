@@ -23,7 +23,7 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Confirm, Write
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 PATIENCE = 100.0
 MOVING = 16_384

@@ -19,8 +19,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from labhil.bus.incoming import ReplayMessage
-from labhil.tui import lab as labs
-from labhil.tui import shadow
+from labhil.tui import clock, shadow
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
@@ -220,7 +219,7 @@ def check(name: str, found: str, tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def clocks_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+    monkeypatch.setattr(clock, "clock_ns", lambda: NOW_NS)
     monkeypatch.setattr(shadow, "Helper", StillHelper)
     monkeypatch.setattr(Input, "_toggle_cursor", lambda _input: None)  # it blinks
 

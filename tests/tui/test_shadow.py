@@ -18,7 +18,7 @@ from textual.widgets import HelpPanel, OptionList
 from labhil.tui import shadow
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil.tui.shadow import ShadowView
 from labhil.tui.shadow_state import ShadowState
 from labhil.tui.themes import DARK

@@ -14,11 +14,11 @@ from textual.widgets import DataTable, HelpPanel
 
 from labhil.signals import Direction, Signal
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Place
+from labhil.tui.bus_watch import Announcement, DeviceView
 from labhil.tui.live import LivePane
+from labhil.tui.session import Place
 from labhil.tui.stream_watch import StreamWatch
 from labhil.tui.ticks import limits_of
-from labhil.tui.watch import Announcement, DeviceView
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -21,9 +21,9 @@ from labhil.bus.register import running
 from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Notice
-from labhil.tui.lab import Session
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.plot import Plot
+from labhil.tui.session import Session
 
 PATIENCE = 100.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")

@@ -15,7 +15,7 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed
-from labhil.report.absent import JointLimits, group_undecided, joints_in, limits_by_joint
+from labhil.report.exclusions import JointLimits, group_undecided, joints_in, limits_by_joint
 from labhil.report.html.curve import curve_picture
 from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.model import (

@@ -1,6 +1,6 @@
 """A run in a process of its own: what the screen draws can neither delay nor end it by accident.
 
-``python -m labhil.tui.running`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
+``python -m labhil.tui.run_process`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
 "pause" | "resume" | "stop" | "abort", "reason": …}``, or ``{"do": "mark", "text": …, "steady_ns": …}`` with
 the moment by the machine's steady clock. It writes its progress ten times a second, each refusal, and at
 the end its result. When its standard input ends without a request before, the starter has crashed or was

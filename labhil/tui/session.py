@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,8 +17,8 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.supervised import SupervisedThread
+from labhil.tui.bus_watch import FORGET_AFTER, Announcement, DeviceView, Watch
 from labhil.tui.stream_watch import StreamWatch
-from labhil.tui.watch import FORGET_AFTER, Announcement, DeviceView, Watch
 
 LOOK_INTERVAL = 0.5
 BY = "the terminal UI"
@@ -203,8 +202,3 @@ class Session:
     def _leave_all(self) -> None:
         for endpoint in list(self._stacks):
             self._leave(endpoint)
-
-
-def clock_ns() -> int:
-    """Unix time, ns; the one place that a test with a frozen clock replaces."""
-    return time.time_ns()

@@ -15,7 +15,7 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
 from labhil.tui.background import work_in_background
 from labhil.tui.dialogs import Confirm
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 
 def stop_note(latch: Latch, outcome: Outcome | None) -> Text:

@@ -7,7 +7,7 @@ from rich.text import Text
 from labhil.bus.incoming import ReplayMessage
 from labhil.errors import LabhilError
 from labhil.service.replay import FASTEST, SLOWEST
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 BACK = 10.0

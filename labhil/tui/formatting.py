@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from labhil.tui.watch import DeviceView
+from labhil.tui.bus_watch import DeviceView
 
 NOTHING = "–"
 

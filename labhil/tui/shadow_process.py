@@ -1,8 +1,8 @@
-"""The shadow of a device in a process of its own: a model along what the device sends, while it sends it.
+"""The process of a live shadow: it simulates a model along the samples of a device while they come in.
 
-``python -m labhil.tui.shadowing`` reads ``{"endpoint", "device", "stream", "model"}`` first. It takes the
-samples from the bus itself, so that the screen has nothing to do with them. It writes the origin of the band,
-then a line for each simulated stretch, and the reason where it cannot go on.
+``python -m labhil.tui.shadow_process`` reads ``{"endpoint", "device", "stream", "model"}`` first. It takes
+the samples from the bus itself, so that the screen has nothing to do with them. It writes the origin of the
+band, then a line for each simulated stretch, and the reason where it cannot go on.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, IntArray, Stream
-from labhil.tui.ring import envelope
+from labhil.tui.bus_watch import Watch
+from labhil.tui.ring_buffer import envelope
 from labhil.tui.stream_watch import KEPT, StreamWatch
-from labhil.tui.watch import Watch
 
-MODULE = "labhil.tui.shadowing"
+MODULE = "labhil.tui.shadow_process"
 LOOK = 0.1
 """How often the newest samples are taken, s."""
 
