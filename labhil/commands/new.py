@@ -13,7 +13,7 @@ from labhil.errors import UsageError
 from labhil.terminal import complain, show
 
 
-def add_start(app: typer.Typer) -> None:
+def add_new(app: typer.Typer) -> None:
     """Register this command."""
     app.command(epilog="Example: labhil new dc_motor --address /dev/ttyACM0 --out bench")(new)
 

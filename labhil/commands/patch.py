@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from labhil.analysis.patch import Patch
 
 
-def add_repair(app: typer.Typer) -> None:
+def add_patch(app: typer.Typer) -> None:
     """Register this command."""
     app.command(
         cls=JsonFlagCommand,

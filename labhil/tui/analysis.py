@@ -20,7 +20,7 @@ from textual.widgets.selection_list import Selection
 from labhil.campaign.studies.catalogue import MODULE, Catalogue
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
-from labhil.tui.formatting import duration
+from labhil.tui.formatting import format_duration
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 """How long the work may take, s."""
@@ -61,7 +61,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         if task.tests:
             self._tests.insert(0, task.tests)
         self._test = self._limit = self._estimator = 0
-        self._trouble = "" if rig else "the recording has no rig file: its default terms are taken"
+        self._problem = "" if rig else "the recording has no rig file: its default terms are taken"
         self.catalogue: Catalogue | None = None
         self._helper: Helper | None = None
 
@@ -77,10 +77,10 @@ class AnalysisDialog(ModalScreen[Task | None]):
         """Start to read the catalogue."""
         if self._rig:
             request = {"rig": self._rig}
-            self._helper = Helper("the catalogue", MODULE, request, self._hear)
+            self._helper = Helper("the catalogue", MODULE, request, self._forward_line)
         self._show_choices()
 
-    def _hear(self, line: dict[str, Any]) -> None:
+    def _forward_line(self, line: dict[str, Any]) -> None:
         self.post_message(CatalogueLine(line))
 
     def on_unmount(self) -> None:
@@ -95,8 +95,8 @@ class AnalysisDialog(ModalScreen[Task | None]):
         if "done" in line:
             self.catalogue = Catalogue.from_json(line["done"])
             self._fill()
-        elif "failed" in line or ("ended" in line and self.catalogue is None and not self._trouble):
-            self._trouble = str(line.get("failed") or line.get("complaint") or "the catalogue cannot be read")
+        elif "failed" in line or ("ended" in line and self.catalogue is None and not self._problem):
+            self._problem = str(line.get("failed") or line.get("complaint") or "the catalogue cannot be read")
         self._show_choices()
 
     def _fill(self) -> None:
@@ -113,7 +113,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
 
     def on_selection_list_selection_highlighted(self, _event: Any) -> None:
         """Show what this term is."""
-        self._show_effect()
+        self._show_term()
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
         """Show how many terms are selected."""
@@ -153,7 +153,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         rows.append(("t", "judged on", tests or "the last 30 % of each recording"))
         limit = "as long as it takes"
         if task.seconds is not None:
-            limit = f"at most {duration(task.seconds)}, then the best so far"
+            limit = f"at most {format_duration(task.seconds)}, then the best so far"
         rows.append(("s", "time", limit))
         for key, name, value in rows:
             text.append(f"{key} ", style=f"bold {colours['accent']}")
@@ -164,11 +164,11 @@ class AnalysisDialog(ModalScreen[Task | None]):
             text.append(f"{what}: {len(self.selected_terms)} of {len(self.catalogue.effects)}", style="bold")
             text.append("   d takes the default", style=colours["muted"])
         else:
-            text.append(self._trouble or "reading the catalogue …", style=colours["muted"])
+            text.append(self._problem or "reading the catalogue …", style=colours["muted"])
         self.query_one("#analysis-how", Static).update(text)
-        self._show_effect()
+        self._show_term()
 
-    def _show_effect(self) -> None:
+    def _show_term(self) -> None:
         """Show the highlighted term in the catalogue's words."""
         colours, selection_list = self.app.theme_variables, self.query_one(SelectionList)
         text = Text()

@@ -31,11 +31,11 @@ from labhil.tui.emergency_stop import EmergencyStop, StopButton
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
 from labhil.tui.frame_limiter import FrameLimiter
-from labhil.tui.library_reader import ShelfReader
+from labhil.tui.library_reader import LibraryReader
 from labhil.tui.live import LivePane
-from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
+from labhil.tui.messages import LibraryRead, RunLine, StartRequested, StudyLine, StudyRequested
 from labhil.tui.palette import TABS, Palette, commands
-from labhil.tui.panes import LabScreen, Pages
+from labhil.tui.panes import LabScreen, TabbedPanes
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
@@ -46,7 +46,7 @@ from labhil.tui.themes import DARK, LIGHT
 
 FRAME_INTERVAL = 0.1
 """Plots are drawn at most ten times a second, see ``FrameLimiter``."""
-FACTS_INTERVAL = 0.25
+STATE_INTERVAL = 0.25
 """Tables and states are brought up to date four times a second, so that silence shows within one."""
 FILES_INTERVAL = 2.0
 
@@ -82,16 +82,18 @@ class LabApp(App[None]):
         Binding("ctrl+q,ctrl+c", "leave", "Quit", id="app.quit.too", show=False, priority=True),
     ]
 
-    def __init__(self, folder: Path, lab: Session, *, theme: str = DARK.name, tab: str = "devices") -> None:
+    def __init__(
+        self, folder: Path, session: Session, *, theme: str = DARK.name, tab: str = "devices"
+    ) -> None:
         super().__init__()
-        self.folder, self.lab, self._first_tab = folder, lab, tab
+        self.folder, self.session, self._first_tab = folder, session, tab
         self.runner = Runner(folder, lambda line: self.post_message(RunLine(line)))
         self.studies = Studies(self)
-        self._shelf = ShelfReader(self, folder)
-        self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
+        self._library = LibraryReader(self, folder)
+        self.emergency = EmergencyStop(self, session, self._show_stop, self._log_event)
         self.leaving = ""
-        self._pace = FrameLimiter()
-        self._bar, self._is_blind = Text(), False
+        self._frame_limiter = FrameLimiter()
+        self._bar_line, self._is_out_of_date = Text(), False
         self._panes: tuple[Widget, ...] = ()
         # the line under a tab that glides costs a third of the time until the tab's pane is there
         self.animation_level = "none"
@@ -107,13 +109,13 @@ class LabApp(App[None]):
             yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
         yield Static(id="stop-note")
         panes: dict[str, tuple[str, Widget]] = {
-            "devices": ("1 Devices", DevicesPane(self.lab)),
-            "live": ("2 Live", LivePane(self.lab, self.folder)),
-            "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.lab)),
+            "devices": ("1 Devices", DevicesPane(self.session)),
+            "live": ("2 Live", LivePane(self.session, self.folder)),
+            "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.session)),
             "recordings": ("4 Recordings", RecordingsPane(self.folder)),
             "results": ("5 Results", ResultsPane(self.folder, self.studies.jobs)),
         }
-        yield Pages(panes, self._first_tab)
+        yield TabbedPanes(panes, self._first_tab)
         yield KeyFooter()
 
     def get_default_screen(self) -> Screen[Any]:
@@ -122,14 +124,14 @@ class LabApp(App[None]):
 
     def on_mount(self) -> None:
         """Start the timers, and read the folder."""
-        self._panes = tuple(self.base.query_one(Pages).panes.values())
+        self._panes = tuple(self.base.query_one(TabbedPanes).panes.values())
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
-        self.set_interval(FACTS_INTERVAL, self._show_facts)
-        self.set_interval(FILES_INTERVAL, self.look_at_files)
-        self._shelf.look()  # before the tab is opened: reading takes a while
+        self.set_interval(STATE_INTERVAL, self._refresh_state)
+        self.set_interval(FILES_INTERVAL, self.refresh_files)
+        self._library.scan()  # before the tab is opened: reading takes a while
         end_in_order(self, self.runner)
         self._show_tab()
-        self.watch(self.base.query_one(Pages), "active", self._show_tab, init=False)
+        self.watch(self.base.query_one(TabbedPanes), "active", self._show_tab, init=False)
         self.watch(self.base, "focused", self._keep_focus, init=False)
 
     def on_unmount(self) -> None:
@@ -175,20 +177,25 @@ class LabApp(App[None]):
     @property
     def tab(self) -> str:
         """The tab in front."""
-        return self.base.query_one(Pages).active
+        return self.base.query_one(TabbedPanes).active
 
     def _draw_plots(self) -> None:
-        if self.is_drawable and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
+        if (
+            self.is_drawable
+            and self.tab == "live"
+            and len(self.screen_stack) == 1
+            and self._frame_limiter.due()
+        ):
             self.base.query_one(LivePane).draw()
 
-    def _show_facts(self) -> None:
-        failure = self.lab.failure()
-        if self.runner.active:
-            self.runner.end_unseen(failure)
+    def _refresh_state(self) -> None:
+        failure = self.session.failure()
+        if self.runner.is_active:
+            self.runner.abort_if_unseen(failure)
         if not self.is_drawable:
             return
-        if failure and not self._is_blind:
-            self._is_blind = True
+        if failure and not self._is_out_of_date:
+            self._is_out_of_date = True
             self.notify(f"{OUT_OF_DATE}: {failure}", severity="error", timeout=3600.0)
         self.emergency.refresh()
         self._show_bar()
@@ -204,25 +211,25 @@ class LabApp(App[None]):
 
     def _show_bar(self) -> None:
         line = bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
-        if line != self._bar:
-            self._bar = line
+        if line != self._bar_line:
+            self._bar_line = line
             self.base.query_one("#bar-run", Static).update(line, layout=False)
 
-    def look_at_files(self) -> None:
+    def refresh_files(self) -> None:
         """Read anew what the tab in front shows of the folder; recordings in a thread, one look at a time."""
         if not self.is_drawable:
             return
         if self.tab == "recordings":
-            self._shelf.look()
+            self._library.scan()
         elif self.tab == "experiment":
             self.base.query_one(ExperimentPane).refresh_list()
         elif self.tab == "results":
             self.base.query_one(ResultsPane).refresh_list()
 
-    def on_shelf_read(self, message: ShelfRead) -> None:
+    def on_library_read(self, message: LibraryRead) -> None:
         """The folder as far as it is read."""
         if self.is_drawable:
-            self.base.query_one(RecordingsPane).take(message.recordings)
+            self.base.query_one(RecordingsPane).show_entries(message.recordings)
 
     # tabs
 
@@ -234,12 +241,12 @@ class LabApp(App[None]):
     def action_tab(self, name: str) -> None:
         """Bring a tab to the front."""
         if len(self.screen_stack) == 1:
-            self.base.query_one(Pages).active = name
+            self.base.query_one(TabbedPanes).active = name
 
     def _show_tab(self) -> None:
         """Refresh the tab in front, and focus its main widget at once: keys may be typed ahead."""
-        self._show_facts()
-        self.look_at_files()
+        self._refresh_state()
+        self.refresh_files()
         self._focus_tab()
 
     def _keep_focus(self, focused: Widget | None) -> None:
@@ -279,29 +286,29 @@ class LabApp(App[None]):
         self.push_screen(Confirm(question, "Start", "Not yet", danger=True), go)
 
     def _start(self, path: str) -> None:
-        if self.runner.active or self.emergency.latch is not None:
+        if self.runner.is_active or self.emergency.latch is not None:
             return
         pane = self.base.query_one(ExperimentPane)
         name = pane.plan.experiment.experiment.name if pane.plan is not None else Path(path).stem
         self.runner.start(Path(path), name)
         pane.log_line("starting", name)
-        self._show_facts()
+        self._refresh_state()
 
     def on_run_line(self, message: RunLine) -> None:
         """Follow the run."""
         before = self.runner.state
-        self.runner.take(message.line)
+        self.runner.handle_line(message.line)
         if not self.is_drawable:
             return
         pane = self.base.query_one(ExperimentPane)
         if "result" in message.line:
             pane.take_result(message.line["result"], message.line["error"])
-            self.look_at_files()
+            self.refresh_files()
         elif "refused" in message.line:
             pane.log_line("refused", message.line["refused"])
         if self.runner.state != before or "ended" in message.line:
-            self._show_facts()
-        if self.leaving and not self.runner.active:
+            self._refresh_state()
+        if self.leaving and not self.runner.is_active:
             self.exit()
 
     # studies
@@ -321,7 +328,7 @@ class LabApp(App[None]):
         if is_new_state:
             self.studies.announce(job)
             results.refresh_list()
-            self.look_at_files()
+            self.refresh_files()
             if has_result(job):
                 results.show_file(Path(job.done))
         elif self.tab == "results":
@@ -337,7 +344,7 @@ class LabApp(App[None]):
         """Allow runs again, once somebody has confirmed it."""
         self.emergency.ask_release()
 
-    def _log_run(self, kind: str, text: str, device: str = "") -> None:
+    def _log_event(self, kind: str, text: str, device: str = "") -> None:
         if self.is_drawable:
             self.base.query_one(ExperimentPane).log_line(kind, text, device)
 
@@ -374,11 +381,11 @@ class LabApp(App[None]):
     def _leave(self, yes: bool | None) -> None:
         if not yes:
             return
-        if not self.runner.active:
+        if not self.runner.is_active:
             self.exit()
             return
         self.leaving = "stopping"
-        self.runner.ask("stop", "the terminal UI is quit")
+        self.runner.request("stop", "the terminal UI is quit")
         self.notify("Stopping the run …", timeout=30)
 
     def action_keys(self) -> None:

@@ -18,7 +18,7 @@ def bar_text(folder: Path, runner: Runner, at_work: Sequence[Job], colours: dict
     if runner.state != "idle":
         line.append_text(RUN_STATES[runner.state].text(colours))
         line.append(f" {runner.name} ")
-        if runner.duration and runner.active:
+        if runner.duration and runner.is_active:
             line.append(f"{runner.elapsed:.0f} of {runner.duration:.0f} s ", style="bold")
     for job in at_work:
         line.append(f" … {job.title}", style=colours["accent"])
@@ -30,7 +30,7 @@ def bar_text(folder: Path, runner: Runner, at_work: Sequence[Job], colours: dict
 
 def question_before_leaving(runner: Runner, at_work: Sequence[Job]) -> str:
     """Return what to ask before the screen is left; empty where nothing is at work."""
-    if runner.active:
+    if runner.is_active:
         return "A run is on.\n\nStop it and quit? Devices go to their safe state, the recording is kept."
     if at_work:
         titles = "\n  ".join(job.title for job in at_work)

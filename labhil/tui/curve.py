@@ -11,7 +11,7 @@ import numpy as np
 
 from labhil.signals import FloatArray
 from labhil.tui.raster import ACROSS, DOWN, Raster
-from labhil.tui.ring_buffer import envelope, pieces
+from labhil.tui.ring_buffer import envelope, split_at_gaps
 from labhil.tui.ticks import Limits
 
 
@@ -29,7 +29,7 @@ DASH, PAUSE = 4, 4
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class PlotCurve:
     """A line of points (n,), or dots; NaN in ``y`` and steps longer than ``gap`` in ``x`` lift the pen.
 
     ``colour`` is a name from the theme, as ``curve-0``.
@@ -43,7 +43,7 @@ class Curve:
     gap: float = math.inf
 
 
-def draw_curves(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
+def draw_curves(curves: Sequence[PlotCurve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
     """Return a raster of so many cells with the curves between the limits; each is owned by its number."""
     raster = Raster(columns, rows)
     for number, curve in enumerate(curves):
@@ -61,7 +61,7 @@ def draw_curves(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, row
     return raster
 
 
-def _clip(curve: Curve, limits: Limits) -> Curve:
+def _clip(curve: PlotCurve, limits: Limits) -> PlotCurve:
     """The points between the limits, and one beyond each, so that lines go on to the edge."""
     inside = (curve.x >= limits[0]) & (curve.x <= limits[1])
     if inside.all():
@@ -69,10 +69,10 @@ def _clip(curve: Curve, limits: Limits) -> Curve:
     near = inside.copy()
     near[1:] |= inside[:-1]
     near[:-1] |= inside[1:]
-    return Curve(curve.x[near], curve.y[near], curve.colour, curve.pen, curve.label, curve.gap)
+    return PlotCurve(curve.x[near], curve.y[near], curve.colour, curve.pen, curve.label, curve.gap)
 
 
-def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+def _runs(curve: PlotCurve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
     """The stretches between two lifts of the pen, reduced to what the columns can show."""
     finite = np.isfinite(curve.y)
     breaks = np.flatnonzero(np.diff(finite.astype(np.int8))) + 1
@@ -81,6 +81,6 @@ def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]
         if not finite[part[0]]:
             continue
         x, y = curve.x[part], curve.y[part]
-        for run in pieces(x, curve.gap):
+        for run in split_at_gaps(x, curve.gap):
             share = max(2, math.ceil(columns * (run.stop - run.start) / total))
             yield envelope(x[run], y[run], share)

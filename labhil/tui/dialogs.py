@@ -71,7 +71,7 @@ class Choose(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class Write(ModalScreen[str | None]):
+class TextPrompt(ModalScreen[str | None]):
     """A line of text to write, or none."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", "Cancel", id="write.cancel")]

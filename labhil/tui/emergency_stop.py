@@ -55,9 +55,9 @@ class EmergencyStop:
     """
 
     def __init__(
-        self, app: App[None], lab: Session, show: Callable[[], bool], log: Callable[[str, str, str], None]
+        self, app: App[None], session: Session, show: Callable[[], bool], log: Callable[[str, str, str], None]
     ) -> None:
-        self._app, self._lab, self._show, self._log = app, lab, show, log
+        self._app, self._session, self._show, self._log = app, session, show, log
         self.latch: Latch | None = None
         """The stop that stands, None while runs are allowed."""
         self.outcome: Outcome | None = None
@@ -81,7 +81,7 @@ class EmergencyStop:
 
     def refresh(self) -> None:
         """Show the stop that stands, whoever pressed it."""
-        latch = self._lab.latch
+        latch = self._session.latch
         if latch == self.latch and self._is_shown:
             return
         self.latch = latch
@@ -95,7 +95,7 @@ class EmergencyStop:
 
     def _stop_devices(self) -> None:
         try:
-            outcome = self._lab.stop_all("emergency stop in the terminal UI")
+            outcome = self._session.stop_all("emergency stop in the terminal UI")
         except BaseException as error:
             outcome = Outcome({}, {"every device": f"the stop itself failed: {error!r}"}, ())
             self._app.call_later(self._take_outcome, outcome)
@@ -115,7 +115,7 @@ class EmergencyStop:
 
     def _release(self) -> None:
         try:
-            self._lab.release()
+            self._session.release()
         except LabhilError as error:
             self._app.call_later(self._app.notify, str(error), severity="error")
             return

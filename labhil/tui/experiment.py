@@ -20,12 +20,12 @@ from labhil.experiment.control import LONGEST_MARK, RECORDED
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
-from labhil.tui.dialogs import Write
-from labhil.tui.formatting import RUN_STATES, duration
+from labhil.tui.dialogs import TextPrompt
+from labhil.tui.formatting import RUN_STATES, format_duration
 from labhil.tui.lists import LabOptions
 from labhil.tui.messages import StartRequested
 from labhil.tui.panes import Backdrop
-from labhil.tui.recording_library import ExperimentFile, experiments
+from labhil.tui.recording_library import ExperimentFile, list_experiments
 from labhil.tui.runner import Runner
 from labhil.tui.session import Session
 
@@ -63,9 +63,9 @@ class ExperimentPane(Vertical, Backdrop):
         Binding("m", "mark", "Mark", id="run.mark", tooltip="A marker at this moment of the recording"),
     ]
 
-    def __init__(self, folder: Path, runner: Runner, lab: Session) -> None:
+    def __init__(self, folder: Path, runner: Runner, session: Session) -> None:
         super().__init__(id="experiment-pane")
-        self._folder, self._runner, self._lab = folder, runner, lab
+        self._folder, self._runner, self._session = folder, runner, session
         self._files: list[ExperimentFile] = []
         self.plan: Plan | None = None
         self._logged_ns = 0
@@ -96,7 +96,7 @@ class ExperimentPane(Vertical, Backdrop):
 
     def refresh_list(self) -> None:
         """Look for experiment files anew."""
-        files = experiments(self._folder)
+        files = list_experiments(self._folder)
         if files == self._files:
             return
         self._files = files
@@ -132,7 +132,7 @@ class ExperimentPane(Vertical, Backdrop):
         if self._runner.state not in ALLOWED[name]:
             return
         if name != "start":
-            self._runner.ask(name)
+            self._runner.request(name)
         elif self.plan is not None:
             self.post_message(StartRequested(str(self.plan.experiment.path)))
 
@@ -146,7 +146,7 @@ class ExperimentPane(Vertical, Backdrop):
             if text is not None:
                 self._runner.mark(text, pressed_ns)
 
-        self.app.push_screen(Write("What happened at this moment?", LONGEST_MARK), mark)
+        self.app.push_screen(TextPrompt("What happened at this moment?", LONGEST_MARK), mark)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Only keys that do something now are shown."""
@@ -186,7 +186,7 @@ class ExperimentPane(Vertical, Backdrop):
         bar = self.query_one(ProgressBar)
         bar.update(total=max(runner.duration, 1e-9), progress=runner.elapsed)
         has_duration = runner.duration > 0
-        elapsed = f"{runner.elapsed:.1f} of {duration(runner.duration)}" if has_duration else ""
+        elapsed = f"{runner.elapsed:.1f} of {format_duration(runner.duration)}" if has_duration else ""
         self.query_one("#run-elapsed", Static).update(elapsed)
         self.query_one("#run-reason", Static).update(Text(runner.reason, style=colours["muted"]))
         self._log_events()
@@ -197,7 +197,7 @@ class ExperimentPane(Vertical, Backdrop):
             self.refresh_bindings()
 
     def _log_events(self) -> None:
-        events = [event for event in self._lab.events() if event.t_ns > self._logged_ns]
+        events = [event for event in self._session.events() if event.t_ns > self._logged_ns]
         for event in events:
             self._logged_ns = event.t_ns
             self.log_line(event.kind, event.message, event.device, event.t_ns)

@@ -12,7 +12,7 @@ from textual.events import Leave, MouseDown, MouseMove, MouseScrollDown, MouseSc
 from textual.screen import Screen
 from textual.widget import Widget
 
-SCROLLED = 4
+SCROLL_STEP = 4
 """Columns by which a turn of the wheel moves keys that have no room."""
 
 
@@ -51,20 +51,25 @@ class KeyFooter(Widget):
         self._keys: tuple[_ShownKey, ...] = ()
         self._hovered: _ShownKey | None = None
         self._first_column = 0
-        self._waits = False
+        self._update_is_pending = False
 
     def on_mount(self) -> None:
         """Follow changes of the keys."""
-        self.screen.bindings_updated_signal.subscribe(self, self._look_later)
+        self.screen.bindings_updated_signal.subscribe(self, self._schedule_update)
 
-    def _look_later(self, screen: Screen[object]) -> None:
+    def _schedule_update(self, screen: Screen[object]) -> None:
         """Look at the keys once what is under way has been drawn: they change several times in a row."""
-        if screen.app.app_focus and self.is_attached and screen is self.screen and not self._waits:
-            self._waits = True
-            self.call_after_refresh(self._look)
+        if (
+            screen.app.app_focus
+            and self.is_attached
+            and screen is self.screen
+            and not self._update_is_pending
+        ):
+            self._update_is_pending = True
+            self.call_after_refresh(self._update_keys)
 
-    def _look(self) -> None:
-        self._waits = False
+    def _update_keys(self) -> None:
+        self._update_is_pending = False
         keys = tuple(self._bound_keys())
         if keys != self._keys:
             self._keys, self._hovered, self._first_column = keys, None, 0
@@ -129,12 +134,12 @@ class KeyFooter(Widget):
     def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
         """Show keys further right, where they have no room."""
         event.stop()
-        self._scroll(SCROLLED)
+        self._scroll(SCROLL_STEP)
 
     def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
         """Show keys further left."""
         event.stop()
-        self._scroll(-SCROLLED)
+        self._scroll(-SCROLL_STEP)
 
     def _scroll(self, columns: int) -> None:
         hidden = max(0, sum(key.width for key in self._keys) - self.size.width)

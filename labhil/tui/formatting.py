@@ -15,7 +15,7 @@ NOTHING = "–"
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class StateLabel:
     """A state on the screen: its sign, its word, and the theme's colour for it."""
 
     sign: str
@@ -28,38 +28,38 @@ class Look:
 
 
 STATES = {
-    "active": Look("▶", "active", "success"),
-    "idle": Look("○", "idle", "foreground"),
-    "connecting": Look("…", "connecting", "muted"),
-    "tripped": Look("▲", "TRIPPED", "error"),
-    "latched": Look("■", "LATCHED", "error"),
-    "reconnecting": Look("…", "reconnecting", "warning"),
-    "failed": Look("✕", "FAILED", "error"),
-    "stopped": Look("■", "stopped", "muted"),
-    "no answer": Look("?", "no answer", "warning"),
-    "gone": Look("✕", "gone", "muted"),
-    "replay": Look("↻", "replay", "accent"),
-    "replay paused": Look("‖", "replay", "accent"),
-    "replay ended": Look("■", "replay", "muted"),
+    "active": StateLabel("▶", "active", "success"),
+    "idle": StateLabel("○", "idle", "foreground"),
+    "connecting": StateLabel("…", "connecting", "muted"),
+    "tripped": StateLabel("▲", "TRIPPED", "error"),
+    "latched": StateLabel("■", "LATCHED", "error"),
+    "reconnecting": StateLabel("…", "reconnecting", "warning"),
+    "failed": StateLabel("✕", "FAILED", "error"),
+    "stopped": StateLabel("■", "stopped", "muted"),
+    "no answer": StateLabel("?", "no answer", "warning"),
+    "gone": StateLabel("✕", "gone", "muted"),
+    "replay": StateLabel("↻", "replay", "accent"),
+    "replay paused": StateLabel("‖", "replay", "accent"),
+    "replay ended": StateLabel("■", "replay", "muted"),
 }
 
 RUN_STATES = {
-    "idle": Look("○", "nothing runs", "muted"),
-    "starting": Look("…", "starting", "accent"),
-    "running": Look("▶", "RUNNING", "success"),
-    "paused": Look("‖", "PAUSED", "warning"),
-    "stopping": Look("■", "stopping", "accent"),
-    "aborting": Look("■", "aborting", "error"),
-    "finished": Look("✓", "finished", "success"),
-    "failed": Look("✕", "failed", "error"),
+    "idle": StateLabel("○", "nothing runs", "muted"),
+    "starting": StateLabel("…", "starting", "accent"),
+    "running": StateLabel("▶", "RUNNING", "success"),
+    "paused": StateLabel("‖", "PAUSED", "warning"),
+    "stopping": StateLabel("■", "stopping", "accent"),
+    "aborting": StateLabel("■", "aborting", "error"),
+    "finished": StateLabel("✓", "finished", "success"),
+    "failed": StateLabel("✕", "failed", "error"),
 }
 
-ENDED = {
-    "done": Look("✓", "done", "success"),
-    "imported": Look("⇣", "imported", "foreground"),
-    "growing": Look("●", "growing", "accent"),
-    "no end": Look("▲", "no end", "warning"),
-    "unreadable": Look("✕", "unreadable", "error"),
+OUTCOMES = {
+    "done": StateLabel("✓", "done", "success"),
+    "imported": StateLabel("⇣", "imported", "foreground"),
+    "growing": StateLabel("●", "growing", "accent"),
+    "no end": StateLabel("▲", "no end", "warning"),
+    "unreadable": StateLabel("✕", "unreadable", "error"),
 }
 
 
@@ -76,21 +76,21 @@ def plain_grid() -> PlainTable:
     return PlainTable(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
-def device_look(view: DeviceView) -> Look:
+def device_label(view: DeviceView) -> StateLabel:
     """The state of a device; one that lives and sends nothing is silent, whatever its host reports."""
     if view.state == "gone":
         return STATES["gone"]
-    if view.beat is not None and view.beat.silent and not view.is_replayed:
-        return Look("◌", f"SILENT {whole_seconds(view.beat.age)}", "warning")
-    return STATES.get(view.state, Look("?", view.state, "muted"))
+    if view.health is not None and view.health.silent and not view.is_replayed:
+        return StateLabel("◌", f"SILENT {format_seconds(view.health.age)}", "warning")
+    return STATES.get(view.state, StateLabel("?", view.state, "muted"))
 
 
-def ended_look(status: str) -> Look:
+def outcome_label(status: str) -> StateLabel:
     """The outcome of a recording."""
-    return ENDED.get(status, Look("✕", status, "error"))
+    return OUTCOMES.get(status, StateLabel("✕", status, "error"))
 
 
-def duration(seconds: float | None) -> str:
+def format_duration(seconds: float | None) -> str:
     """``12.3 s``, ``2 min 05 s``."""
     if seconds is None:
         return NOTHING
@@ -100,29 +100,29 @@ def duration(seconds: float | None) -> str:
     return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def whole_seconds(seconds: float) -> str:
+def format_seconds(seconds: float) -> str:
     """``3 s``; what is longer in minutes."""
-    return f"{seconds:.0f} s" if seconds < 100 else duration(seconds)
+    return f"{seconds:.0f} s" if seconds < 100 else format_duration(seconds)
 
 
-def milliseconds(seconds: float | None) -> str:
+def format_milliseconds(seconds: float | None) -> str:
     """``0.4 ms``."""
     if seconds is None:
         return NOTHING
     return f"{1e3 * seconds:.1f} ms" if abs(seconds) < 0.9995 else f"{seconds:.1f} s"
 
 
-def frequency(rate: float | None) -> str:
+def format_frequency(rate: float | None) -> str:
     """``99.8 Hz``."""
     return NOTHING if rate is None else f"{rate:.4g} Hz"
 
 
-def count(number: int | None) -> str:
+def format_count(number: int | None) -> str:
     """With narrow spaces between thousands."""
     return NOTHING if number is None else f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
-def size(number: int) -> str:
+def format_size(number: int) -> str:
     """``1.2 MB``."""
     for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if number >= factor:

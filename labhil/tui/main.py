@@ -25,8 +25,8 @@ def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: s
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
-    with Session(tuple(connect)) as lab:
-        app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name, tab=tab)
+    with Session(tuple(connect)) as session:
+        app = LabApp(folder, session, theme=LIGHT.name if light else DARK.name, tab=tab)
         # modules live as long as the screen: a collection that walks through them holds a key up for 0.1 s
         gc.freeze()
         sys.setswitchinterval(SWITCH_INTERVAL)

@@ -26,7 +26,7 @@ class StudyLine(Message):
 
 
 @dataclass
-class ShelfRead(Message):
+class LibraryRead(Message):
     """The recordings of the folder, as far as they are read."""
 
     recordings: list[LibraryEntry]

@@ -22,7 +22,7 @@ from textual.widgets.selection_list import Selection
 from labhil.campaign.studies.overlay import MODULE
 from labhil.campaign.studies.process import Helper
 from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, Pen
+from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import Chart, Plot
 from labhil.tui.themes import CURVES
@@ -66,9 +66,9 @@ class Overlay(Screen[None]):
 
     def on_mount(self) -> None:
         """Start to simulate the models."""
-        self._helper = Helper("the simulation", MODULE, self._request, self._hear)
+        self._helper = Helper("the simulation", MODULE, self._request, self._forward_line)
 
-    def _hear(self, line: dict[str, Any]) -> None:
+    def _forward_line(self, line: dict[str, Any]) -> None:
         self.post_message(SimulationLine(line))
 
     def on_unmount(self) -> None:
@@ -87,9 +87,9 @@ class Overlay(Screen[None]):
             if line["ended"] != 0 or not self._charts:
                 self._fail(self._reason or str(line["complaint"] or "the process that simulates has ended"))
         elif "channels" in line:
-            await self.take(line)
+            await self.show_line(line)
 
-    async def take(self, line: dict[str, Any]) -> None:
+    async def show_line(self, line: dict[str, Any]) -> None:
         """Show a line of the process that has curves."""
         raise NotImplementedError
 
@@ -97,7 +97,7 @@ class Overlay(Screen[None]):
         title = Text(f" ✕ {reason}", style=f"bold {self.app.theme_variables['error']}")
         self.query_one("#overlay-title", Static).update(title)
 
-    async def begin(self, options: Mapping[str, str], charts: int) -> None:
+    async def add_options(self, options: Mapping[str, str], charts: int) -> None:
         """List the options by their names, and mount so many charts."""
         selection_list = self.query_one(SelectionList)
         for value, name in options.items():
@@ -147,13 +147,13 @@ class ModelsScreen(Overlay):
         self.shown: frozenset[str] | None = None
         """The letters of the models on the screen; None before the first."""
 
-    async def take(self, line: dict[str, Any]) -> None:
+    async def show_line(self, line: dict[str, Any]) -> None:
         """Show all models."""
         self._heading = f"{len(line['models'])} models over {line['recording']}"
         options = {
             letter: f"{letter}  {name}" for letter, name in zip(ascii_uppercase, line["models"], strict=False)
         }
-        await self.begin(options, len(line["channels"]))
+        await self.add_options(options, len(line["channels"]))
         self._line = line
         self._draw()
 
@@ -171,7 +171,7 @@ class ModelsScreen(Overlay):
             for letter, model in models:
                 if letter in selected:
                     colour = f"curve-{model['number'] % CURVES}"
-                    curves.append(Curve(*self._model_curve(channel, model), colour, Pen.SOLID, letter))
+                    curves.append(PlotCurve(*self._model_curve(channel, model), colour, Pen.SOLID, letter))
             what = "less measured, " if self._differences else ""
             chart.show(f"{channel['name']}, {what}{channel['unit']}", curves, keep_view=True)
             rmse = [f"{letter} {_error({**model, 'unit': channel['unit']})}" for letter, model in models]
@@ -204,11 +204,11 @@ class OverlayScreen(Overlay):
         self.shown: frozenset[str] | None = None
         """The terms without which the model on the screen was simulated; None before the first."""
 
-    async def take(self, line: dict[str, Any]) -> None:
+    async def show_line(self, line: dict[str, Any]) -> None:
         """Show the model with the terms that this line was simulated with."""
         if "terms" in line:
             self._complete = line["channels"]
-            await self.begin({term: term for term in line["terms"]}, len(line["channels"]))
+            await self.add_options({term: term for term in line["terms"]}, len(line["channels"]))
         self.shown = frozenset(line["without"])
         for chart, complete, channel in zip(self._charts, self._complete, line["channels"], strict=True):
             chart.show(f"{channel['name']}, {channel['unit']}", curves_of(complete, channel), keep_view=True)
@@ -233,19 +233,19 @@ class OverlayScreen(Overlay):
             self._show_progress()
 
 
-def curves_of(complete: Channel, selected: Channel) -> list[Curve]:
+def curves_of(complete: Channel, selected: Channel) -> list[PlotCurve]:
     """Return the curves of an output: measured, with all terms, and with the selected ones."""
     t, measured = np.array(complete["t"]), _measured_curve(complete)
-    model = Curve(t, _numbers(selected["simulated"]), "curve-0", Pen.SOLID, "model")
+    model = PlotCurve(t, _numbers(selected["simulated"]), "curve-0", Pen.SOLID, "model")
     if not selected["without"]:
         return [measured, model]
-    all_terms = Curve(t, _numbers(complete["simulated"]), "curve-1", Pen.DASHED, "all terms")
+    all_terms = PlotCurve(t, _numbers(complete["simulated"]), "curve-1", Pen.DASHED, "all terms")
     return [measured, all_terms, model]
 
 
-def _measured_curve(channel: Channel) -> Curve:
+def _measured_curve(channel: Channel) -> PlotCurve:
     measured = _numbers(channel["measured"])
-    return Curve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
+    return PlotCurve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
 
 
 def _errors(complete: Channel, selected: Channel) -> str:

@@ -35,7 +35,7 @@ class LabScreen(Screen[None], Backdrop):
     focused: Reactive[Widget | None] = Reactive(None, repaint=False)
 
 
-class Pages(Vertical, Backdrop):
+class TabbedPanes(Vertical, Backdrop):
     """Panes of which the one in front is displayed, with their tabs above.
 
     All are mounted; one that is not displayed takes no part in layouts.
@@ -52,7 +52,7 @@ class Pages(Vertical, Backdrop):
         super().__init__(id="tabs")
         self._titles = {name: title for name, (title, _) in panes.items()}
         self.panes = {name: pane for name, (_, pane) in panes.items()}
-        self.set_reactive(Pages.active, first)
+        self.set_reactive(TabbedPanes.active, first)
 
     def compose(self) -> ComposeResult:
         """The row of tabs, and the panes."""

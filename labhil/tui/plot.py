@@ -21,8 +21,8 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, draw_curves
-from labhil.tui.ticks import Limits, labels, limits_of, ticks
+from labhil.tui.curve import PlotCurve, draw_curves
+from labhil.tui.ticks import Limits, axis_limits, round_ticks, tick_labels
 
 MARGIN = 9
 """Columns on the left for tick labels."""
@@ -60,7 +60,7 @@ class Plot(Widget, can_focus=True):
 
     def __init__(self) -> None:
         super().__init__()
-        self._curves: tuple[Curve, ...] = ()
+        self._curves: tuple[PlotCurve, ...] = ()
         self._full_view: View = ((0.0, 1.0), (-1.0, 1.0))
         self._view = self._full_view
         self._lines: list[Strip] = []
@@ -78,22 +78,22 @@ class Plot(Widget, can_focus=True):
         """The limits of x and of y that are shown."""
         return self._view
 
-    def show(self, curves: Sequence[Curve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
+    def show(self, curves: Sequence[PlotCurve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
         """Draw the curves between these limits, or with ``keep_view`` in the zoomed view."""
         is_zoomed = self._view != self._full_view
         self._curves, self._full_view = tuple(curves), (_widen(x), _widen(y))
-        self._look_at(self._view if keep_view and is_zoomed else self._full_view)
+        self._set_view(self._view if keep_view and is_zoomed else self._full_view)
 
     def notify_style_update(self) -> None:
         """Draw anew, in the colours of another theme."""
         super().notify_style_update()
-        self._look_at(self._view)
+        self._set_view(self._view)
 
     def on_resize(self, _event: Resize) -> None:
         """Draw anew, as large as it is now."""
-        self._look_at(self._view)
+        self._set_view(self._view)
 
-    def _look_at(self, view: View) -> None:
+    def _set_view(self, view: View) -> None:
         self._view, self._lines = view, []
         self.refresh()
 
@@ -101,11 +101,11 @@ class Plot(Widget, can_focus=True):
         """The requested part of the picture; there is no border and no padding around it."""
         width, height = self.size
         if not self._lines:
-            self._lines = self._picture(width - MARGIN - FRAME, height - FRAME - 1)
+            self._lines = self._render_picture(width - MARGIN - FRAME, height - FRAME - 1)
         lines = self._lines[crop.y : crop.bottom]
         return lines if crop.width == width else [line.crop(crop.x, crop.right) for line in lines]
 
-    def _picture(self, columns: int, rows: int) -> list[Strip]:
+    def _render_picture(self, columns: int, rows: int) -> list[Strip]:
         """Every line, as wide as the widget, with the terminal's filters (as without colours) applied."""
         base, (width, height) = self.rich_style, self.size
         strips = self._frame(columns, rows, base) if columns > 0 and rows > 0 else [Strip.blank(0)] * height
@@ -140,16 +140,16 @@ class Plot(Widget, can_focus=True):
     def _ticks_of_x(self, columns: int) -> dict[int, str]:
         """The labels under the columns."""
         low, high = self._view[0]
-        values = ticks(low, high, max(2, min(10, columns // 9)))
-        places = [round((tick - low) / (high - low) * (columns - 1)) for tick in values]
-        return dict(zip(places, labels(values), strict=True))
+        values = round_ticks(low, high, max(2, min(10, columns // 9)))
+        positions = [round((tick - low) / (high - low) * (columns - 1)) for tick in values]
+        return dict(zip(positions, tick_labels(values), strict=True))
 
     def _ticks_of_y(self, rows: int) -> dict[int, str]:
         """The labels beside the rows."""
         low, high = self._view[1]
-        values = ticks(low, high, max(1, min(6, rows // 3)))
-        places = [round((high - tick) / (high - low) * (rows - 1)) for tick in values]
-        return dict(zip(places, labels(values), strict=True))
+        values = round_ticks(low, high, max(1, min(6, rows // 3)))
+        positions = [round((high - tick) / (high - low) * (rows - 1)) for tick in values]
+        return dict(zip(positions, tick_labels(values), strict=True))
 
     def _cursor_column(self, columns: int) -> int | None:
         """The column of the cursor, where it is in view."""
@@ -160,33 +160,33 @@ class Plot(Widget, can_focus=True):
 
     def action_whole(self) -> None:
         """Show all of it again, without a cursor."""
-        self._put_cursor(None)
-        self._look_at(self._full_view)
+        self._set_cursor(None)
+        self._set_view(self._full_view)
 
-    def action_cursor(self, way: int) -> None:
+    def action_cursor(self, step: int) -> None:
         """Move the cursor by a column; the first time it comes in the middle."""
         columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
         column = self._cursor_column(columns)
         if columns > 1:
-            place = columns // 2 if column is None else min(max(column + way, 0), columns - 1)
-            self._put_cursor(low + (high - low) * place / (columns - 1))
+            column_index = columns // 2 if column is None else min(max(column + step, 0), columns - 1)
+            self._set_cursor(low + (high - low) * column_index / (columns - 1))
 
     def on_click(self, event: Click) -> None:
         """Put the cursor where it was clicked."""
         columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
-        place = event.x - MARGIN - 1
-        if columns > 1 and 0 <= place < columns:
-            self._put_cursor(low + (high - low) * place / (columns - 1))
+        column_index = event.x - MARGIN - 1
+        if columns > 1 and 0 <= column_index < columns:
+            self._set_cursor(low + (high - low) * column_index / (columns - 1))
 
-    def _put_cursor(self, x: float | None) -> None:
+    def _set_cursor(self, x: float | None) -> None:
         if x != self.cursor:
             self.cursor = x
             self.post_message(self.CursorMoved(x))
-            self._look_at(self._view)
+            self._set_view(self._view)
 
-    def action_zoom(self, way: int) -> None:
+    def action_zoom(self, step: int) -> None:
         """Show less, or more, around the middle."""
-        self._zoom(ZOOM * way, 0.5, 0.5)
+        self._zoom(ZOOM * step, 0.5, 0.5)
 
     def action_move(self, right: int, up: int) -> None:
         """Shift the view."""
@@ -200,12 +200,12 @@ class Plot(Widget, can_focus=True):
             for (low, high), at in zip(self._view, centre, strict=True)
         ]
         if all(low + abs(low) * 1e-9 < high for low, high in limits):  # no further than numbers reach
-            self._look_at((limits[0], limits[1]))
+            self._set_view((limits[0], limits[1]))
 
     def _move(self, right: float, up: float) -> None:
         (x0, x1), (y0, y1) = self._view
         dx, dy = right * (x1 - x0), up * (y1 - y0)
-        self._look_at(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
+        self._set_view(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
 
     def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
         """Zoom in at the pointer, once the chart has been clicked; before that the page scrolls."""
@@ -237,7 +237,7 @@ class Chart(Vertical):
         super().__init__(id=id, classes=classes)
         self._heading = Static("", classes="chart-title")
         self._plot = Plot()
-        self._curves: tuple[Curve, ...] = ()
+        self._curves: tuple[PlotCurve, ...] = ()
         self._title = Text()
 
     def compose(self) -> ComposeResult:
@@ -247,13 +247,13 @@ class Chart(Vertical):
 
     def on_mount(self) -> None:
         """Write the title that was set before mounting; follow changes of the theme."""
-        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._write())
-        self._write()
+        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._update_heading())
+        self._update_heading()
 
     def show(
         self,
         title: str | Text,
-        curves: Sequence[Curve],
+        curves: Sequence[PlotCurve],
         x: Limits | None = None,
         y: Limits | None = None,
         *,
@@ -266,16 +266,16 @@ class Chart(Vertical):
         self._title = Text(title, no_wrap=True, overflow="ellipsis") if isinstance(title, str) else title
         self._curves = tuple(curves)
         span = x or _span([curve.x for curve in curves])
-        self._plot.show(curves, span, y or limits_of([curve.y for curve in curves]), keep_view=keep_view)
+        self._plot.show(curves, span, y or axis_limits([curve.y for curve in curves]), keep_view=keep_view)
         if self.is_mounted:
-            self._write()
+            self._update_heading()
 
     def on_plot_cursor_moved(self, message: Plot.CursorMoved) -> None:
         """Write the values there."""
         message.stop()
-        self._write()
+        self._update_heading()
 
-    def _write(self) -> None:
+    def _update_heading(self) -> None:
         colours, line = self.app.theme_variables, self._title.copy()
         x = self._plot.cursor
         if x is not None:
@@ -293,7 +293,7 @@ class Chart(Vertical):
         self._heading.update(line, layout=False)  # always one line
 
 
-def _value_at(curve: Curve, x: float) -> float | None:
+def _value_at(curve: PlotCurve, x: float) -> float | None:
     """The value of the point nearest to ``x``; None where there is none, or the pen is lifted."""
     if not len(curve.x):
         return None

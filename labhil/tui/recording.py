@@ -18,9 +18,9 @@ from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, Curve
+from labhil.tui.curve import PENS, PlotCurve
 from labhil.tui.footer import KeyFooter
-from labhil.tui.formatting import count, duration, ended_look, frequency
+from labhil.tui.formatting import format_count, format_duration, format_frequency, outcome_label
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
 from labhil.tui.themes import CURVES
@@ -69,7 +69,7 @@ class RecordingScreen(Screen[None]):
         colours = self.app.theme_variables
         status, reason = run_outcome(recording)
         title = Text(f" {self._path.name}  ", style="bold", no_wrap=True, overflow="ellipsis")
-        title.append_text(ended_look(status).text(colours))
+        title.append_text(outcome_label(status).text(colours))
         title.append(f"  {reason}", style=colours["muted"])
         self.query_one("#recording-title", Static).update(title)
         body = self.query_one("#recording-body")
@@ -89,18 +89,19 @@ class RecordingScreen(Screen[None]):
 def _facts(recording: Recording) -> Text:
     text = Text()
     rig = recording.rig.kind.name if recording.rig is not None else "no rig file"
-    text.append(f"{rig}, {duration(recording.duration)}")
+    text.append(f"{rig}, {format_duration(recording.duration)}")
     for data in recording.streams:
-        text.append(
-            f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}"
-        )
-        text.append(f", {count(data.lost)} lost" if data.lost else ", none lost")
+        text.append(f"\n/{data.device}/{data.stream.name}: {format_count(len(data))} samples")
+        text.append(f" at {format_frequency(data.rate)}")
+        text.append(f", {format_count(data.lost)} lost" if data.lost else ", none lost")
     for line in recording.losses():
         text.append(f"\n▲ {line}")
     return text
 
 
-def _channel(data: StreamData, name: str, number: int, colours: dict[str, str]) -> tuple[Text, list[Curve]]:
+def _channel(
+    data: StreamData, name: str, number: int, colours: dict[str, str]
+) -> tuple[Text, list[PlotCurve]]:
     signal = next(signal for signal in data.stream.signals if signal.name == name)
     values = data[name].reshape(len(data), -1)
     title = Text(no_wrap=True, overflow="ellipsis")
@@ -108,7 +109,7 @@ def _channel(data: StreamData, name: str, number: int, colours: dict[str, str]) 
     title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
     gap = 5.0 * float(np.median(np.diff(data.t)))
     return title, [
-        Curve(
+        PlotCurve(
             data.t,
             values[:, i],
             f"curve-{(number + i) % CURVES}",

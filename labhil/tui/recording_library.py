@@ -63,7 +63,7 @@ class RecordingLibrary:
         self.folder, self._clock = folder, clock
         self._entries: dict[tuple[Path, int, float], LibraryEntry] = {}
 
-    def look(self) -> Iterator[list[LibraryEntry]]:
+    def scan(self) -> Iterator[list[LibraryEntry]]:
         """Yield the list again and again while it is read, the newest recording first.
 
         A growing file is not read: it would be read anew with each look.
@@ -78,7 +78,7 @@ class RecordingLibrary:
             if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING:
                 entries[index] = LibraryEntry(*key, status="growing")
             else:
-                entries[index] = self._entries[key] = describe(*key)
+                entries[index] = self._entries[key] = read_entry(*key)
             yield list(entries)
 
 
@@ -92,7 +92,7 @@ def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
             yield path, status.st_size, status.st_mtime
 
 
-def describe(path: Path, size: int, modified: float) -> LibraryEntry:
+def read_entry(path: Path, size: int, modified: float) -> LibraryEntry:
     """Read one recording; ``fault`` holds the error, if any."""
     if size > LARGEST_READ:
         return LibraryEntry(path, size, modified, fault="large: open it to read it")
@@ -136,7 +136,7 @@ class ResultFile:
     modified: float
 
 
-def results(folder: Path) -> list[ResultFile]:
+def list_results(folder: Path) -> list[ResultFile]:
     """The results in a folder, the newest first; other JSON is left out."""
     result_files = []
     for path in folder.glob("*.json"):
@@ -150,9 +150,9 @@ def results(folder: Path) -> list[ResultFile]:
     return sorted(result_files, key=lambda result: -result.modified)
 
 
-def models(folder: Path) -> list[ResultFile]:
+def list_models(folder: Path) -> list[ResultFile]:
     """The results that have a model, the newest first."""
-    return [result for result in results(folder) if result.kind in WITH_A_MODEL]
+    return [result for result in list_results(folder) if result.kind in WITH_A_MODEL]
 
 
 @lru_cache(maxsize=4096)
@@ -175,7 +175,7 @@ class ExperimentFile:
     packaged: bool
 
 
-def experiments(folder: Path) -> list[ExperimentFile]:
+def list_experiments(folder: Path) -> list[ExperimentFile]:
     """The experiments in a folder, then those that come with labhil."""
     examples = Path(str(files("labhil.experiment") / "examples"))
     local = [(path, False) for path in sorted(folder.glob("*.toml"))]

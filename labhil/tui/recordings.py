@@ -16,12 +16,12 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
-from labhil.tui.formatting import count, duration, ended_look, size
+from labhil.tui.formatting import format_count, format_duration, format_size, outcome_label
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.panes import Backdrop
 from labhil.tui.recording import RecordingScreen
-from labhil.tui.recording_library import LibraryEntry, models
+from labhil.tui.recording_library import LibraryEntry, list_models
 
 COLUMNS = (
     ("mark", "", 1),
@@ -81,7 +81,7 @@ class RecordingsPane(Vertical, Backdrop):
         table = self.query_one(DataTable)
         for key, label, width in COLUMNS:
             table.add_column(label, key=key, width=width)
-        self.take([])
+        self.show_entries([])
 
     def on_resize(self, event: Resize) -> None:
         """Give names the room that there is."""
@@ -91,9 +91,9 @@ class RecordingsPane(Vertical, Backdrop):
             table = self.query_one(DataTable)
             next(column for key, column in table.columns.items() if key == "name").width = width
             entries, self._entries = self._entries, []
-            self.take(entries)
+            self.show_entries(entries)
 
-    def take(self, entries: list[LibraryEntry]) -> None:
+    def show_entries(self, entries: list[LibraryEntry]) -> None:
         """Show these entries."""
         same = [entry.path for entry in entries] == [entry.path for entry in self._entries]
         self._entries = entries
@@ -128,19 +128,21 @@ class RecordingsPane(Vertical, Backdrop):
         width = self._name_width
         if len(name) > width:
             name = f"{name[: width - 16]}…{name[-15:]}"
-        gaps = Text(count(entry.gaps), justify="right")
+        gaps = Text(format_count(entry.gaps), justify="right")
         if entry.gaps:
             gaps.stylize(f"bold {colours['warning']}")
-        status = ended_look(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
+        status = (
+            outcome_label(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
+        )
         return [
             Text(mark, style=f"bold {colours['accent']}"),
             Text(name),
             status,
             Text(entry.rig or "–"),
-            Text(duration(entry.duration), justify="right"),
-            Text(count(entry.samples), justify="right"),
+            Text(format_duration(entry.duration), justify="right"),
+            Text(format_count(entry.samples), justify="right"),
             gaps,
-            Text(size(entry.size), justify="right"),
+            Text(format_size(entry.size), justify="right"),
             Text(entry.when, style=colours["muted"]),
             Text(entry.fault or entry.reason, style=colours["muted"]),
         ]
@@ -160,7 +162,7 @@ class RecordingsPane(Vertical, Backdrop):
         line = Text()
         if entry is not None:
             line.append(entry.path.name, style="bold")
-            line.append(f"  {size(entry.size)}, {entry.when}  ", style=colours["muted"])
+            line.append(f"  {format_size(entry.size)}, {entry.when}  ", style=colours["muted"])
             line.append(f"{entry.fault or entry.reason or entry.status}\n", style=colours["muted"])
             recordings, tests = self._study_inputs()
             what = ", ".join(path.name.removesuffix(".mcap") for path in recordings)
@@ -229,7 +231,7 @@ class RecordingsPane(Vertical, Backdrop):
     def action_verify(self) -> None:
         """Hold the chosen recording against a model that is chosen now."""
         entry = self._chosen_entry()
-        choices = models(self._folder)
+        choices = list_models(self._folder)
         if entry is None:
             return
         if not choices:

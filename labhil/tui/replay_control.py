@@ -10,7 +10,7 @@ from labhil.service.replay import FASTEST, SLOWEST
 from labhil.tui.session import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-BACK = 10.0
+JUMP_BACK = 10.0
 """How far one key goes back, s of the recording."""
 
 
@@ -33,7 +33,7 @@ def next_speed(speed: float, way: int) -> float:
     return min(max(chosen, SLOWEST), FASTEST)
 
 
-def steer(lab: Session, action: str, way: int = 0) -> str:
+def control_replays(session: Session, action: str, way: int = 0) -> str:
     """Apply a key to every replay in reach; waits for their answers.
 
     Args:
@@ -44,15 +44,15 @@ def steer(lab: Session, action: str, way: int = 0) -> str:
     Returns:
         The error; empty where there was none.
     """
-    for endpoint, replay in lab.replays():
+    for endpoint, replay in session.replays():
         try:
             if action == "toggle":
                 is_held = replay.paused or replay.ended
-                lab.control_replay(endpoint, "play" if is_held else "pause")
+                session.control_replay(endpoint, "play" if is_held else "pause")
             elif action == "speed":
-                lab.control_replay(endpoint, "speed", next_speed(replay.speed, way))
+                session.control_replay(endpoint, "speed", next_speed(replay.speed, way))
             else:
-                lab.control_replay(endpoint, "seek", max(replay.position - BACK, 0.0))
+                session.control_replay(endpoint, "seek", max(replay.position - JUMP_BACK, 0.0))
         except LabhilError as error:
             return str(error)
     return ""

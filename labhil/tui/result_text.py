@@ -33,7 +33,7 @@ WIDEST = 1000
 
 ENDED_EARLY = "▲ It was ended early: this is the best so far."
 
-VERDICT_LOOKS = {
+VERDICT_LABELS = {
     "no_mismatch": ("✓", "success"),
     "parameter_change": ("≠", "warning"),
     "missing_physics": ("◆", "accent"),
@@ -80,7 +80,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     parts: list[RenderableType] = [
         head,
         _title("Parameters", colours),
-        ParameterTable(fit.judged_rows, colours),
+        ParameterTableView(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
@@ -93,7 +93,7 @@ def _title(text: str, colours: Colours) -> Text:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterTable:
+class ParameterTableView:
     """One row per parameter; a word marks those that are not reliable.
 
     Where room is short, names and remarks take lines of their own rather than being cut.
@@ -211,7 +211,7 @@ def _sources(part: FitPart | DiagnosisPart) -> str:
 
 def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType:
     """A diagnosis: the verdict, what is missing, how much better, rivals, and what could still hide."""
-    sign, colour = VERDICT_LOOKS[diagnosis.verdict]
+    sign, colour = VERDICT_LABELS[diagnosis.verdict]
     head = Text()
     head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(diagnosis.baseline.terms))}; ", style=colours["muted"])
@@ -236,7 +236,7 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
         parts += [_title("What has changed", colours), _changes(diagnosis)]
     if diagnosis.improvement is not None:
         parts += [_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
-    parts += [_title("Final model", colours), ParameterTable(diagnosis.judged_rows, colours)]
+    parts += [_title("Final model", colours), ParameterTableView(diagnosis.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(diagnosis.scale_factor)] if line]
     return Group(
         *parts, *_exclusions_and_sources(diagnosis, colours), *next_steps_lines(diagnosis.next_steps, colours)

@@ -17,13 +17,13 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
-from labhil.tui.formatting import duration
+from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.panes import Backdrop
 from labhil.tui.plot import Chart
-from labhil.tui.recording_library import ResultFile, results
+from labhil.tui.recording_library import ResultFile, list_results
 from labhil.tui.result_files import (
     NO_CURVES,
     ResultPart,
@@ -41,7 +41,7 @@ EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
   [b $accent]4[/] then [b $accent]f[/]   fits the chosen recording
   [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
 
-OF_WIDTH = 25
+NAME_WIDTH = 25
 ENDS_EARLY = ("fit", "diagnose")
 """Kinds of work that have a best so far."""
 MOST_COMPARED = 8
@@ -108,13 +108,13 @@ class ResultsPane(Vertical, Backdrop):
     def on_mount(self) -> None:
         """Make the columns."""
         table = self.query_one(DataTable)
-        for key, width in (("", 2), ("kind", 9), ("of", OF_WIDTH), ("result", None)):
+        for key, width in (("", 2), ("kind", 9), ("of", NAME_WIDTH), ("result", None)):
             table.add_column(key, key=key or "sign", width=width)
         self.refresh_list()
 
     def refresh_list(self) -> None:
         """Look for results anew, and show what the jobs are doing."""
-        self._files = results(self._folder)
+        self._files = list_results(self._folder)
         for file in self._files:
             key = (file.path, file.modified)
             if key not in self._parts:
@@ -160,7 +160,7 @@ class ResultsPane(Vertical, Backdrop):
                 (
                     Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                     Text(job.task.kind),
-                    Text(shorten(names, OF_WIDTH)),
+                    Text(shorten(names, NAME_WIDTH)),
                     Text(self._job_line(job), style=colours[colour]),
                 ),
             )
@@ -176,7 +176,7 @@ class ResultsPane(Vertical, Backdrop):
                     Text(KINDS.get(file.kind, file.kind)),
                     Text(
                         shorten(
-                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
+                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), NAME_WIDTH
                         )
                     ),
                     Text(part if isinstance(part, str) else in_a_line(part)),
@@ -186,8 +186,10 @@ class ResultsPane(Vertical, Backdrop):
     def _job_line(self, job: Job) -> str:
         if job.state == "at work":
             elapsed, limit = time.monotonic() - job.started, job.task.seconds
-            remaining = "" if limit is None else f", at most {duration(max(limit - elapsed, 0.0))} left"
-            return f"{duration(elapsed)}{remaining}: {job.said}"
+            remaining = (
+                "" if limit is None else f", at most {format_duration(max(limit - elapsed, 0.0))} left"
+            )
+            return f"{format_duration(elapsed)}{remaining}: {job.said}"
         return str(job.said).splitlines()[0] if job.said else job.state
 
     def _chosen_key(self) -> str | None:

@@ -10,7 +10,7 @@ import numpy as np
 from labhil.signals import Batch, FloatArray, IntArray
 
 
-class Ring:
+class RingBuffer:
     """Keeps at least the newest ``capacity`` samples of ``width`` columns.
 
     Rows are written one after another into arrays twice as long, so that the newest are a slice:
@@ -77,7 +77,7 @@ def envelope(x: FloatArray, y: FloatArray, columns: int) -> tuple[FloatArray, Fl
     return middles.ravel(), pairs.ravel()
 
 
-def pieces(t: FloatArray, longest_step: float) -> list[slice]:
+def split_at_gaps(t: FloatArray, longest_step: float) -> list[slice]:
     """Where to lift the pen: runs of samples between which no step is longer than ``longest_step`` (s)."""
     breaks = np.flatnonzero(np.diff(t) > longest_step) + 1
     ends = [0, *breaks.tolist(), len(t)]

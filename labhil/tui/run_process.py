@@ -24,7 +24,7 @@ from labhil.host_clock import steady_ns
 GONE = "the terminal UI that started the run is gone"
 
 
-def obey(control: RunControl, line: dict[str, Any]) -> None:
+def dispatch(control: RunControl, line: dict[str, Any]) -> None:
     """Carry out the request of a line; report a refusal where the run's state does not allow it."""
     reason = str(line.get("reason", "told to by the terminal UI"))
     try:
@@ -43,7 +43,7 @@ def obey(control: RunControl, line: dict[str, Any]) -> None:
         say({"refused": str(error)})
 
 
-def end(control: RunControl) -> None:
+def abort_run(control: RunControl) -> None:
     """Abort the run, in whatever state it is: nobody watches it any more."""
     if control.is_to_end():
         return  # an end was requested before
@@ -74,7 +74,7 @@ def main() -> int:
 
     try:
         experiment = load_experiment(Path(request["experiment"]))
-        on_further_lines(lambda line: obey(control, line), lambda: end(control))
+        on_further_lines(lambda line: dispatch(control, line), lambda: abort_run(control))
         result = run_experiment(experiment, Path(request["out"]), report, control)
     except LabhilError as error:
         say({"result": None, "error": str(error)})

@@ -8,7 +8,7 @@ from typing import Any
 
 from labhil.campaign.studies.process import Helper
 
-OVER = ("idle", "finished", "failed")
+FINAL_STATES = ("idle", "finished", "failed")
 
 
 class Runner:
@@ -28,9 +28,9 @@ class Runner:
         self.name = ""
 
     @property
-    def active(self) -> bool:
+    def is_active(self) -> bool:
         """Whether a run is on, or is still being ended."""
-        return self._helper is not None and self._helper.running and self.state not in OVER
+        return self._helper is not None and self._helper.running and self.state not in FINAL_STATES
 
     def start(self, experiment: Path, name: str) -> None:
         """Start a run; the one before must be over."""
@@ -44,22 +44,22 @@ class Runner:
             "the run", "labhil.tui.run_process", request, lambda line: on_line({**line, "number": number})
         )
 
-    def ask(self, what: str, reason: str = "") -> None:
+    def request(self, what: str, reason: str = "") -> None:
         """Request ``pause``, ``resume``, ``stop`` or ``abort``."""
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
-    def end_unseen(self, failure: str) -> None:
+    def abort_if_unseen(self, failure: str) -> None:
         """End the run where the screen no longer sees what its devices do; ``failure`` is why, or empty."""
-        if failure and self.active and self.state != "aborting":
-            self.ask("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
+        if failure and self.is_active and self.state != "aborting":
+            self.request("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
 
     def mark(self, text: str, at_ns: int) -> None:
         """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
         if self._helper is not None:
             self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
 
-    def take(self, line: dict[str, Any]) -> None:
+    def handle_line(self, line: dict[str, Any]) -> None:
         """Take a line of the run process; lines of an earlier run are ignored."""
         if line["number"] != self._number:
             return
@@ -69,10 +69,10 @@ class Runner:
         elif "refused" in line:
             self.reason = line["refused"]
         elif "result" in line:
-            if self.state not in OVER:  # it failed before there was a run
+            if self.state not in FINAL_STATES:  # it failed before there was a run
                 self.state = "failed"
             self.reason = line["error"] or (line["result"] or {}).get("reason", "")
-        elif "ended" in line and self.state not in OVER:
+        elif "ended" in line and self.state not in FINAL_STATES:
             self.state, self.reason = "failed", line["complaint"] or "the run process died"
 
     def close(self) -> None:

@@ -17,11 +17,11 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.supervised import SupervisedThread
-from labhil.tui.bus_watch import FORGET_AFTER, Announcement, DeviceView, Watch
+from labhil.tui.bus_watch import MISSES_UNTIL_GONE, Announcement, BusWatch, DeviceView
 from labhil.tui.stream_watch import StreamWatch
 
-LOOK_INTERVAL = 0.5
-BY = "the terminal UI"
+DISCOVERY_INTERVAL = 0.5
+STOP_ORIGIN = "the terminal UI"
 
 EndpointSource = Callable[[], Iterable[str]]
 
@@ -32,7 +32,7 @@ def registered_buses() -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SignalSource:
     """Where a signal comes from."""
 
     endpoint: str
@@ -54,19 +54,19 @@ class Session:
 
     def __init__(self, fixed: Iterable[str] = (), discover: EndpointSource = registered_buses) -> None:
         self._fixed, self._discover = tuple(fixed), discover
-        self._watches: dict[str, Watch] = {}
-        self._missed: dict[str, int] = {}
+        self._watches: dict[str, BusWatch] = {}
+        self._missed_polls: dict[str, int] = {}
         self._stacks: dict[str, ExitStack] = {}
         self._lock = threading.Lock()
-        self._ending = threading.Event()
-        self._thread = SupervisedThread(self._look_around, "look for buses")
+        self._stop_discovery = threading.Event()
+        self._thread = SupervisedThread(self._discover_buses, "look for buses")
 
     def __enter__(self) -> Self:
         try:
             for endpoint in self._fixed:
-                self._join(endpoint)
+                self._watch_bus(endpoint)
         except BaseException:
-            self._leave_all()
+            self._unwatch_all()
             raise
         self._thread.start()
         return self
@@ -75,12 +75,12 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._thread.end()
-        self._ending.set()
+        self._stop_discovery.set()
         self._thread.join()
-        self._leave_all()
+        self._unwatch_all()
 
     @property
-    def watches(self) -> dict[str, Watch]:
+    def watches(self) -> dict[str, BusWatch]:
         """The buses that are watched, by their endpoints."""
         with self._lock:
             return dict(self._watches)
@@ -89,18 +89,18 @@ class Session:
         """Every device in reach, with the endpoint of its bus."""
         return [(endpoint, view) for endpoint, watch in self.watches.items() for view in watch.devices()]
 
-    def places(self) -> list[Place]:
+    def signal_sources(self) -> list[SignalSource]:
         """Every signal in reach."""
         return [
-            Place(endpoint, device, stream, signal)
+            SignalSource(endpoint, device, stream, signal)
             for endpoint, watch in self.watches.items()
             for device, stream, signal in watch.signals()
         ]
 
-    def stream(self, place: Place) -> StreamWatch | None:
+    def stream(self, source: SignalSource) -> StreamWatch | None:
         """The stream of a signal, None when its bus is gone."""
-        watch = self.watches.get(place.endpoint)
-        return None if watch is None else watch.stream(place.device, place.stream)
+        watch = self.watches.get(source.endpoint)
+        return None if watch is None else watch.stream(source.device, source.stream)
 
     def events(self) -> list[Announcement]:
         """All announcements, the oldest first."""
@@ -144,13 +144,13 @@ class Session:
         The latch is set before any request, and works without any bus. The outcome names who did not
         answer.
         """
-        outcomes = [press_everywhere(BY, reason)]
+        outcomes = [press_everywhere(STOP_ORIGIN, reason)]
         for endpoint in self._fixed:
             watch = self.watches.get(endpoint)
             if watch is not None:
                 present = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
                 try:
-                    outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in present]))
+                    outcomes.append(press_on(watch.bus, STOP_ORIGIN, reason, [view.name for view in present]))
                 except LabhilError as error:  # a lab on another machine that did not confirm it
                     outcomes.append(Outcome({}, {endpoint: str(error)}, ()))
         answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
@@ -166,39 +166,39 @@ class Session:
 
     # the thread that looks around
 
-    def _look_around(self) -> None:
-        while not self._ending.wait(LOOK_INTERVAL):
+    def _discover_buses(self) -> None:
+        while not self._stop_discovery.wait(DISCOVERY_INTERVAL):
             try:
                 endpoints = set(self._discover())
             except (LabhilError, OSError):
                 endpoints = set(self.watches)  # the register cannot be read now: keep those
             for endpoint in endpoints - set(self.watches):
                 try:
-                    self._join(endpoint)
+                    self._watch_bus(endpoint)
                 except LabhilError:
                     continue  # it ended after it was listed
             for endpoint in set(self.watches) - endpoints - set(self._fixed):
-                self._leave_when_empty(endpoint)
+                self._unwatch_if_empty(endpoint)
 
-    def _join(self, endpoint: str) -> None:
+    def _watch_bus(self, endpoint: str) -> None:
         with ExitStack() as stack:
-            watch = Watch(stack.enter_context(open_bus(endpoint)))
+            watch = BusWatch(stack.enter_context(open_bus(endpoint)))
             stack.enter_context(watch)
             with self._lock:
-                self._watches[endpoint], self._missed[endpoint] = watch, 0
+                self._watches[endpoint], self._missed_polls[endpoint] = watch, 0
                 self._stacks[endpoint] = stack.pop_all()
 
-    def _leave_when_empty(self, endpoint: str) -> None:
-        self._missed[endpoint] += 1
-        if self._missed[endpoint] >= FORGET_AFTER and not self.watches[endpoint].alive:
-            self._leave(endpoint)
+    def _unwatch_if_empty(self, endpoint: str) -> None:
+        self._missed_polls[endpoint] += 1
+        if self._missed_polls[endpoint] >= MISSES_UNTIL_GONE and not self.watches[endpoint].alive:
+            self._unwatch_bus(endpoint)
 
-    def _leave(self, endpoint: str) -> None:
+    def _unwatch_bus(self, endpoint: str) -> None:
         with self._lock:
             self._watches.pop(endpoint, None)
             stack = self._stacks.pop(endpoint)
         stack.close()
 
-    def _leave_all(self) -> None:
+    def _unwatch_all(self) -> None:
         for endpoint in list(self._stacks):
-            self._leave(endpoint)
+            self._unwatch_bus(endpoint)

@@ -16,10 +16,10 @@ from textual.widgets import Static
 from labhil.campaign.studies.process import Helper
 from labhil.tui import clock
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import Curve, Pen
+from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.plot import Chart
-from labhil.tui.session import Place
-from labhil.tui.shadow_state import Output, ShadowState
+from labhil.tui.session import SignalSource
+from labhil.tui.shadow_state import ShadowedOutput, ShadowState
 
 MODULE = "labhil.tui.shadow_process"
 ROOM_FOR_ORIGIN = 100
@@ -65,16 +65,16 @@ class ShadowView(Vertical):
         if self._helper is not None:
             self._helper.close(PATIENCE)
 
-    def begin(self, place: Place, model: Path) -> None:
+    def start(self, source: SignalSource, model: Path) -> None:
         """Simulate this model along the stream of a signal, instead of what was simulated before."""
-        self.end()
+        self.stop()
         self._number += 1
         number = self._number
-        self.state = ShadowState(place.device, model.name)
+        self.state = ShadowState(source.device, model.name)
         request = {
-            "endpoint": place.endpoint,
-            "device": place.device,
-            "stream": place.stream,
+            "endpoint": source.endpoint,
+            "device": source.device,
+            "stream": source.stream,
             "model": str(model.absolute()),
         }
         self._helper = Helper(
@@ -83,7 +83,7 @@ class ShadowView(Vertical):
         self.display = True
         self.draw(1.0)
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """End it, and take it from the screen; its process may take a moment, which no key waits for."""
         helper, self._helper = self._helper, None
         if helper is not None:
@@ -95,7 +95,7 @@ class ShadowView(Vertical):
         """Take a line of the process; lines of an earlier shadow are ignored."""
         message.stop()
         if self.state is not None and message.number == self._number:
-            self.state.take(message.line)
+            self.state.handle_line(message.line)
 
     def draw(self, window: float) -> None:
         """Show the newest state, and so many s of residuals."""
@@ -120,7 +120,7 @@ class ShadowView(Vertical):
     def _is_wide(self) -> bool:
         return self.size.width >= ROOM_FOR_ORIGIN
 
-    def _draw_residual(self, chart: Chart, output: Output, window: float, now_ns: int) -> None:
+    def _draw_residual(self, chart: Chart, output: ShadowedOutput, window: float, now_ns: int) -> None:
         colours = self.app.theme_variables
         ago, residual = output.residual(now_ns)
         shown = ago >= -window
@@ -129,10 +129,10 @@ class ShadowView(Vertical):
         limits = (min(-1.3 * output.band, 1.1 * low), max(1.3 * output.band, 1.1 * high))
         colour = "curve-1" if output.left_at is None else "curve-4"
         edges = [
-            Curve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
+            PlotCurve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
             for side in (1.0, -1.0)
         ]
-        curve = Curve(ago, residual, colour)
+        curve = PlotCurve(ago, residual, colour)
         title = Text(no_wrap=True, overflow="ellipsis")
         title.append(f"residual of {output.name}", style=f"bold {colours[colour]}")
         title.append(", noise levels   ╍╍ band", style=colours["muted"])

@@ -11,7 +11,7 @@ import numpy as np
 from rich.text import Text
 
 from labhil.signals import FloatArray
-from labhil.tui.formatting import duration
+from labhil.tui.formatting import format_duration
 
 KEPT_STRETCHES = 400
 """Stretches kept of each output: some minutes, more than any chart shows."""
@@ -24,7 +24,7 @@ SHORTEST_SILENCE = 2.0
 
 
 @dataclass(slots=True)
-class Output:
+class ShadowedOutput:
     """One output: its residual in noise levels, and whether the model agrees."""
 
     name: str
@@ -63,9 +63,9 @@ class ShadowState:
     dropped: float = 0.0
     gaps: int = 0
     ahead_ns: int = 0
-    outputs: dict[str, Output] = field(default_factory=dict)
+    outputs: dict[str, ShadowedOutput] = field(default_factory=dict)
 
-    def take(self, line: Mapping[str, Any]) -> None:
+    def handle_line(self, line: Mapping[str, Any]) -> None:
         """Take a line of the process."""
         if "failed" in line:
             self.failed = str(line["failed"])
@@ -80,11 +80,11 @@ class ShadowState:
             self.until, self.dropped = float(line["until"]), float(line["dropped"])
             self.gaps, self.ahead_ns = int(line["gaps"]), int(line["ahead_ns"])
             for output in line["outputs"]:
-                self._take_output(output, int(line["base_ns"]))
+                self._update_output(output, int(line["base_ns"]))
 
-    def _take_output(self, fields: Mapping[str, Any], base_ns: int) -> None:
+    def _update_output(self, fields: Mapping[str, Any], base_ns: int) -> None:
         keys = ("name", "unit", "noise", "band", "left_at", "left_ns", "beyond")
-        output = Output(**{key: fields[key] for key in keys})
+        output = ShadowedOutput(**{key: fields[key] for key in keys})
         before = self.outputs.get(output.name)
         if before is not None:
             output.stretches = before.stretches
@@ -126,7 +126,7 @@ class ShadowState:
         if self.unjudged:
             line.append(f"  – not judged: {self.unjudged}", style=colours["warning"])
         elif silence is not None:
-            line.append(f"  ◌ no samples for {duration(silence)}", style=f"bold {colours['warning']}")
+            line.append(f"  ◌ no samples for {format_duration(silence)}", style=f"bold {colours['warning']}")
         if self.dropped >= 0.1:
             line.append(f"  ! {self.dropped:.1f} s not simulated", style=f"bold {colours['warning']}")
         return line
@@ -142,7 +142,7 @@ class ShadowState:
         return f"99.9 % of its errors on {self.validated}" if self.validated else "99.9 % of noise"
 
 
-def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
+def _row(output: ShadowedOutput, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
     """One output; its band is left out where there is no room for it."""
     line = Text(no_wrap=True, overflow="ellipsis")
     line.append(f"  {output.name} ", style="bold")
@@ -151,7 +151,7 @@ def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool)
     else:
         line.append(f"left at {output.left_at:.1f} s", style=f"bold {colours['error']}")
         if output.left_ns is not None:
-            line.append(f", {duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
+            line.append(f", {format_duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
         line.append(f": × {output.beyond:.1f} noise levels beyond" if output.beyond else ": back within")
     if wide or output.left_at is None:
         line.append(f"  ± {output.band:.1f} × {output.noise:.2g} {output.unit}", style=colours["muted"])

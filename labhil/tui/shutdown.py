@@ -24,7 +24,7 @@ SERVER = "LABHIL_WEB_SERVER"
 class Stoppable(Protocol):
     """Ends a run in order on request."""
 
-    def ask(self, what: str, reason: str = "") -> None:
+    def request(self, what: str, reason: str = "") -> None:
         """Request ``stop``."""
 
 
@@ -32,7 +32,7 @@ def end_in_order(app: App[None], runner: Stoppable) -> None:
     """Let signals end ``app`` and its run in order; in a page, so does the end of its web server."""
 
     def end(number: signal.Signals) -> None:
-        runner.ask("stop", f"the terminal UI was ended by {number.name}")
+        runner.request("stop", f"the terminal UI was ended by {number.name}")
         app.exit(return_code=128 + number)
 
     if threading.current_thread() is not threading.main_thread():

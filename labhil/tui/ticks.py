@@ -12,7 +12,7 @@ from labhil.signals import FloatArray
 Limits = tuple[float, float]
 
 
-def ticks(low: float, high: float, most: int = 4) -> list[float]:
+def round_ticks(low: float, high: float, most: int = 4) -> list[float]:
     """Return about ``most`` round numbers from ``low`` to ``high``, at least two where these differ."""
     if not (math.isfinite(high - low) and high > low):
         return []
@@ -25,7 +25,7 @@ def ticks(low: float, high: float, most: int = 4) -> list[float]:
     return values
 
 
-def labels(values: Sequence[float]) -> list[str]:
+def tick_labels(values: Sequence[float]) -> list[str]:
     """Return the labels of these ticks."""
     if not values:
         return []
@@ -50,7 +50,7 @@ def round_step(step: float) -> float:
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= step * (1 - 1e-9))
 
 
-def limits_of(values: Sequence[FloatArray]) -> Limits:
+def axis_limits(values: Sequence[FloatArray]) -> Limits:
     """Round limits around all finite values, with a little room; (−1, 1) where there are none.
 
     A constant stands in the middle of an axis as wide as itself: there is no scale for a small change.

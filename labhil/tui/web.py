@@ -56,13 +56,13 @@ def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, p
     command = [sys.executable, "-P", "-m", "labhil", "tui", *options, *(["--light"] if light else [])]
     os.environ[SERVER] = str(os.getpid())
     # without exec a shell would stand between the page's process and this one, and outlive it
-    pages = Pages("exec " + shlex.join(command), Gate.at(host))
+    pages = WebServer("exec " + shlex.join(command), Gate.at(host))
     with listener:
         asyncio.run(_serve(pages, listener, _display_host(host)))
     return 0
 
 
-class Pages:
+class WebServer:
     """The responses to a browser. ``command`` runs for each page, in a shell."""
 
     def __init__(self, command: str, gate: Gate) -> None:
@@ -187,7 +187,7 @@ def _display_host(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-async def _serve(pages: Pages, listener: socket.socket, host: str) -> None:
+async def _serve(pages: WebServer, listener: socket.socket, host: str) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in ENDINGS:

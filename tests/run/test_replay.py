@@ -257,7 +257,7 @@ def test_the_live_page_draws_it_says_so_and_steers_it(recording: Recording, tmp_
                 await pilot.press("j", "k")
                 await come(pilot, lambda: not replay.status.paused)
                 assert replay.status.position < at + PATIENCE
-                places = lab.places()
+                places = lab.signal_sources()
                 assert {place.device.split("/")[0] for place in places} == {"replay"}
 
     asyncio.run(go())

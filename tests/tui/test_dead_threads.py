@@ -22,7 +22,7 @@ from labhil.service.replay import Replay
 from labhil.tui import shutdown
 from labhil.tui.app import LabApp
 from labhil.tui.background import OUT_OF_DATE, work_in_background
-from labhil.tui.bus_watch import Watch
+from labhil.tui.bus_watch import BusWatch
 from labhil.tui.emergency_stop import EmergencyStop
 from labhil.tui.session import Session
 
@@ -75,7 +75,7 @@ def test_a_process_that_hears_nothing_ends(monkeypatch: pytest.MonkeyPatch) -> N
     assert ended.wait(PATIENCE)
 
 
-@pytest.mark.parametrize(("owner", "method"), [(Session, "_discover"), (Watch, "_ask_once")])
+@pytest.mark.parametrize(("owner", "method"), [(Session, "_discover"), (BusWatch, "_poll_once")])
 def test_a_view_that_is_out_of_date_says_so(
     owner: type, method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -91,8 +91,8 @@ def test_a_view_that_is_out_of_date_says_so(
             assert "SystemExit('struck')" in lab.failure()
             assert "SystemExit('struck')" in lab.fault
 
-    if owner is Watch:
-        monkeypatch.setattr(Watch, method, dies)
+    if owner is BusWatch:
+        monkeypatch.setattr(BusWatch, method, dies)
     with open_bus() as bus:
         asyncio.run(look(bus.endpoint))
 
@@ -142,7 +142,7 @@ def test_a_page_ends_where_its_server_is_watched_no_more(monkeypatch: pytest.Mon
     async def show() -> int | None:
         app = Page()
         async with app.run_test() as pilot:
-            runner = SimpleNamespace(ask=lambda what, reason="": requested.append(f"{what}: {reason}"))
+            runner = SimpleNamespace(request=lambda what, reason="": requested.append(f"{what}: {reason}"))
             shutdown.end_in_order(app, runner)
             deadline = time.monotonic() + PATIENCE
             while not requested:

@@ -66,7 +66,7 @@ async def release(pilot: Pilot[None], app: LabApp) -> None:
 
 
 async def replayed(pilot: Pilot[None], app: LabApp) -> None:
-    app.lab.replay = ReplayMessage(  # type: ignore[attr-defined]
+    app.session.replay = ReplayMessage(  # type: ignore[attr-defined]
         path="ball_beam_identify.mcap", position=23.4, duration=60.0, speed=2.0, paused=False, ended=False
     )
     await keys("2")(pilot, app)

@@ -220,15 +220,15 @@ def test_connect_shows_a_bus_that_does_not_announce_itself_and_stops_its_devices
         assert running() == ()
 
         async def drive(pilot: Pilot[None], app: LabApp) -> None:
-            await until(pilot, lambda: [view.name for _, view in app.lab.devices()] == ["far"])
-            await until(pilot, lambda: app.lab.devices()[0][1].beat is not None)
+            await until(pilot, lambda: [view.name for _, view in app.session.devices()] == ["far"])
+            await until(pilot, lambda: app.session.devices()[0][1].health is not None)
             await pilot.press("2")
-            await until(pilot, lambda: len(app.lab.places()) > 0)
+            await until(pilot, lambda: len(app.session.signal_sources()) > 0)
             await pilot.press("f12")
             await until(
                 pilot, lambda: app.emergency.outcome is not None and "far" in app.emergency.outcome.answered
             )
-            await until(pilot, lambda: app.lab.devices()[0][1].state == "latched")
+            await until(pilot, lambda: app.session.devices()[0][1].state == "latched")
             await pilot.press("f9", "y")
             await until(pilot, lambda: app.emergency.latch is None)
 
