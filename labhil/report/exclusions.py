@@ -1,67 +1,57 @@
-"""Excluded and undecided terms, with the joints of an arm side by side."""
+"""Excluded and undecided effects, grouped for tables: the joints of an arm side by side.
+
+``text.py``, the pages in ``html/`` and the screen show these groups.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from rich.table import Table
 
+from labhil.analysis.schema import ExcludedEffect, UndecidedEffect
 from labhil.physics.terms import keyed, listed
-from labhil.report.html.quantity import quantity
-
-
-class Limit(Protocol):
-    """The largest size of a term's main parameter that could hide."""
-
-    @property
-    def term(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def joint(self) -> int | None:
-        """The joint that it acts on; None for a term without one."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Unit of the parameter."""
-        ...
-
-    @property
-    def largest_hidden(self) -> float | None:
-        """The limit; None where it is not known."""
-        ...
+from labhil.report.formatting import format_quantity
 
 
 @dataclass(frozen=True, slots=True)
-class JointLimits:
-    """Limits of one term of an arm in its ``unit``, by joint; a joint without a statement is absent."""
+class TermLimits:
+    """Detection limits of one term of an arm, by joint.
+
+    Attributes:
+        term: Name of the term.
+        unit: SI unit of the limits.
+        largest: Largest size that could hide, by joint; joints without a limit are absent.
+    """
 
     term: str
     unit: str
     largest: dict[int, float | None] = field(default_factory=dict)
 
 
-def limits_by_joint(limits: Iterable[Limit]) -> list[JointLimits]:
-    """A row for each term of a joint, in the order of the terms."""
-    rows: dict[tuple[str, str], JointLimits] = {}
-    for limit in limits:
-        if limit.joint is not None:
-            row = rows.setdefault((limit.term, limit.unit), JointLimits(limit.term, limit.unit))
-            row.largest[limit.joint] = limit.largest_hidden
+def limits_by_joint(excluded: Iterable[ExcludedEffect]) -> list[TermLimits]:
+    """Group the excluded effects of joints by term, in the order of the terms."""
+    rows: dict[tuple[str, str], TermLimits] = {}
+    for effect in excluded:
+        if effect.joint is not None:
+            row = rows.setdefault((effect.term, effect.unit), TermLimits(effect.term, effect.unit))
+            row.largest[effect.joint] = effect.largest_hidden
     return list(rows.values())
 
 
-def joints_in(rows: Iterable[JointLimits]) -> list[int]:
-    """All joints with a limit in any row."""
+def joints_in(rows: Iterable[TermLimits]) -> list[int]:
+    """Return all joints that have a limit in any row."""
     return sorted({joint for row in rows for joint in row.largest})
 
 
-def joints_table(rows: Sequence[JointLimits], style: str) -> Table:
-    """What could still hide, a column for each joint."""
+def joints_table(rows: Sequence[TermLimits], style: str) -> Table:
+    """Make a table of detection limits with a row for each term and a column for each joint.
+
+    Args:
+        rows: The limits.
+        style: Style of all text, as rich understands it.
+    """
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), style=style, header_style=style)
     joints = joints_in(rows)
     table.add_column("effect", no_wrap=True)
@@ -69,48 +59,30 @@ def joints_table(rows: Sequence[JointLimits], style: str) -> Table:
         table.add_column(str(joint), justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     for row in rows:
-        cells = [quantity(row.largest.get(joint), digits=2) for joint in joints]
+        cells = [format_quantity(row.largest.get(joint), digits=2) for joint in joints]
         table.add_row(row.term, *cells, row.unit if row.unit != "1" else "")
     return table
 
 
-class Undecided(Protocol):
-    """A term on which the data cannot decide."""
-
-    @property
-    def term(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def joint(self) -> int | None:
-        """The joint that it acts on; None for a term without one."""
-        ...
-
-    @property
-    def needs(self) -> Sequence[str]:
-        """Missing channels."""
-        ...
-
-    @property
-    def reason(self) -> str:
-        """Why, as part of a sentence."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
-class UndecidedTerm:
-    """Why the data cannot decide on ``name``: a term, with all of its joints in brackets."""
+class UndecidedGroup:
+    """A term on which the data cannot decide, for all joints with the same reason.
+
+    Attributes:
+        name: Name of the term, with its joints in brackets.
+        reason: Why, as part of a sentence.
+        needs: Missing channels.
+    """
 
     name: str
     reason: str
     needs: tuple[str, ...]
 
 
-def group_undecided(undecided: Iterable[Undecided]) -> list[UndecidedTerm]:
-    """One for each term and reason, in the order of the terms."""
+def group_undecided(undecided: Iterable[UndecidedEffect]) -> list[UndecidedGroup]:
+    """Group undecided effects by term and reason, in the order of the terms."""
     keys: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
-    for term in undecided:
-        names = keys.setdefault((term.term, term.reason, tuple(term.needs)), [])
-        names.append(keyed(term.term, term.joint))
-    return [UndecidedTerm(listed(names)[0], reason, needs) for (_, reason, needs), names in keys.items()]
+    for effect in undecided:
+        names = keys.setdefault((effect.term, effect.reason, effect.needs), [])
+        names.append(keyed(effect.term, effect.joint))
+    return [UndecidedGroup(listed(names)[0], reason, needs) for (_, reason, needs), names in keys.items()]

@@ -10,8 +10,8 @@ from rich.text import Text
 
 from labhil.analysis.schema import ComparedModel, ComparisonPart, VerificationPart
 from labhil.physics.terms import keyed, listed
-from labhil.report.comparison import AGREE, comparison_basis, value_text
-from labhil.report.html.quantity import p_value, percent, quantity
+from labhil.report.comparison import AGREE, comparison_basis, format_estimate
+from labhil.report.formatting import format_p_value, format_percent, format_quantity
 from labhil.tui.formatting import PlainTable
 from labhil.tui.result_text import next_steps_lines
 
@@ -58,11 +58,11 @@ def _models(comparison: ComparisonPart, colours: Colours) -> PlainTable:
             table.add_row(
                 keyed(row.channel, row.joint),
                 f"{letter}{' ←' if best else ''}" if i == 0 else "",
-                quantity(row.rmse, row.unit),
-                quantity(row.rmse_over_noise, "", 3),
-                ("best" if best else quantity(model.times_best, "", 3)) if i == 0 else "",
-                "" if best or i else p_value(model.p_value),
-                percent(row.r2),
+                format_quantity(row.rmse, row.unit),
+                format_quantity(row.rmse_over_noise, "", 3),
+                ("best" if best else format_quantity(model.times_best, "", 3)) if i == 0 else "",
+                "" if best or i else format_p_value(model.p_value),
+                format_percent(row.r2),
                 style="bold" if best else "",
             )
     return table
@@ -80,7 +80,7 @@ def _parameters(comparison: ComparisonPart, colours: Colours) -> PlainTable:
         unit = f" {row.unit}" if row.unit else ""
         table.add_row(
             f"{keyed(row.name, row.joint)}{unit}",
-            *(value_text(row, name) for name in names),
+            *(format_estimate(row, name) for name in names),
             Text(AGREE[row.agree], style=colours["warning"] if row.agree is False else ""),
         )
     return table
@@ -100,7 +100,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     sign, word = ("✓", "consistent with") if verification.consistent else ("✕", "contradicted by")
     colour = colours["success" if verification.consistent else "error"]
     yield Text(
-        f"{sign} The model is {word} the recording (p {p_value(verification.p_value)}).",
+        f"{sign} The model is {word} the recording (p {format_p_value(verification.p_value)}).",
         style=f"bold {colour}",
     )
     yield Text(
@@ -118,10 +118,10 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     for row in verification.channels:
         errors.add_row(
             keyed(row.channel, row.joint),
-            quantity(row.rmse, row.unit),
-            quantity(row.noise_floor, row.unit),
-            quantity(row.ratio, "", 3),
-            quantity(row.limit, "", 3),
+            format_quantity(row.rmse, row.unit),
+            format_quantity(row.noise_floor, row.unit),
+            format_quantity(row.ratio, "", 3),
+            format_quantity(row.limit, "", 3),
         )
     yield errors
     if verification.parameters:
@@ -131,8 +131,8 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
             changed = Text("≠ changed" if value.changed else "", style=colours["warning"])
             values.add_row(
                 keyed(value.name, value.joint),
-                quantity(value.before, value.unit),
-                quantity(value.after, value.unit),
+                format_quantity(value.before, value.unit),
+                format_quantity(value.after, value.unit),
                 changed,
             )
         yield values

@@ -10,12 +10,11 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
+from labhil.report.formatting import NOTHING, format_count
 from labhil.tui.bus_watch import REPLAYED, Announcement, DeviceView
 from labhil.tui.formatting import (
-    NOTHING,
     PlainTable,
     device_label,
-    format_count,
     format_duration,
     format_frequency,
     format_milliseconds,
@@ -135,7 +134,7 @@ class DevicesPane(Vertical, Backdrop):
         for name, value in entries:
             grid.add_row(name, value)
         if self._session.fault:
-            grid.add_row(Text("▲ trouble", style=colours["warning"]), self._session.fault)
+            grid.add_row(Text("▲ fault", style=colours["warning"]), self._session.fault)
         if view.stream is None:
             return Group(grid)
         return Group(*self._values(view), Text(), grid)

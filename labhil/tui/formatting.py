@@ -9,9 +9,8 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from labhil.report.formatting import NOTHING
 from labhil.tui.bus_watch import DeviceView
-
-NOTHING = "–"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +114,6 @@ def format_milliseconds(seconds: float | None) -> str:
 def format_frequency(rate: float | None) -> str:
     """``99.8 Hz``."""
     return NOTHING if rate is None else f"{rate:.4g} Hz"
-
-
-def format_count(number: int | None) -> str:
-    """With narrow spaces between thousands."""
-    return NOTHING if number is None else f"{number:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
 def format_size(number: int) -> str:

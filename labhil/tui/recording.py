@@ -17,10 +17,11 @@ from textual.widgets import Static
 from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
+from labhil.report.formatting import format_count
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import PENS, PlotCurve
 from labhil.tui.footer import KeyFooter
-from labhil.tui.formatting import format_count, format_duration, format_frequency, outcome_label
+from labhil.tui.formatting import format_duration, format_frequency, outcome_label
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
 from labhil.tui.themes import CURVES

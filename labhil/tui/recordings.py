@@ -14,9 +14,10 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
+from labhil.report.formatting import format_count
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
-from labhil.tui.formatting import format_count, format_duration, format_size, outcome_label
+from labhil.tui.formatting import format_duration, format_size, outcome_label
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.panes import Backdrop

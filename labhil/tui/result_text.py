@@ -22,7 +22,14 @@ from labhil.analysis.schema import (
 from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
 from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
-from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.formatting import (
+    format_interval,
+    format_multiple,
+    format_p_value,
+    format_percent,
+    format_probability,
+    format_quantity,
+)
 from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.formatting import PlainTable
 
@@ -53,7 +60,7 @@ def headline(part: FitPart | DiagnosisPart) -> str:
     if isinstance(part, FitPart):
         score = part.test or part.train
         data = "on test data" if part.test is not None else "on what it was fitted to"
-        summary = f"R² {percent(score.r2)} {data}, {len(part.parameters)} parameters"
+        summary = f"R² {format_percent(score.r2)} {data}, {len(part.parameters)} parameters"
         return summary if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {summary}"
     missing = ", ".join(keyed(item.term, item.joint) for item in part.missing)
     return missing or VERDICTS[part.verdict].rstrip(".")
@@ -71,12 +78,11 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
     for doubt in fit.doubts:
         head.append(f"▲ {doubt}\n", style=colours["warning"])
-    head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
+    head.append(f"R² {format_percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {data}\n")
-    head.append(
-        f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}"
-    )
-    head.append(f" ({multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
+    head.append(f"RMSE {format_quantity(score.rmse, score.unit)}, ")
+    head.append(f"noise floor {format_quantity(score.noise_floor, score.unit)}")
+    head.append(f" ({format_multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
     parts: list[RenderableType] = [
         head,
         _title("Parameters", colours),
@@ -171,9 +177,9 @@ def _scores(fit: FitPart) -> PlainTable:
             table.add_row(
                 name,
                 keyed(row.channel, row.joint),
-                quantity(row.rmse, row.unit),
-                quantity(row.noise_floor, row.unit),
-                percent(row.r2),
+                format_quantity(row.rmse, row.unit),
+                format_quantity(row.noise_floor, row.unit),
+                format_percent(row.r2),
             )
     return table
 
@@ -195,9 +201,9 @@ def _method(fit: FitPart, colours: Colours) -> Text:
     text = Text(style=colours["muted"])
     text.append(f"terms: {', '.join(listed(fit.terms))}\n")
     text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
-    text.append(f", {quantity(fit.seconds, 's', 3)}\n")
-    text.append(f"residuals white with p {p_value(fit.residuals.ljung_box_p)}, ")
-    text.append(f"free of the input with p {p_value(fit.residuals.input_crosscorrelation_p)}\n")
+    text.append(f", {format_quantity(fit.seconds, 's', 3)}\n")
+    text.append(f"residuals white with p {format_p_value(fit.residuals.ljung_box_p)}, ")
+    text.append(f"free of the input with p {format_p_value(fit.residuals.input_crosscorrelation_p)}\n")
     text.append(_sources(fit))
     return text
 
@@ -215,7 +221,9 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
     head = Text()
     head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(diagnosis.baseline.terms))}; ", style=colours["muted"])
-    suffices = f"p {p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
+    suffices = (
+        f"p {format_p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
+    )
     head.append(f"{suffices}\n", style=colours["muted"])
     if not diagnosis.complete:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
@@ -253,14 +261,14 @@ def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[Rendera
 def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
     text = Text()
     text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
-    text.append(f"  probability {chance(item.probability)}\n")
+    text.append(f"  probability {format_probability(item.probability)}\n")
     text.append(f"{item.statement}\n")
     if item.equation:
         text.append(f"{item.equation}\n", style="italic")
     evidence = item.evidence
     text.append(
-        f"ΔBIC {quantity(evidence.delta_bic, digits=3)}, held-out gain "
-        f"{quantity(evidence.heldout_loglik_gain, 'nats', 3)}\n",
+        f"ΔBIC {format_quantity(evidence.delta_bic, digits=3)}, held-out gain "
+        f"{format_quantity(evidence.heldout_loglik_gain, 'nats', 3)}\n",
         style=colours["muted"],
     )
     for rival in rivals:
@@ -268,7 +276,7 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colou
             distinction = (
                 "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
             )
-            text.append(f"  or {keyed(rival.term, rival.joint)} ({chance(rival.probability)}), ")
+            text.append(f"  or {keyed(rival.term, rival.joint)} ({format_probability(rival.probability)}), ")
             text.append(f"{distinction} {rival.experiment}\n", style=colours["muted"])
     text.rstrip()
     return text
@@ -279,26 +287,33 @@ def _changes(diagnosis: DiagnosisPart) -> PlainTable:
     for change in diagnosis.changed:
         table.add_row(
             keyed(change.name, change.joint, change.recording),
-            quantity(change.before, change.unit),
-            quantity(change.after, change.unit),
-            interval(change.ci99),
-            p_value(change.p_value),
+            format_quantity(change.before, change.unit),
+            format_quantity(change.after, change.unit),
+            format_interval(change.ci99),
+            format_p_value(change.p_value),
         )
     return table
 
 
 def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
     data = "the test recording" if improvement.data == "test" else "held-out data"
-    horizon = "" if improvement.horizon is None else f", windows of {quantity(improvement.horizon, 's')}"
+    horizon = (
+        "" if improvement.horizon is None else f", windows of {format_quantity(improvement.horizon, 's')}"
+    )
     where = Text(f"on {data}{horizon}", style=colours["muted"])
     table = _plain_table(("",), ("before", "after", "noise floor"))
     table.add_row(
         "RMSE",
-        quantity(improvement.rmse_before, improvement.unit),
-        Text(quantity(improvement.rmse_after, improvement.unit), style="bold"),
-        quantity(improvement.noise_floor, improvement.unit),
+        format_quantity(improvement.rmse_before, improvement.unit),
+        Text(format_quantity(improvement.rmse_after, improvement.unit), style="bold"),
+        format_quantity(improvement.noise_floor, improvement.unit),
     )
-    table.add_row("R²", percent(improvement.r2_before), Text(percent(improvement.r2_after), style="bold"), "")
+    table.add_row(
+        "R²",
+        format_percent(improvement.r2_before),
+        Text(format_percent(improvement.r2_after), style="bold"),
+        "",
+    )
     return Group(where, table, _bars(improvement, colours))
 
 
@@ -320,7 +335,7 @@ def _bars(improvement: Improvement, colours: Colours) -> Text:
         length = round(min(40.0, max(1.0, 4.0 + 12.0 * math.log10(ratio))))
         text.append(f"{name:<7}", style=colours["muted"])
         text.append("█" * length, style=colours[colour])
-        text.append(f" {multiple(value, floor)}\n")
+        text.append(f" {format_multiple(value, floor)}\n")
     text.rstrip()
     return text
 
@@ -330,7 +345,8 @@ def _exclusions_and_sources(diagnosis: DiagnosisPart, colours: Colours) -> Itera
     muted = colours["muted"]
     without_joint = [e for e in diagnosis.excluded if e.joint is None]
     limits = [
-        f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in without_joint
+        f"{keyed(e.term, None, e.recording)} {format_quantity(e.largest_hidden, e.unit, 2)}"
+        for e in without_joint
     ]
     if limits:
         yield Text(f"\nNot there, or smaller than: {', '.join(limits)}.", style=muted)

@@ -1,4 +1,4 @@
-"""Signals of a recording drawn, however long they are: the smallest and largest of each stretch of time."""
+"""Signals of a recording as pictures of few points, by the extremes of each interval of time."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ LEFT, RIGHT = 0.09, 0.985
 
 
 def signal_picture(album: Album, data: StreamData, signal: Signal) -> Markup:
-    """One signal over time; a vector has a line per column."""
+    """Draw one signal over time, with a line for each column of a vector."""
     about = f" ({signal.description})" if signal.description else ""
     caption = f"{signal.name}{about}, {signal.direction.value} of /{data.device}/{data.stream.name}."
     return album.picture(caption, lambda: _draw_signal(data, signal))
 
 
 def timing_picture(album: Album, data: StreamData) -> Markup:
-    """Time from each sample to the next."""
+    """Draw the time from each sample to the next."""
     caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; a gap stands out."
     return album.picture(caption, lambda: _draw_timing(data))
 
@@ -81,10 +81,15 @@ def _strip(height: float, *, legend: bool = False) -> tuple[Figure, Axes]:
 
 
 def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Times and values of a line that shows every extreme of (t, values), both (n,), with few points.
+    """Reduce a line to few points that show every extreme.
 
-    Each of ``STRETCHES`` stretches keeps its smallest and its largest value, in their order. Where ``seq``
-    has holes the line is broken by a NaN.
+    Args:
+        t: (n,), times.
+        values: (n,), values; NaN counts as no extreme.
+        seq: (n,), sequence numbers; a hole in them breaks the line.
+
+    Returns:
+        Times and values (m,), m at most about 1800, with NaN at breaks.
     """
     kept = np.arange(len(values)) if len(values) <= 2 * STRETCHES else _extremes(values)
     drawn = values[kept]
@@ -96,7 +101,7 @@ def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> 
 
 
 def _extremes(values: FloatArray) -> IntArray:
-    """Rows of the smallest and largest of each stretch, increasing; NaN counts as neither."""
+    """Rows of the smallest and largest value of each interval, increasing."""
     n = len(values)
     width = -(-n // STRETCHES)
     stretches = -(-n // width)

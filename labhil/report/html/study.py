@@ -1,4 +1,4 @@
-"""Pages of fresh results, with the pictures that need the data and not only the JSON."""
+"""Pages of fresh results, with the pictures that need the samples."""
 
 from __future__ import annotations
 
@@ -51,5 +51,5 @@ def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
 
 
 def foot_of(result: FitPart | DiagnosisPart | VerificationPart | ComparisonPart) -> str:
-    """Where a page comes from."""
+    """Return the last line of a page: the recordings that it comes from."""
     return f"Made from {', '.join(source.path for source in result.recordings)}."
