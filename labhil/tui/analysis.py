@@ -1,4 +1,4 @@
-"""The choices for a fit or a diagnosis: terms in the catalogue's words, test recording, estimator, time."""
+"""The dialog before a fit or a diagnosis: terms, test recording, estimator, time limit."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ KINDS = {"fit": "Fit", "diagnose": "Diagnose"}
 
 @dataclass
 class CatalogueLine(Message):
-    """A line of the process that reads the catalogue."""
+    """Carry a line of the process that reads the catalogue of terms."""
 
     line: dict[str, Any]
 
 
 class AnalysisDialog(ModalScreen[Task | None]):
-    """Terms or baseline, test recording, estimator and time, before a fit or a diagnosis begins.
+    """Choose terms or baseline, test recording, estimator and time before a fit or a diagnosis.
 
     Args:
-        task: Its recordings and tests, and what the dialog does not choose.
-        rig: The rig kind of the recording, None where it has none.
-        others: Recordings that could judge the result.
+        task: Recordings and test recordings, and what the dialog does not choose.
+        rig: Rig kind of the recording; None where it has none.
+        others: Recordings that the result could be tested on.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -66,7 +66,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self._helper: Helper | None = None
 
     def compose(self) -> ComposeResult:
-        """The choices, the terms, and what the highlighted one is."""
+        """Lay out the choices, the terms, and the description of the highlighted term."""
         with Vertical(classes="dialog dialog-wide", id="analysis-box"):
             yield Static(id="analysis-how")
             yield SelectionList[str](id="analysis-terms")
@@ -112,11 +112,11 @@ class AnalysisDialog(ModalScreen[Task | None]):
         selection_list.focus()
 
     def on_selection_list_selection_highlighted(self, _event: Any) -> None:
-        """Show what this term is."""
+        """Describe the highlighted term."""
         self._show_term()
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
-        """Show how many terms are selected."""
+        """Show the number of selected terms."""
         self._show_choices()
 
     @property
@@ -129,7 +129,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
 
     @property
     def selected_task(self) -> Task:
-        """The task as it is chosen now."""
+        """The task with the present choices."""
         catalogue = self.catalogue
         estimator = catalogue.estimators[self._estimator] if catalogue and self._kind == "fit" else None
         return replace(
@@ -169,7 +169,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self._show_term()
 
     def _show_term(self) -> None:
-        """Show the highlighted term in the catalogue's words."""
+        """Show statement and equation of the highlighted term."""
         colours, selection_list = self.app.theme_variables, self.query_one(SelectionList)
         text = Text()
         if self.catalogue is not None and selection_list.highlighted is not None:
@@ -182,7 +182,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self.query_one("#analysis-about", Static).update(text)
 
     def action_what(self) -> None:
-        """A fit, or a diagnosis."""
+        """Change between fit and diagnosis."""
         self._kind = "diagnose" if self._kind == "fit" else "fit"
         self._fill()
         self._show_choices()
@@ -193,28 +193,28 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self._show_choices()
 
     def action_estimator(self) -> None:
-        """The next estimator."""
+        """Take the next estimator."""
         if self.catalogue is not None and self._kind == "fit":
             self._estimator = (self._estimator + 1) % len(self.catalogue.estimators)
             self._show_choices()
 
     def action_test(self) -> None:
-        """The next recording to judge on."""
+        """Take the next test recording."""
         self._test = (self._test + 1) % len(self._tests)
         self._show_choices()
 
     def action_limit(self) -> None:
-        """The next limit of time."""
+        """Take the next time limit."""
         self._limit = (self._limit + 1) % len(LIMITS)
         self._show_choices()
 
     def action_start(self) -> None:
-        """Begin, unless a fit would have no term at all."""
+        """Start, unless a fit has no terms."""
         if self.catalogue is not None and self._kind == "fit" and not self.selected_terms:
             self.app.notify("Take at least one term: Space.", severity="warning")
             return
         self.dismiss(self.selected_task)
 
     def action_leave(self) -> None:
-        """Begin nothing."""
+        """Close without a task."""
         self.dismiss(None)

@@ -1,4 +1,7 @@
-"""The application: five tabs, one key that stops everything, and no way out that leaves a device moving."""
+"""The application: five tabs, the emergency stop, and an orderly end of runs and studies.
+
+Each tab has a pane in a file of its own; ``session.py`` holds the view of the buses.
+"""
 
 from __future__ import annotations
 
@@ -45,21 +48,29 @@ from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
 
 FRAME_INTERVAL = 0.1
-"""Plots are drawn at most ten times a second, see ``FrameLimiter``."""
+"""Shortest time between two frames of the plots, s; see ``FrameLimiter``."""
 STATE_INTERVAL = 0.25
-"""Tables and states are brought up to date four times a second, so that silence shows within one."""
+"""Time between two refreshes of tables and states, s, so that a silent stream shows within a second."""
 FILES_INTERVAL = 2.0
+"""Time between two scans of the folder, s."""
 
 STOP_KEYS = ("f12", "ctrl+e")
 
 
 class LabApp(App[None]):
-    """What a person in the lab works with."""
+    """Run the terminal UI.
+
+    Args:
+        folder: Folder of recordings, results and experiments.
+        session: View of the buses in reach.
+        theme: Name of the first theme.
+        tab: Name of the first tab.
+    """
 
     TITLE = "labhil"
     CSS_PATH = "lab.tcss"
     ENABLE_COMMAND_PALETTE = True
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - theirs is no class variable
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - Textual declares no class variable
     VERTICAL_BREAKPOINTS = [(0, "-low"), (36, "-high")]  # noqa: RUF012
     BINDINGS: ClassVar[list[BindingType]] = [
         *[
@@ -95,14 +106,14 @@ class LabApp(App[None]):
         self._frame_limiter = FrameLimiter()
         self._bar_line, self._is_out_of_date = Text(), False
         self._panes: tuple[Widget, ...] = ()
-        # the line under a tab that glides costs a third of the time until the tab's pane is there
+        # the moving line under a tab costs a third of the time until its pane is visible
         self.animation_level = "none"
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = theme
 
     def compose(self) -> ComposeResult:
-        """The bar, the tabs, the footer."""
+        """Lay out the bar, the tabs and the footer."""
         with Horizontal(id="bar"):
             yield Static(" labhil ", id="brand")
             yield Static(id="bar-run")
@@ -119,7 +130,7 @@ class LabApp(App[None]):
         yield KeyFooter()
 
     def get_default_screen(self) -> Screen[Any]:
-        """The screen with the tabs."""
+        """Return the screen with the tabs."""
         return LabScreen(id="_default")
 
     def on_mount(self) -> None:
@@ -135,16 +146,16 @@ class LabApp(App[None]):
         self.watch(self.base, "focused", self._keep_focus, init=False)
 
     def on_unmount(self) -> None:
-        """End what this screen started; a second call finds nothing to do."""
+        """End the run and all studies."""
         self.close_everything()
 
     def close_everything(self) -> None:
-        """End the run and all studies; idempotent. A run without a stop request has failed."""
+        """End the run and all studies; safe to call twice. A run without a stop request fails."""
         self.runner.close()
         self.studies.jobs.close()
 
     async def on_event(self, event: Event) -> None:
-        """The emergency stop comes before everything, also where a dialog holds the keys."""
+        """Handle the keys of the emergency stop before all others, also while a dialog is open."""
         if isinstance(event, Key) and event.key in STOP_KEYS:
             self.action_stop_all()
             return
@@ -159,24 +170,24 @@ class LabApp(App[None]):
         timeout: float | None = None,
         markup: bool = False,
     ) -> None:
-        """Show a message; text of a device, a file or the bus in it is no markup."""
+        """Show a message without interpreting markup: it may hold text of devices, files or the bus."""
         super().notify(message, title=title, severity=severity, timeout=timeout, markup=markup)
 
-    # what is shown
+    # drawing
 
     @property
     def base(self) -> Screen[Any]:
-        """The screen with the tabs, whatever lies over it."""
+        """The screen with the tabs, below any dialog."""
         return self.screen_stack[0]
 
     @property
     def is_drawable(self) -> bool:
-        """Whether there is anything to draw on: not before the first layout, nor while the screen goes."""
+        """Whether there is something to draw on: not before the first layout, nor during shutdown."""
         return self.is_running and bool(self._panes) and all(pane.is_attached for pane in self._panes)
 
     @property
     def tab(self) -> str:
-        """The tab in front."""
+        """Name of the tab in front."""
         return self.base.query_one(TabbedPanes).active
 
     def _draw_plots(self) -> None:
@@ -216,7 +227,7 @@ class LabApp(App[None]):
             self.base.query_one("#bar-run", Static).update(line, layout=False)
 
     def refresh_files(self) -> None:
-        """Read anew what the tab in front shows of the folder; recordings in a thread, one look at a time."""
+        """Read the files that the tab in front shows; recordings in a thread, one scan at a time."""
         if not self.is_drawable:
             return
         if self.tab == "recordings":
@@ -227,7 +238,7 @@ class LabApp(App[None]):
             self.base.query_one(ResultsPane).refresh_list()
 
     def on_library_read(self, message: LibraryRead) -> None:
-        """The folder as far as it is read."""
+        """Show the recordings that have been read."""
         if self.is_drawable:
             self.base.query_one(RecordingsPane).show_entries(message.recordings)
 
@@ -250,7 +261,7 @@ class LabApp(App[None]):
         self._focus_tab()
 
     def _keep_focus(self, focused: Widget | None) -> None:
-        """Keep the keys with the tab: a layout that comes late, or a click beside it, takes them away."""
+        """Keep the focus in the tab: a late layout, or a click beside it, takes it away."""
         if focused is None and self.app_focus:
             self.call_next(self._focus_tab)
 
@@ -268,7 +279,7 @@ class LabApp(App[None]):
     # the run
 
     def on_start_requested(self, message: StartRequested) -> None:
-        """Start a run; one that moves real devices only after a question."""
+        """Start a run; ask first where it moves real devices."""
         if self.emergency.latch is not None:
             self.notify("The emergency stop is on: F9 releases it.", severity="error")
             return
@@ -314,7 +325,7 @@ class LabApp(App[None]):
     # studies
 
     def on_study_requested(self, message: StudyRequested) -> None:
-        """Start a fit, a diagnosis, …; show it where results are."""
+        """Start a fit, a diagnosis, …, and show it among the results."""
         if self.studies.start(message):
             self.action_tab("results")
         self.base.query_one(ResultsPane).refresh_list()
@@ -337,7 +348,7 @@ class LabApp(App[None]):
     # the emergency stop
 
     def action_stop_all(self) -> None:
-        """Bring every device in reach to its safe state, and hold all runs until it is released."""
+        """Bring every device in reach to its safe state, and block all runs until the release."""
         self.emergency.press()
 
     def action_release(self) -> None:
@@ -358,7 +369,7 @@ class LabApp(App[None]):
         return True
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """There is something to release only after a stop."""
+        """Enable the release only after an emergency stop."""
         if action == "release":
             return self.emergency.latch is not None and len(self.screen_stack) == 1
         return True
@@ -366,7 +377,7 @@ class LabApp(App[None]):
     # leaving
 
     def action_leave(self) -> None:
-        """Quit; with a run on, only after a question, and after the run has ended in order."""
+        """Quit; during a run only after a question, and after the run has ended in order."""
         if self.leaving:
             self.exit()
             return
@@ -389,19 +400,19 @@ class LabApp(App[None]):
         self.notify("Stopping the run …", timeout=30)
 
     def action_keys(self) -> None:
-        """Show all keys of the screen in front, or put them away again."""
+        """Show or hide all keys of the screen in front."""
         if self.screen.query(HelpPanel):
             self.action_hide_help_panel()
         else:
             self.action_show_help_panel()
 
     def action_toggle_theme(self) -> None:
-        """From dark to light, and back."""
+        """Change between the dark and the light theme."""
         self.theme = LIGHT.name if self.theme == DARK.name else DARK.name
 
     # the command palette
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Only what makes sense now; names of files and experiments in it are no markup."""
+        """Yield the commands that are possible now; names in them are no markup."""
         for name, about, action, *_ in commands(self, self.base.query_one(ExperimentPane)):
             yield SystemCommand(escape(name), escape(about), action)

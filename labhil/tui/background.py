@@ -1,4 +1,4 @@
-"""Work that takes a moment, in a thread of its own, so that the screen goes on."""
+"""Work in a thread, so that the screen stays responsive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ OUT_OF_DATE = "What is shown of the devices is out of date; start the terminal U
 def work_in_background(
     node: App[Any] | DOMNode, work: Callable[[], object], what: str, group: str
 ) -> Worker[None]:
-    """Do ``work`` in a thread; what it raises is shown as an error of ``what``, and ends nothing else."""
+    """Do work in a thread, and show what it raises as an error.
+
+    Args:
+        node: The app or a widget; the work is cancelled with it.
+        work: The work.
+        what: Name of the work in an error message.
+        group: Group of workers, as Textual understands it.
+    """
     app = node if isinstance(node, App) else node.app
 
     def go() -> None:

@@ -1,7 +1,7 @@
-"""A passive seat on a bus: what its devices send, how regularly, and what they report of themselves.
+"""A passive view of one bus: samples of its devices, their regularity, and their states.
 
-One thread takes samples in, another asks what cannot be seen in samples (who is there, who holds the
-lease). The screen reads snapshots when it draws; no sample ever becomes a message to it.
+One thread receives samples, another polls what samples do not show (presence, lease). The screen reads
+snapshots when it draws; no sample becomes a message to it.
 """
 
 from __future__ import annotations
@@ -49,12 +49,15 @@ from labhil.supervised import SupervisedThread
 from labhil.tui.stream_watch import UNDECODABLE, StreamHealth, StreamWatch
 
 POLL_INTERVAL = 0.5
+"""Time between two polls of the devices, s."""
+
 REQUEST_TIMEOUT = 0.5
+"""Longest time for the answer to one request, s."""
+
 MISSES_UNTIL_GONE = 3
-"""Looks in vain after which what was there is taken for gone: a busy process answers late."""
+"""Polls without an answer after which a bus or a replay counts as gone: a busy process answers late."""
 
 MOST_EVENTS = 200
-
 MOST_DEVICES = 1000
 MALFORMED = (CommandRefusedError, *UNDECODABLE)
 
@@ -66,7 +69,7 @@ REPLAYED = f"{REPLAY}/"
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """Something a device or a run announced, at Unix time ``t_ns``."""
+    """Hold an event that a device or a run announced, at Unix time ``t_ns``."""
 
     t_ns: int
     device: str
@@ -76,7 +79,20 @@ class Announcement:
 
 @dataclass(frozen=True, slots=True)
 class DeviceView:
-    """A device as a screen shows it. ``state`` is the host's own word, "gone" or "unknown"."""
+    """Hold a snapshot of a device.
+
+    Attributes:
+        name: Name on the bus; a replayed device has the prefix ``replay/``.
+        state: State that its host reports, "gone" or "unknown".
+        reason: Why it is in that state.
+        holder: Who has the lease of its commands.
+        health: Regularity of its main stream.
+        stream: Its main stream.
+        speed: Seconds of its time in one second.
+        metadata: Metadata of the main stream.
+        last_values: Newest values, one for each column; empty before the first sample.
+        event: Its newest event.
+    """
 
     name: str
     state: str
@@ -91,7 +107,7 @@ class DeviceView:
 
     @property
     def is_replayed(self) -> bool:
-        """Whether a recording is played, and no device is there."""
+        """Whether a recording is played, and no device is present."""
         return self.name.startswith(REPLAYED)
 
 
@@ -106,13 +122,17 @@ class _DeviceState:
 
     @property
     def main(self) -> StreamWatch | None:
-        """The stream of what is measured."""
+        """The stream of measurements."""
         measured = [stream_watch for name, stream_watch in self.streams.items() if name != COMMAND_STREAM]
         return measured[0] if measured else None
 
 
 class BusWatch:
-    """Looks at everything on ``bus`` from :meth:`__enter__` until it is closed; the bus stays its owner's."""
+    """Watch everything on a bus, as a context manager.
+
+    Args:
+        bus: The bus; its owner closes it.
+    """
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
@@ -125,7 +145,7 @@ class BusWatch:
         self._undeclared: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
         self._stop_polling = threading.Event()
-        self._poll_thread = SupervisedThread(self._poll, "ask devices")
+        self._poll_thread = SupervisedThread(self._poll, "poll devices")
         self._resources = ExitStack()
 
     def __enter__(self) -> Self:
@@ -146,17 +166,17 @@ class BusWatch:
     ) -> None:
         self._resources.close()
 
-    # what the screen reads
+    # snapshots for the screen
 
     def devices(self) -> list[DeviceView]:
-        """Every device that was seen, in order of appearance, with its state now."""
+        """Return every device that was seen, in order of appearance, with its present state."""
         now = time.monotonic()
         with self._lock:
             devices = list(self._devices.items())
         return [_view_of(name, device, now) for name, device in devices]
 
     def signals(self) -> list[tuple[str, str, Signal]]:
-        """Every signal that comes in: device, stream and signal."""
+        """Return device, stream and signal of everything that comes in."""
         with self._lock:
             return [
                 (name, stream, signal)
@@ -166,14 +186,14 @@ class BusWatch:
             ]
 
     def stream(self, device: str, stream: str) -> StreamWatch | None:
-        """The stream of that name, None where it is not known."""
+        """Return a stream by the names of device and stream; None where it is not known."""
         with self._lock:
             device_state = self._devices.get(device)
             return None if device_state is None else device_state.streams.get(stream)
 
     @property
     def fault(self) -> str:
-        """The last error in what came in; empty where there was none."""
+        """The last error in an incoming message; empty where there was none."""
         with self._lock:
             streams = [
                 stream_watch for device in self._devices.values() for stream_watch in device.streams.values()
@@ -181,16 +201,16 @@ class BusWatch:
         return self._fault or next((stream_watch.fault for stream_watch in streams if stream_watch.fault), "")
 
     def failure(self) -> str:
-        """Return why this is out of date although nobody closed it; empty while all is well."""
+        """Return why the view is out of date although nobody closed it; empty while it is not."""
         return self._poll_thread.failure() or self.bus.failure()
 
     @property
     def alive(self) -> bool:
-        """Whether any host is there."""
+        """Whether the host of any device is present."""
         with self._lock:
             return any(device.alive for device in self._devices.values())
 
-    # what comes from the bus, in its threads
+    # messages from the bus, in its threads
 
     def _handle_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
@@ -243,7 +263,7 @@ class BusWatch:
             )
         self.events.append(announcement)
         if device == "run" or device.startswith(REPLAYED):
-            return  # a past state is not the present one
+            return  # the state in a recording is not the present one
         with self._lock:
             if device not in self._devices and len(self._devices) >= MOST_DEVICES:
                 return
@@ -255,7 +275,7 @@ class BusWatch:
     def _device(self, name: str) -> _DeviceState:
         return self._devices.setdefault(name, _DeviceState())
 
-    # what has to be requested
+    # requests, in the polling thread
 
     def _poll(self) -> None:
         while not self._stop_polling.wait(POLL_INTERVAL):
@@ -299,9 +319,15 @@ class BusWatch:
                 self.replay = None
 
     def control_replay(self, action: str, value: float = 0.0) -> None:
-        """Send a command to the replay on this bus; waits for its answer.
+        """Send a command to the replay on this bus, and wait for its answer.
 
-        Raises BusError where none answers, CommandRefusedError where it refuses.
+        Args:
+            action: "status", "pause", "play", "speed" or "seek".
+            value: The speed, or the position in s.
+
+        Raises:
+            BusError: No replay answers.
+            CommandRefusedError: The replay refuses.
         """
         answer = ask(self.bus, REPLAY_CONTROL, {"action": action, "value": value}, timeout=REQUEST_TIMEOUT)
         self.replay, self._replay_misses = validate(ReplayMessage, answer, "a replay"), 0
@@ -325,18 +351,18 @@ class BusWatch:
 
 
 def _split_key(key: str) -> tuple[str, str]:
-    """Device and stream of a key; a replayed device never has the name of a real one."""
+    """Device and stream of a key; replayed devices keep the prefix that no real one has."""
     device, stream = split_key(key)
     return (f"{REPLAYED}{device}" if key.startswith(REPLAYED) else device), stream
 
 
 def _key_parts(device: str, stream: str) -> tuple[str, str, str]:
-    """Device, stream and namespace, as keys are made of them."""
+    """Device, stream and namespace, as functions that make keys take them."""
     return device.removeprefix(REPLAYED), stream, REPLAY if device.startswith(REPLAYED) else LAB
 
 
 def _replay_state(replay: ReplayMessage | None) -> tuple[str, str]:
-    """The state of what is replayed, and where in its recording it is."""
+    """State of a replay, and its position in the recording."""
     if replay is None:
         return "gone", ""
     where = f"{replay.position:.1f} of {replay.duration:.1f} s of {replay.path}"

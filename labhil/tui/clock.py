@@ -1,4 +1,4 @@
-"""The clock of the screen, in one place, so that a test can replace it."""
+"""The clock of the screen; a test can replace it."""
 
 from __future__ import annotations
 

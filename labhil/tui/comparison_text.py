@@ -1,4 +1,4 @@
-"""A comparison or a verification as text: the answer first, then what it rests on."""
+"""A comparison or a verification as text on the screen."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Colours = dict[str, str]
 
 
 def comparison_headline(comparison: ComparisonPart) -> str:
-    """A comparison in a few words, for a list."""
+    """Return a comparison in a few words, for a list."""
     equals = [model.name for model in comparison.models if not model.worse_than_best]
     if comparison.verdict == "alike":
         return f"{', '.join(equals)} alike"
@@ -29,7 +29,7 @@ def comparison_headline(comparison: ComparisonPart) -> str:
 
 
 def comparison_renderable(comparison: ComparisonPart, colours: Colours) -> RenderableType:
-    """The statement, a table of models, one of the parameters that they share, and what to do next."""
+    """Return the verdict, a table of models, their shared parameters, and what to do next."""
     return Group(*_comparison(comparison, colours))
 
 
@@ -69,7 +69,7 @@ def _models(comparison: ComparisonPart, colours: Colours) -> PlainTable:
 
 
 def _models_by_letter(comparison: ComparisonPart) -> Iterator[tuple[str, ComparedModel]]:
-    """The models with a letter each: names of files leave no room for numbers."""
+    """The models with a letter each: file names leave no room for numbers."""
     yield from zip(ascii_uppercase, comparison.models, strict=False)
 
 
@@ -87,12 +87,12 @@ def _parameters(comparison: ComparisonPart, colours: Colours) -> PlainTable:
 
 
 def verification_headline(verification: VerificationPart) -> str:
-    """A verification in a few words, for a list."""
+    """Return a verification in a few words, for a list."""
     return verification.verdict
 
 
 def verification_renderable(verification: VerificationPart, colours: Colours) -> RenderableType:
-    """The answer, the reasons, each output's error, and the values that have changed."""
+    """Return the verdict, the reasons, the errors of each output, and the changed parameters."""
     return Group(*_verification(verification, colours))
 
 

@@ -1,4 +1,4 @@
-"""A curve, and how it is drawn on a raster: lines differ in their pen, not in colour alone."""
+"""A plotted curve, and how it is drawn on a raster; curves differ in their pen, not in colour alone."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labhil.tui.ticks import Limits
 
 
 class Pen(StrEnum):
-    """How a line is drawn; its picture stands in the legend."""
+    """How a line is drawn; the value is its sample in the legend."""
 
     SOLID = "━━"
     DASHED = "╍╍"
@@ -25,14 +25,20 @@ class Pen(StrEnum):
 
 PENS = (Pen.SOLID, Pen.DASHED, Pen.DOTS)
 DASH, PAUSE = 4, 4
-"""Lengths in points of the drawn curve."""
+"""Lengths of dashes and of the gaps between them, in points of the curve."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlotCurve:
-    """A line of points (n,), or dots; NaN in ``y`` and steps longer than ``gap`` in ``x`` lift the pen.
+    """Hold a line of points, or dots.
 
-    ``colour`` is a name from the theme, as ``curve-0``.
+    Attributes:
+        x: (n,)
+        y: (n,); NaN breaks the line.
+        colour: Name of a colour of the theme, such as ``curve-0``.
+        pen: Solid, dashed, or dots.
+        label: Text in the legend; empty for none.
+        gap: Longest step in ``x`` that the line bridges.
     """
 
     x: FloatArray
@@ -44,7 +50,18 @@ class PlotCurve:
 
 
 def draw_curves(curves: Sequence[PlotCurve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
-    """Return a raster of so many cells with the curves between the limits; each is owned by its number."""
+    """Draw curves between limits.
+
+    Args:
+        curves: The curves; later ones cover earlier ones.
+        x: Limits of x.
+        y: Limits of y.
+        columns: Width of the raster in cells.
+        rows: Height of the raster in cells.
+
+    Returns:
+        The raster, whose dots are owned by the index of their curve.
+    """
     raster = Raster(columns, rows)
     for number, curve in enumerate(curves):
         visible = _clip(curve, x)
@@ -62,7 +79,7 @@ def draw_curves(curves: Sequence[PlotCurve], x: Limits, y: Limits, columns: int,
 
 
 def _clip(curve: PlotCurve, limits: Limits) -> PlotCurve:
-    """The points between the limits, and one beyond each, so that lines go on to the edge."""
+    """The points between the limits, and one beyond each, so that lines reach the edge."""
     inside = (curve.x >= limits[0]) & (curve.x <= limits[1])
     if inside.all():
         return curve
@@ -73,7 +90,7 @@ def _clip(curve: PlotCurve, limits: Limits) -> PlotCurve:
 
 
 def _runs(curve: PlotCurve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The stretches between two lifts of the pen, reduced to what the columns can show."""
+    """The unbroken parts of a curve, reduced to what the columns can show."""
     finite = np.isfinite(curve.y)
     breaks = np.flatnonzero(np.diff(finite.astype(np.int8))) + 1
     total = max(1, len(curve.x))
@@ -82,5 +99,5 @@ def _runs(curve: PlotCurve, columns: int) -> Iterator[tuple[FloatArray, FloatArr
             continue
         x, y = curve.x[part], curve.y[part]
         for run in split_at_gaps(x, curve.gap):
-            share = max(2, math.ceil(columns * (run.stop - run.start) / total))
-            yield envelope(x[run], y[run], share)
+            width = max(2, math.ceil(columns * (run.stop - run.start) / total))
+            yield envelope(x[run], y[run], width)

@@ -1,4 +1,4 @@
-"""The devices on the bus: how each stands, how regularly it sends, who holds it, and what it reads now."""
+"""The tab of devices: state, rate, lease and newest values of each."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EMPTY = """[b]No device is on a bus here.[/b]
 
 
 class DevicesPane(Vertical, Backdrop):
-    """A table of devices, and what the chosen one reads."""
+    """Show a table of devices, and the newest values of the chosen one."""
 
     def __init__(self, session: Session) -> None:
         super().__init__(id="devices-pane")
@@ -53,7 +53,7 @@ class DevicesPane(Vertical, Backdrop):
         self._shape: object = None
 
     def compose(self) -> ComposeResult:
-        """The table, the readings, and the text for an empty bench."""
+        """Lay out the table, the values, and the text for an empty bus."""
         yield Static(EMPTY, id="devices-empty")
         with Container(id="devices-split"):
             yield LabTable(id="devices-table", cursor_type="row", zebra_stripes=False)
@@ -68,7 +68,7 @@ class DevicesPane(Vertical, Backdrop):
         self.refresh_view()
 
     def refresh_view(self) -> None:
-        """Show the devices as they are now."""
+        """Show the devices in their present state."""
         devices = self._session.devices()
         self.query_one("#devices-empty").display = not devices
         self.query_one("#devices-split").display = bool(devices)
@@ -103,7 +103,7 @@ class DevicesPane(Vertical, Backdrop):
             self._shape = shape
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
-        """Another device was chosen."""
+        """Show the values of the chosen device."""
         if self._shown:
             self.refresh_view()
 
@@ -140,7 +140,7 @@ class DevicesPane(Vertical, Backdrop):
         return Group(*self._values(view), Text(), grid)
 
     def _values(self, view: DeviceView) -> tuple[Text, PlainTable]:
-        """The newest readings, marked as live only while samples come in."""
+        """The newest values, marked as live only while samples come in."""
         assert view.stream is not None
         colours = self.app.theme_variables
         stale = view.state == "gone" or view.health is None or view.health.silent
@@ -167,7 +167,12 @@ class DevicesPane(Vertical, Backdrop):
 
 
 def device_facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
-    """Everything known of a device but its samples, as names and values."""
+    """Return names and values of everything that is known of a device, except its samples.
+
+    Args:
+        endpoint: Endpoint of its bus.
+        view: The device.
+    """
     health, stream = view.health, view.stream
     lines = []
     if stream is not None and health is not None:
@@ -191,6 +196,6 @@ def device_facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
 
 
 def format_event(event: Announcement) -> str:
-    """An event in one line."""
+    """Return an event in one line."""
     time_of_day = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
     return f"{time_of_day} {event.kind}: {event.message}" if event.message else f"{time_of_day} {event.kind}"

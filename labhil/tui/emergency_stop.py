@@ -1,4 +1,4 @@
-"""The emergency stop of the terminal UI: its button, its red line, and what it does."""
+"""The emergency stop of the terminal UI: its button, its red line, and its effect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from labhil.tui.session import Session
 
 
 def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
-    """The red line: who pressed the stop, who is safe, and above all who did not answer."""
+    """Return the red line: who pressed the stop, which devices are safe, and who did not answer."""
     text = Text(f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(latch.since))}", style="bold")
     text.append(f" by {latch.by}. ", style="not bold")
     if outcome is not None:
@@ -34,7 +34,7 @@ def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
 
 
 class StopButton(Static):
-    """The emergency stop for a mouse."""
+    """Press the emergency stop by a click."""
 
     def on_click(self, event: Click) -> None:
         """Stop everything."""
@@ -43,15 +43,15 @@ class StopButton(Static):
 
 
 class EmergencyStop:
-    """Stops every device in reach, follows who has stopped and released them, and releases the stop.
+    """Stop every device in reach, and release the stop.
 
-    Devices are stopped in a thread, so that the screen goes on; its own thread shows the outcome.
+    Devices are stopped in a thread, so that the screen stays responsive.
 
     Args:
-        app: Runs the threads and shows the question before a release.
-        lab: Reaches the devices, and knows the latch, whoever set it.
-        show: Draws the red line anew, and returns whether there was a screen to draw on.
-        log: Writes a line (kind, text, device) where the run's events stand.
+        app: Runs the threads, and shows the question before a release.
+        session: Reaches the devices, and knows the latch, whoever set it.
+        show: Draws the red line, and returns whether there was a screen to draw on.
+        log: Writes a line (kind, text, device) to the log of the run.
     """
 
     def __init__(
@@ -59,13 +59,13 @@ class EmergencyStop:
     ) -> None:
         self._app, self._session, self._show, self._log = app, session, show, log
         self.latch: Latch | None = None
-        """The stop that stands, None while runs are allowed."""
+        """The stop that is in force; None while runs are allowed."""
         self.outcome: Outcome | None = None
         """The devices' answers to this screen's own stop."""
         self._is_shown = True
 
     def press(self) -> None:
-        """Bring every device in reach to its safe state, and hold all runs until it is released."""
+        """Bring every device in reach to its safe state, and block all runs until the release."""
         self.outcome = None
         work_in_background(self._app, self._stop_devices, "the emergency stop", "stop")
 
@@ -80,7 +80,7 @@ class EmergencyStop:
         self._app.push_screen(Confirm(question, "Release", "Keep it"), go)
 
     def refresh(self) -> None:
-        """Show the stop that stands, whoever pressed it."""
+        """Show the stop that is in force, whoever pressed it."""
         latch = self._session.latch
         if latch == self.latch and self._is_shown:
             return
@@ -90,7 +90,7 @@ class EmergencyStop:
         self._is_shown = self._show()
 
     def note(self) -> Text:
-        """Return the red line; empty while no stop stands."""
+        """Return the red line; empty while no stop is in force."""
         return Text() if self.latch is None else stop_note(self.latch, self.outcome)
 
     def _stop_devices(self) -> None:

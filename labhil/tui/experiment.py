@@ -1,4 +1,4 @@
-"""Choose an experiment, read what it will do, and run it: start, pause, resume, stop, abort."""
+"""The tab of experiments: choose one, read its plan, and run it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ MOST_LINES = 200
 
 
 class ExperimentPane(Vertical, Backdrop):
-    """The list of experiments, the plan of the chosen one, the run, and what happens."""
+    """Show the list of experiments, the plan of the chosen one, the run, and its events."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "control('pause')", "Pause", id="run.pause", tooltip="Devices safe, the run waits"),
@@ -73,7 +73,7 @@ class ExperimentPane(Vertical, Backdrop):
         self._shown_state = ""
 
     def compose(self) -> ComposeResult:
-        """The parts, from the choice to the log."""
+        """Lay out the list, the plan, the controls and the log."""
         with Container(id="experiment-choice"):
             yield LabOptions(id="experiment-list", markup=False)
             with VerticalScroll(id="plan-scroll"):
@@ -95,7 +95,7 @@ class ExperimentPane(Vertical, Backdrop):
         self.refresh_view()
 
     def refresh_list(self) -> None:
-        """Look for experiment files anew."""
+        """List the experiment files again."""
         files = list_experiments(self._folder)
         if files == self._files:
             return
@@ -118,17 +118,17 @@ class ExperimentPane(Vertical, Backdrop):
             self._show_plan(self._files[int(event.option.id)])
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """Enter starts it."""
+        """Start the chosen experiment."""
         if event.option.id is not None:
             self.action_control("start")
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """A button does what its key does."""
+        """Do the same as the key of the button."""
         event.stop()
         self.action_control((event.button.id or "").removeprefix("run-"))
 
     def action_control(self, name: str) -> None:
-        """Start, pause, resume, stop or abort."""
+        """Start, pause, resume, stop or abort the run, where its state allows it."""
         if self._runner.state not in ALLOWED[name]:
             return
         if name != "start":
@@ -137,7 +137,7 @@ class ExperimentPane(Vertical, Backdrop):
             self.post_message(StartRequested(str(self.plan.experiment.path)))
 
     def action_mark(self) -> None:
-        """Ask for a marker's text; the recording holds it at the moment of the key."""
+        """Ask for the text of a marker, which is recorded at the time of the key."""
         if self._runner.state not in MARKABLE:
             return
         pressed_ns = steady_ns()
@@ -149,7 +149,7 @@ class ExperimentPane(Vertical, Backdrop):
         self.app.push_screen(TextPrompt("What happened at this moment?", LONGEST_MARK), mark)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only keys that do something now are shown."""
+        """Enable only the keys that have an effect now."""
         if action == "control":
             return self._runner.state in ALLOWED[str(parameters[0])]
         if action == "mark":
@@ -157,7 +157,7 @@ class ExperimentPane(Vertical, Backdrop):
         return True
 
     def moves_hardware(self) -> list[str]:
-        """The addresses of real devices that the chosen experiment would move."""
+        """Return the addresses of real devices that the chosen experiment would move."""
         if self.plan is None:
             return []
         return [d.section.address for d in self.plan.devices if d.section.address != TWIN]
@@ -180,7 +180,7 @@ class ExperimentPane(Vertical, Backdrop):
     # the run
 
     def refresh_view(self) -> None:
-        """Show how far the run is, and the events since the last look."""
+        """Show the progress of the run, and the new events."""
         runner, colours = self._runner, self.app.theme_variables
         self.query_one("#run-state", Static).update(RUN_STATES[runner.state].text(colours))
         bar = self.query_one(ProgressBar)
@@ -203,7 +203,14 @@ class ExperimentPane(Vertical, Backdrop):
             self.log_line(event.kind, event.message, event.device, event.t_ns)
 
     def log_line(self, kind: str, message: str, device: str = "", t_ns: int | None = None) -> None:
-        """Add a line to the log."""
+        """Add a line to the log.
+
+        Args:
+            kind: Kind of the event.
+            message: Its text.
+            device: The device; empty for the screen itself.
+            t_ns: Unix time, ns; None for now.
+        """
         colours = self.app.theme_variables
         moment = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
         line = Text()
@@ -226,7 +233,7 @@ class ExperimentPane(Vertical, Backdrop):
 
 
 def plan_text(plan: Plan, colours: dict[str, str]) -> Text:
-    """The text of ``labhil run --dry-run``, with its warnings first."""
+    """Return the text of ``labhil run --dry-run``, with its warnings first."""
     text = Text()
     for warning in plan.warnings():
         text.append(f"▲ {warning}\n", style=colours["warning"])

@@ -1,4 +1,4 @@
-"""The keys of what is in front, in the last row."""
+"""The row of keys at the bottom of the screen."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from textual.screen import Screen
 from textual.widget import Widget
 
 SCROLL_STEP = 4
-"""Columns by which a turn of the wheel moves keys that have no room."""
+"""Columns by which a turn of the wheel scrolls the keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ShownKey:
-    """A key of the row: what is written, and what it does."""
+    """Hold a key of the row: label, description and binding."""
 
     key: str
     label: str
@@ -28,14 +28,15 @@ class _ShownKey:
 
     @property
     def width(self) -> int:
-        """Columns, with the blanks around the key and behind its description."""
+        """Columns, with the blanks around the label and after the description."""
         return len(self.label) + len(self.description) + 3
 
 
 class KeyFooter(Widget):
-    """The keys that are bound now, in one line that is one widget, to click as well.
+    """Show the bound keys in one line, which can be clicked.
 
-    A widget for each key, as Textual's own footer has, costs more than the rest of a change of the pane.
+    It is one widget. Textual's own footer has a widget for each key, which costs more than all else when
+    the pane changes.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -58,7 +59,7 @@ class KeyFooter(Widget):
         self.screen.bindings_updated_signal.subscribe(self, self._schedule_update)
 
     def _schedule_update(self, screen: Screen[object]) -> None:
-        """Look at the keys once what is under way has been drawn: they change several times in a row."""
+        """Update the keys after the next refresh: they change several times in a row."""
         if (
             screen.app.app_focus
             and self.is_attached
@@ -86,7 +87,7 @@ class KeyFooter(Widget):
                 yield _ShownKey(binding.key, label, binding.description, tooltip, enabled)
 
     def render(self) -> RenderResult:
-        """The row, from its first visible column on."""
+        """Return the row from its first visible column on."""
         line = Text(no_wrap=True, end="")
         key_style = self.get_component_rich_style("key-footer--key")
         text_style = self.get_component_rich_style("key-footer--description")
@@ -100,15 +101,15 @@ class KeyFooter(Widget):
         return line[self._first_column :] if self._first_column else line
 
     def _key_at(self, column: int) -> _ShownKey | None:
-        end = -self._first_column
+        right_edge = -self._first_column
         for key in self._keys:
-            end += key.width
-            if column < end:
+            right_edge += key.width
+            if column < right_edge:
                 return key
         return None
 
     def on_mouse_down(self, event: MouseDown) -> None:
-        """Do what the key does."""
+        """Press the key under the pointer."""
         key = self._key_at(event.x)
         if key is None:
             return
@@ -118,11 +119,11 @@ class KeyFooter(Widget):
             self.app.bell()
 
     def on_mouse_move(self, event: MouseMove) -> None:
-        """Mark the key under the pointer, and explain it."""
+        """Highlight the key under the pointer, and show its tooltip."""
         self._hover(self._key_at(event.x))
 
     def on_leave(self, _event: Leave) -> None:
-        """The pointer is elsewhere."""
+        """Remove the highlight."""
         self._hover(None)
 
     def _hover(self, key: _ShownKey | None) -> None:
@@ -132,12 +133,12 @@ class KeyFooter(Widget):
             self.refresh()
 
     def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
-        """Show keys further right, where they have no room."""
+        """Scroll to keys further right, where they have no room."""
         event.stop()
         self._scroll(SCROLL_STEP)
 
     def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
-        """Show keys further left."""
+        """Scroll to keys further left."""
         event.stop()
         self._scroll(-SCROLL_STEP)
 

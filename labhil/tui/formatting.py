@@ -1,4 +1,4 @@
-"""How states and numbers are written: a sign and a word, so that colour only underlines them."""
+"""States and quantities as text: each state has a sign and a word, so that colour is never needed."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from labhil.tui.bus_watch import DeviceView
 
 @dataclass(frozen=True, slots=True)
 class StateLabel:
-    """A state on the screen: its sign, its word, and the theme's colour for it."""
+    """Label a state by a sign, a word, and a colour of the theme."""
 
     sign: str
     word: str
     colour: str
 
     def text(self, colours: dict[str, str]) -> Text:
-        """As it is shown."""
+        """Return the label in the colours of a theme."""
         return Text(f"{self.sign} {self.word}", style=f"bold {colours.get(self.colour, 'default')}")
 
 
@@ -63,20 +63,20 @@ OUTCOMES = {
 
 
 class PlainTable(Table):
-    """A table whose cells are shown as they are: names of devices, files and signals are no markup."""
+    """Show cells without interpreting markup: they hold names of devices, files and signals."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row; text is taken as it stands."""
+        """Add a row of plain texts."""
         super().add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 
 def plain_grid() -> PlainTable:
-    """A table without frame and headings."""
+    """Make a table without frame and headings."""
     return PlainTable(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
 
 
 def device_label(view: DeviceView) -> StateLabel:
-    """The state of a device; one that lives and sends nothing is silent, whatever its host reports."""
+    """Return the label of a device; a live device that sends nothing is silent, whatever its state."""
     if view.state == "gone":
         return STATES["gone"]
     if view.health is not None and view.health.silent and not view.is_replayed:
@@ -85,12 +85,12 @@ def device_label(view: DeviceView) -> StateLabel:
 
 
 def outcome_label(status: str) -> StateLabel:
-    """The outcome of a recording."""
+    """Return the label of the outcome of a recording."""
     return OUTCOMES.get(status, StateLabel("✕", status, "error"))
 
 
 def format_duration(seconds: float | None) -> str:
-    """``12.3 s``, ``2 min 05 s``."""
+    """Format a duration: ``12.3 s``, ``2 min 05 s``."""
     if seconds is None:
         return NOTHING
     if seconds < 100:
@@ -100,24 +100,24 @@ def format_duration(seconds: float | None) -> str:
 
 
 def format_seconds(seconds: float) -> str:
-    """``3 s``; what is longer in minutes."""
+    """Format a duration in whole seconds, ``3 s``; longer ones in minutes."""
     return f"{seconds:.0f} s" if seconds < 100 else format_duration(seconds)
 
 
 def format_milliseconds(seconds: float | None) -> str:
-    """``0.4 ms``."""
+    """Format a duration in milliseconds: ``0.4 ms``."""
     if seconds is None:
         return NOTHING
     return f"{1e3 * seconds:.1f} ms" if abs(seconds) < 0.9995 else f"{seconds:.1f} s"
 
 
 def format_frequency(rate: float | None) -> str:
-    """``99.8 Hz``."""
+    """Format a frequency: ``99.8 Hz``."""
     return NOTHING if rate is None else f"{rate:.4g} Hz"
 
 
 def format_size(number: int) -> str:
-    """``1.2 MB``."""
+    """Format a number of bytes: ``1.2 MB``."""
     for unit, factor in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
         if number >= factor:
             return f"{number / factor:.3g} {unit}"

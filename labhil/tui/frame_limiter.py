@@ -1,34 +1,43 @@
-"""How often plots are drawn: as often as they may, as long as that leaves the machine to others."""
+"""A limit on how often plots are drawn, so that they leave the processor to others."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-SHARE = 0.1
-"""Of one core, for the thread that draws."""
-SLOWEST = 0.5
-"""Longest time between two pictures, however costly, s."""
-
 Clock = Callable[[], float]
 
 
 class FrameLimiter:
-    """Decides at each tick whether to draw; ``spent`` is the CPU time of the calling thread, s.
+    """Decide at each tick whether to draw.
 
-    A picture of three charts takes some 5 ms on a machine of its own and four times that where others
-    compete for its cores and caches: then every second tick goes by without one.
+    A frame of three charts takes some 5 ms on an idle machine, and four times that under load; then every
+    second tick is skipped.
+
+    Args:
+        clock: Time, s.
+        cpu_time: CPU time of the calling thread, s.
+        max_share: Largest share of one core for drawing.
+        max_interval: Longest time between two frames, s, whatever they cost.
     """
 
-    def __init__(self, clock: Clock = time.monotonic, spent: Clock = time.thread_time) -> None:
-        self._clock, self._spent = clock, spent
-        self._drawn_at = self._spent_then = float("-inf")
+    def __init__(
+        self,
+        clock: Clock = time.monotonic,
+        cpu_time: Clock = time.thread_time,
+        *,
+        max_share: float = 0.1,
+        max_interval: float = 0.5,
+    ) -> None:
+        self._clock, self._cpu_time = clock, cpu_time
+        self._max_share, self._max_interval = max_share, max_interval
+        self._last_time = self._last_cpu_time = float("-inf")
 
     def due(self) -> bool:
-        """Whether to draw now: the thread has used less than its share since the last time."""
-        now, spent = self._clock(), self._spent()
-        passed = now - self._drawn_at
-        if spent - self._spent_then > SHARE * passed and passed < SLOWEST:
+        """Return whether to draw now."""
+        now, cpu_time = self._clock(), self._cpu_time()
+        elapsed = now - self._last_time
+        if cpu_time - self._last_cpu_time > self._max_share * elapsed and elapsed < self._max_interval:
             return False
-        self._drawn_at, self._spent_then = now, spent
+        self._last_time, self._last_cpu_time = now, cpu_time
         return True

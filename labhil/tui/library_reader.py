@@ -1,4 +1,4 @@
-"""Reads the recordings of the folder in a thread of its own, one pass at a time."""
+"""Reading the recordings of a folder in a thread."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from labhil.tui.recording_library import RecordingLibrary
 
 
 class LibraryReader:
-    """Sends ``app`` a :class:`LibraryRead` whenever more of ``folder`` has been read."""
+    """Post a :class:`LibraryRead` to ``app`` whenever another recording of ``folder`` has been read."""
 
     def __init__(self, app: App[None], folder: Path) -> None:
         self._app, self._library = app, RecordingLibrary(folder)
         self._reading = threading.Lock()
 
     def scan(self) -> None:
-        """Read the folder anew, unless that is going on already."""
+        """Read the folder again, unless a scan is under way."""
         if self._reading.acquire(blocking=False):
             work_in_background(self._app, self._read, "reading the folder", "shelf")
 

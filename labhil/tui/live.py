@@ -1,4 +1,4 @@
-"""Live plots: the chosen signals, drawn from the newest samples of their rings."""
+"""The tab of live plots: the chosen signals, drawn from the newest samples of their streams."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Signals of every device on the bus appear here by themselves.
 
 
 class LivePane(Horizontal, Backdrop):
-    """A list of signals, and a chart for each chosen one."""
+    """Show a list of signals, and a chart for each chosen one."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
@@ -67,7 +67,7 @@ class LivePane(Horizontal, Backdrop):
         self.frozen = self._replayed = False
 
     def compose(self) -> ComposeResult:
-        """The list, the state, the charts."""
+        """Lay out the list, the state and the charts."""
         yield LabSelection(id="live-signals")
         with Vertical(id="live-main"):
             yield Static(id="live-state")
@@ -77,11 +77,11 @@ class LivePane(Horizontal, Backdrop):
 
     @property
     def window(self) -> float:
-        """How much of the past is shown, s."""
+        """Length of the time axis, s."""
         return WINDOWS[self._window]
 
     def refresh_list(self) -> None:
-        """Take up signals that appeared, and drop those that are gone."""
+        """Add signals that appeared, and remove those that are gone."""
         if self.frozen:
             return  # a frozen picture stays, whatever comes and goes meanwhile
         replayed = bool(self._session.replays())
@@ -104,7 +104,7 @@ class LivePane(Horizontal, Backdrop):
         self.call_after_refresh(self._choose)
 
     def on_selection_list_selected_changed(self, _event: SelectionList.SelectedChanged[str]) -> None:
-        """Other signals were chosen."""
+        """Show charts of the chosen signals."""
         self.call_after_refresh(self._choose)
 
     async def _choose(self) -> None:
@@ -119,7 +119,7 @@ class LivePane(Horizontal, Backdrop):
         self.draw()
 
     def draw(self) -> None:
-        """Draw the newest, unless the picture is held."""
+        """Draw the newest samples, unless the charts are frozen."""
         self._show_state()
         if self.frozen:
             return
@@ -165,7 +165,7 @@ class LivePane(Horizontal, Backdrop):
         return title
 
     def _grow_limits(self, key: str, values: FloatArray) -> Limits:
-        """Limits grow with the data and do not shrink by themselves: a breathing picture cannot be read."""
+        """Limits that grow with the data and never shrink by themselves: changing axes are hard to read."""
         limits = self._limits.get(key)
         if not values.size:
             return limits or (-1.0, 1.0)
@@ -192,17 +192,22 @@ class LivePane(Horizontal, Backdrop):
             self.query_one("#live-state", Static).update(line, layout=False)
 
     def action_freeze(self) -> None:
-        """Hold the picture, or go on."""
+        """Freeze the charts, or go on."""
         self.frozen = not self.frozen
         self.refresh_list()
         self.draw()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Replay keys work only where a recording is replayed."""
+        """Enable the keys of a replay only during one."""
         return bool(self._session.replays()) if action == "replay" else True
 
     def action_replay(self, what: str, way: int = 0) -> None:
-        """Steer the replay; a thread waits for its answer."""
+        """Control the replay; a thread waits for its answer.
+
+        Args:
+            what: "toggle", "speed" or "back".
+            way: Faster (1) or slower (−1).
+        """
 
         def go() -> None:
             complaint = control_replays(self._session, what, way)
@@ -212,7 +217,7 @@ class LivePane(Horizontal, Backdrop):
         work_in_background(self, go, "steering the replay", "replay")
 
     def action_shadow(self) -> None:
-        """Put an accepted model beside the device of the chosen signal, or take it away."""
+        """Simulate an accepted model beside the device of the chosen signal, or stop it."""
         view = self.query_one(ShadowView)
         if view.state is not None:
             view.stop()
@@ -234,7 +239,7 @@ class LivePane(Horizontal, Backdrop):
         self.app.push_screen(Choose(f"Which model runs beside {source.device}?", names), go)
 
     def _model_source(self) -> SignalSource | None:
-        """The first measured signal of the device that the list is at, or else of any."""
+        """The first measured signal of the highlighted device, or else of any."""
         signal_list = self.query_one(SelectionList)
         outputs = [p for p in self._sources.values() if p.signal.direction is Direction.OUTPUT]
         if signal_list.highlighted is None or not outputs:
@@ -248,12 +253,12 @@ class LivePane(Horizontal, Backdrop):
         return next(iter(of_device or outputs))
 
     def action_window(self, change: int) -> None:
-        """Show more or less of the past."""
+        """Lengthen or shorten the time axis."""
         self._window = min(max(self._window + change, 0), len(WINDOWS) - 1)
         self.draw()
 
     def action_rescale(self) -> None:
-        """Take the limits from what is shown now."""
+        """Fit the limits to the visible samples."""
         self._limits.clear()
         self.draw()
 
@@ -263,6 +268,6 @@ class LivePane(Horizontal, Backdrop):
 
 
 def _first_choice(sources: list[SignalSource]) -> list[SignalSource]:
-    """The default plots: measurements and inputs of the first device's first stream."""
+    """The default plots: outputs and inputs of the first device's first stream."""
     wanted = [p for p in sources if p.signal.direction in (Direction.OUTPUT, Direction.INPUT)]
     return sorted(wanted, key=lambda source: source.signal.direction is not Direction.OUTPUT)[:3]

@@ -1,4 +1,4 @@
-"""The tabs, and the panes behind them; what lies under the panes is drawn as cheaply as it looks."""
+"""The tabs and their panes, with cheap backgrounds."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from textual.widgets import Tab, Tabs
 
 
 class Backdrop(Widget):
-    """What has no border and shows nothing but its background: one line stands for all.
+    """Draw a background without border and content as copies of one line.
 
-    Textual draws also what others cover, line by line.
+    Textual also draws what other widgets cover, line by line.
     """
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """The background, with the terminal's filters applied."""
+        """Return the background, with the terminal's filters applied."""
         line = Strip.blank(crop.width, self.visual_style.rich_style)
         background = self.background_colors[1]
         for line_filter in self.get_line_filters():
@@ -30,19 +30,19 @@ class Backdrop(Widget):
 
 
 class LabScreen(Screen[None], Backdrop):
-    """The screen under the tabs; it looks the same wherever the keys go."""
+    """Hold the tabs; it looks the same wherever the focus is."""
 
     focused: Reactive[Widget | None] = Reactive(None, repaint=False)
 
 
 class TabbedPanes(Vertical, Backdrop):
-    """Panes of which the one in front is displayed, with their tabs above.
+    """Display one of several panes, with their tabs above.
 
-    All are mounted; one that is not displayed takes no part in layouts.
+    All are mounted; a hidden one takes no part in layouts.
 
     Args:
         panes: Title and pane, by the name of the tab.
-        first: The tab in front at first.
+        first: Name of the first tab in front.
     """
 
     active: reactive[str] = reactive("", init=False, repaint=False)
@@ -55,21 +55,21 @@ class TabbedPanes(Vertical, Backdrop):
         self.set_reactive(TabbedPanes.active, first)
 
     def compose(self) -> ComposeResult:
-        """The row of tabs, and the panes."""
+        """Lay out the row of tabs and the panes."""
         yield Tabs(*[Tab(title, id=name) for name, title in self._titles.items()], active=self.active)
         for name, pane in self.panes.items():
             pane.display = name == self.active
             yield pane
 
     def watch_active(self, before: str, active: str) -> None:
-        """Bring a pane to the front: both changes are one layout."""
+        """Bring a pane to the front, with one layout for both changes."""
         with self.app.batch_update(), self.prevent(Tabs.TabActivated):
             self.panes[before].display = False
             self.panes[active].display = True
             self.query_one(Tabs).active = active
 
     def on_tabs_tab_activated(self, event: Tabs.TabActivated) -> None:
-        """A tab was clicked, or reached with the arrows."""
+        """Follow a tab that was clicked, or reached with the arrows."""
         event.stop()
         if event.tab.id is not None:
             self.active = event.tab.id

@@ -1,4 +1,4 @@
-"""The screen of a recording: every channel drawn, and its events."""
+"""The screen of one recording: every channel drawn, and its events."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROUTINE = "status"
 
 
 class RecordingScreen(Screen[None]):
-    """The channels of a recording, read in a thread."""
+    """Show the channels of a recording, which is read in a thread."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
@@ -43,13 +43,13 @@ class RecordingScreen(Screen[None]):
         self._path = path
 
     def compose(self) -> ComposeResult:
-        """A title, and room for charts."""
+        """Lay out a title, and room for charts."""
         yield Static(Text(f" {self._path.name} … reading", style="bold"), id="recording-title")
         yield VerticalScroll(id="recording-body")
         yield KeyFooter()
 
     def on_mount(self) -> None:
-        """Read it."""
+        """Start to read the recording."""
         work_in_background(self, self._read, f"reading {self._path.name}", "read")
 
     def _read(self) -> None:

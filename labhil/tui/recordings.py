@@ -1,4 +1,4 @@
-"""The recordings of the folder: how each ended, its contents, and the studies that it allows."""
+"""The tab of recordings: their outcome and contents, and the studies of them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ EMPTY = """[b]No recordings in this folder yet.[/b]
 
 
 class RecordingsPane(Vertical, Backdrop):
-    """The table of recordings, with marks for those that belong together."""
+    """Show a table of recordings, with marks for those that a study uses together."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "open", "Open", id="rec.open", tooltip="Look at its channels and events"),
@@ -70,7 +70,7 @@ class RecordingsPane(Vertical, Backdrop):
         self._detail = Text()
 
     def compose(self) -> ComposeResult:
-        """The table, and the text for an empty folder."""
+        """Lay out the table, and the text for an empty folder."""
         yield Static(
             EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty"
         )
@@ -85,7 +85,7 @@ class RecordingsPane(Vertical, Backdrop):
         self.show_entries([])
 
     def on_resize(self, event: Resize) -> None:
-        """Give names the room that there is."""
+        """Adapt the column of names to the width."""
         width = WIDE if event.size.width >= 110 else NARROW
         if width != self._name_width:
             self._name_width = width
@@ -95,7 +95,7 @@ class RecordingsPane(Vertical, Backdrop):
             self.show_entries(entries)
 
     def show_entries(self, entries: list[LibraryEntry]) -> None:
-        """Show these entries."""
+        """Show these recordings."""
         same = [entry.path for entry in entries] == [entry.path for entry in self._entries]
         self._entries = entries
         self._marks = {
@@ -149,16 +149,16 @@ class RecordingsPane(Vertical, Backdrop):
         ]
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
-        """Another recording was chosen."""
+        """Show details of the chosen recording."""
         self._show_detail()
 
     def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
-        """Enter opens it."""
+        """Open the chosen recording."""
         event.stop()
         self.action_open()
 
     def _show_detail(self) -> None:
-        """Show what the narrow table has no room for, and what the keys would use."""
+        """Show what a narrow table has no room for, and the input of a study."""
         entry, colours = self._chosen_entry(), self.app.theme_variables
         line = Text()
         if entry is not None:
@@ -192,7 +192,7 @@ class RecordingsPane(Vertical, Backdrop):
         return recordings, tests
 
     def action_mark(self, mark: str) -> None:
-        """Mark the chosen recording, or take the mark away."""
+        """Mark the chosen recording, or remove the mark."""
         entry = self._chosen_entry()
         if entry is None:
             return
@@ -202,7 +202,7 @@ class RecordingsPane(Vertical, Backdrop):
         self._show_detail()
 
     def action_open(self) -> None:
-        """Look into the chosen recording."""
+        """Open the chosen recording."""
         entry = self._chosen_entry()
         if entry is not None:
             self.app.push_screen(RecordingScreen(entry.path))
@@ -230,7 +230,7 @@ class RecordingsPane(Vertical, Backdrop):
         self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), go)
 
     def action_verify(self) -> None:
-        """Hold the chosen recording against a model that is chosen now."""
+        """Verify a model on the chosen recording."""
         entry = self._chosen_entry()
         choices = list_models(self._folder)
         if entry is None:

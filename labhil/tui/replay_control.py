@@ -1,4 +1,4 @@
-"""A replay as the live page shows it, and the keys that steer it."""
+"""The state line of a replay on the live page, and the keys that control it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from labhil.tui.session import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 JUMP_BACK = 10.0
-"""How far one key goes back, s of the recording."""
+"""Distance of a jump back, s of the recording."""
 
 
 def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
-    """The recording that is played, its position, and the keys that work now."""
+    """Return the recording that is played, its position, and the keys that work now."""
     sign, word = ("■", "ENDED") if replay.ended else ("‖", "PAUSED") if replay.paused else ("↻", "REPLAY")
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{sign} {word} ", style=f"bold {colours['accent']}")
@@ -27,19 +27,19 @@ def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
 
 
 def next_speed(speed: float, way: int) -> float:
-    """The next round speed above or below."""
+    """Return the next round speed above (``way`` > 0) or below."""
     speeds = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
     chosen = speed if not speeds else speeds[0] if way > 0 else speeds[-1]
     return min(max(chosen, SLOWEST), FASTEST)
 
 
 def control_replays(session: Session, action: str, way: int = 0) -> str:
-    """Apply a key to every replay in reach; waits for their answers.
+    """Apply a key to every replay in reach, and wait for the answers.
 
     Args:
-        lab: Reaches the replays.
+        session: Reaches the replays.
         action: "toggle", "speed" or "back".
-        way: Faster (1) or slower (-1).
+        way: Faster (1) or slower (−1).
 
     Returns:
         The error; empty where there was none.

@@ -1,4 +1,4 @@
-"""The result files of a folder: read, put in a few words, as text, and as charts."""
+"""The result files of a folder: in a few words, as text, and as charts."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ NO_CURVES = (
 
 
 def shorten(name: str, width: int) -> str:
-    """A name without its middle where it is too long."""
+    """Cut the middle out of a name that is longer than ``width``."""
     return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
 
 
 def read_part(path: Path) -> ResultPart | str:
-    """The result in a file, or the error in reading it."""
+    """Return the result in a file, or the error in reading it."""
     try:
         data = json_of(path.read_bytes(), path.name)
         if isinstance(data, dict) and data.get("schema") == COMPARISON:
@@ -56,12 +56,12 @@ def read_part(path: Path) -> ResultPart | str:
 
 
 def has_model(part: ResultPart | str) -> bool:
-    """Whether the result holds a model, to lay over a measurement or to compare."""
+    """Return whether the result has a model, to compare or to lay over a measurement."""
     return isinstance(part, FitPart | DiagnosisPart)
 
 
 def in_a_line(part: ResultPart) -> str:
-    """A result in a few words, for a list."""
+    """Return a result in a few words, for a list."""
     if isinstance(part, ComparisonPart):
         return comparison_headline(part)
     if isinstance(part, VerificationPart):
@@ -70,7 +70,7 @@ def in_a_line(part: ResultPart) -> str:
 
 
 def in_full(part: ResultPart, colours: dict[str, str]) -> RenderableType:
-    """The whole of a result as text."""
+    """Return a result as text."""
     if isinstance(part, ComparisonPart):
         return comparison_renderable(part, colours)
     if isinstance(part, VerificationPart):
@@ -81,7 +81,15 @@ def in_full(part: ResultPart, colours: dict[str, str]) -> RenderableType:
 def charts_of(
     part: ResultPart, curves: dict[str, FloatArray]
 ) -> Iterator[tuple[str | Text, list[PlotCurve]]]:
-    """The charts of a result: simulation and error of each channel, what is missing, and its curve."""
+    """Yield the charts of a result: simulation and error of each channel, missing terms, their curve.
+
+    Args:
+        part: The result.
+        curves: Arrays of its file of curves, by name.
+
+    Yields:
+        Title and curves of each chart.
+    """
     for name in dict.fromkeys(key.rpartition("/")[0] for key in curves if key.endswith("/t")):
         t, measured, unit = curves[f"{name}/t"], curves[f"{name}/measured"], str(curves[f"{name}/unit"])
         models = [

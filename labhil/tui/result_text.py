@@ -1,4 +1,4 @@
-"""A fit or a diagnosis as text: the answer first, then what it rests on."""
+"""A fit or a diagnosis as text on the screen: the answer first, then its evidence."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ VERDICT_LABELS = {
 
 
 def result_renderable(part: FitPart | DiagnosisPart, colours: Colours) -> RenderableType:
-    """The whole of a result as text."""
+    """Return a result as text."""
     return diagnosis_text(part, colours) if isinstance(part, DiagnosisPart) else fit_text(part, colours)
 
 
 def headline(part: FitPart | DiagnosisPart) -> str:
-    """A result in a few words, for a list."""
+    """Return a result in a few words, for a list."""
     if isinstance(part, FitPart):
         score = part.test or part.train
         data = "on test data" if part.test is not None else "on what it was fitted to"
@@ -67,7 +67,7 @@ def headline(part: FitPart | DiagnosisPart) -> str:
 
 
 def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
-    """A fit: how good, the parameters, and what the data cannot know."""
+    """Return a fit: its quality, the parameters, and what is not identifiable."""
     score = fit.test or fit.train
     data = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
@@ -100,16 +100,16 @@ def _title(text: str, colours: Colours) -> Text:
 
 @dataclass(frozen=True, slots=True)
 class ParameterTableView:
-    """One row per parameter; a word marks those that are not reliable.
+    """Show one row per parameter, with a remark on those that are not reliable.
 
-    Where room is short, names and remarks take lines of their own rather than being cut.
+    In a narrow area, names and remarks take lines of their own instead of being cut.
     """
 
     rows: Sequence[Parameter]
     colours: Colours
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw it in the room that there is: in as few lines as that allows."""
+        """Draw the table in as few lines as the width allows."""
         wide = options.update(max_width=WIDEST)
         for name, cells in (
             ("", self._remark_beside),
@@ -216,7 +216,7 @@ def _sources(part: FitPart | DiagnosisPart) -> str:
 
 
 def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType:
-    """A diagnosis: the verdict, what is missing, how much better, rivals, and what could still hide."""
+    """Return a diagnosis: verdict, missing terms, improvement, rivals, exclusions."""
     sign, colour = VERDICT_LABELS[diagnosis.verdict]
     head = Text()
     head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
@@ -252,7 +252,7 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
 
 
 def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[RenderableType]:
-    """What to do next, a line each, under its heading; nothing where there is none."""
+    """Yield what to do next, a line each, under a heading; nothing for no steps."""
     if steps:
         yield _title("What to do next", colours)
         yield from (Text(f"· {step}") for step in steps)
@@ -318,7 +318,7 @@ def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
 
 
 def _bars(improvement: Improvement, colours: Colours) -> Text:
-    """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
+    """Errors as bars, in multiples of the noise floor, on a logarithmic scale."""
     import math
 
     text = Text()
@@ -341,7 +341,7 @@ def _bars(improvement: Improvement, colours: Colours) -> Text:
 
 
 def _exclusions_and_sources(diagnosis: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
-    """What could still hide, what the data cannot decide, and the recordings that were read."""
+    """Excluded and undecided terms, and the recordings of the result."""
     muted = colours["muted"]
     without_joint = [e for e in diagnosis.excluded if e.joint is None]
     limits = [

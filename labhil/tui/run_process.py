@@ -1,10 +1,10 @@
-"""A run in a process of its own: what the screen draws can neither delay nor end it by accident.
+"""The process of a run, which the screen can neither delay nor end by accident.
 
 ``python -m labhil.tui.run_process`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
 "pause" | "resume" | "stop" | "abort", "reason": …}``, or ``{"do": "mark", "text": …, "steady_ns": …}`` with
-the moment by the machine's steady clock. It writes its progress ten times a second, each refusal, and at
-the end its result. When its standard input ends without a request before, the starter has crashed or was
-killed: the run is aborted, devices safe, recording complete, exit status 1.
+a time of the machine's steady clock. It writes its progress ten times a second, each refusal, and at the end
+its result. When its standard input ends without a request before, the starter has crashed or was killed: the
+run is aborted, with devices safe, the recording complete, and exit status 1.
 """
 
 from __future__ import annotations
@@ -25,7 +25,12 @@ GONE = "the terminal UI that started the run is gone"
 
 
 def dispatch(control: RunControl, line: dict[str, Any]) -> None:
-    """Carry out the request of a line; report a refusal where the run's state does not allow it."""
+    """Carry out the request of a line; write a refusal where the state of the run does not allow it.
+
+    Args:
+        control: Controls the run.
+        line: The request.
+    """
     reason = str(line.get("reason", "told to by the terminal UI"))
     try:
         match line.get("do"):
@@ -44,7 +49,7 @@ def dispatch(control: RunControl, line: dict[str, Any]) -> None:
 
 
 def abort_run(control: RunControl) -> None:
-    """Abort the run, in whatever state it is: nobody watches it any more."""
+    """Abort the run in whatever state it is, since nobody watches it any more."""
     if control.is_to_end():
         return  # an end was requested before
     try:
@@ -54,7 +59,7 @@ def abort_run(control: RunControl) -> None:
 
 
 def main() -> int:
-    """Run the process; returns its exit status."""
+    """Run the process; return its exit status."""
     request = read_request()
     control = RunControl()
     refusals = {""}

@@ -1,4 +1,4 @@
-"""The run of this screen, if there is one: started, controlled and followed."""
+"""The run of this screen: started, controlled and followed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,13 @@ FINAL_STATES = ("idle", "finished", "failed")
 
 
 class Runner:
-    """Holds at most one run process; ``on_line`` gets its lines in a thread of its own.
+    """Control at most one run process.
 
-    The lines come back through :meth:`take`, in the thread of the screen, which owns all state here.
+    Its lines come back through :meth:`handle_line`, in the thread of the screen, which owns all state here.
+
+    Args:
+        folder: Where recordings go.
+        on_line: Gets the lines of the process, in a thread of its own.
     """
 
     def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], object]) -> None:
@@ -29,11 +33,16 @@ class Runner:
 
     @property
     def is_active(self) -> bool:
-        """Whether a run is on, or is still being ended."""
+        """Whether a run is under way, or is still being ended."""
         return self._helper is not None and self._helper.running and self.state not in FINAL_STATES
 
     def start(self, experiment: Path, name: str) -> None:
-        """Start a run; the one before must be over."""
+        """Start a run; the one before must have ended.
+
+        Args:
+            experiment: The experiment file.
+            name: Name of the run on the screen.
+        """
         if self._helper is not None:
             self._helper.close()
         self.state, self.reason, self.elapsed, self.duration, self.name = "starting", "", 0.0, 0.0, name
@@ -45,22 +54,32 @@ class Runner:
         )
 
     def request(self, what: str, reason: str = "") -> None:
-        """Request ``pause``, ``resume``, ``stop`` or ``abort``."""
+        """Request a change of the state of the run.
+
+        Args:
+            what: ``pause``, ``resume``, ``stop`` or ``abort``.
+            reason: Reason in the recording.
+        """
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
     def abort_if_unseen(self, failure: str) -> None:
-        """End the run where the screen no longer sees what its devices do; ``failure`` is why, or empty."""
+        """Abort the run where the view of its devices has failed (``failure``, or empty)."""
         if failure and self.is_active and self.state != "aborting":
             self.request("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
 
     def mark(self, text: str, at_ns: int) -> None:
-        """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
+        """Put a marker into the recording of the run.
+
+        Args:
+            text: Text of the marker.
+            at_ns: Its time by the steady clock of the machine.
+        """
         if self._helper is not None:
             self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
 
     def handle_line(self, line: dict[str, Any]) -> None:
-        """Take a line of the run process; lines of an earlier run are ignored."""
+        """Follow a line of the run process; lines of an earlier run are ignored."""
         if line["number"] != self._number:
             return
         if "state" in line:
@@ -76,6 +95,6 @@ class Runner:
             self.state, self.reason = "failed", line["complaint"] or "the run process died"
 
     def close(self) -> None:
-        """End a run that is on, in order, and wait for it."""
+        """End a run in order, and wait for it."""
         if self._helper is not None:
             self._helper.close()

@@ -1,4 +1,4 @@
-"""Every bus in reach: discovered, watched, and brought to safety all at once."""
+"""Every bus in reach: discovered, watched, and stopped all at once."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from labhil.tui.bus_watch import MISSES_UNTIL_GONE, Announcement, BusWatch, Devi
 from labhil.tui.stream_watch import StreamWatch
 
 DISCOVERY_INTERVAL = 0.5
+"""Time between two searches for buses, s."""
 STOP_ORIGIN = "the terminal UI"
 
 EndpointSource = Callable[[], Iterable[str]]
 
 
 def registered_buses() -> list[str]:
-    """Endpoints of the buses on this machine."""
+    """Return the endpoints of the buses on this machine."""
     return [entry.endpoint for entry in reachable_buses()]
 
 
 @dataclass(frozen=True, slots=True)
 class SignalSource:
-    """Where a signal comes from."""
+    """Identify a signal by the endpoint of its bus, its device and its stream."""
 
     endpoint: str
     device: str
@@ -47,9 +48,14 @@ class SignalSource:
 
 
 class Session:
-    """Watches the buses at ``fixed`` endpoints and at those that ``discover`` returns.
+    """Watch buses, as a context manager.
 
-    Raises BusError where nobody listens at a fixed endpoint.
+    Args:
+        fixed: Endpoints that are always watched.
+        discover: Returns the endpoints of further buses, again and again.
+
+    Raises:
+        BusError: Nobody listens at a fixed endpoint.
     """
 
     def __init__(self, fixed: Iterable[str] = (), discover: EndpointSource = registered_buses) -> None:
@@ -59,7 +65,7 @@ class Session:
         self._stacks: dict[str, ExitStack] = {}
         self._lock = threading.Lock()
         self._stop_discovery = threading.Event()
-        self._thread = SupervisedThread(self._discover_buses, "look for buses")
+        self._thread = SupervisedThread(self._discover_buses, "discover buses")
 
     def __enter__(self) -> Self:
         try:
@@ -81,16 +87,16 @@ class Session:
 
     @property
     def watches(self) -> dict[str, BusWatch]:
-        """The buses that are watched, by their endpoints."""
+        """The watched buses, by their endpoints."""
         with self._lock:
             return dict(self._watches)
 
     def devices(self) -> list[tuple[str, DeviceView]]:
-        """Every device in reach, with the endpoint of its bus."""
+        """Return every device in reach, with the endpoint of its bus."""
         return [(endpoint, view) for endpoint, watch in self.watches.items() for view in watch.devices()]
 
     def signal_sources(self) -> list[SignalSource]:
-        """Every signal in reach."""
+        """Return every signal in reach."""
         return [
             SignalSource(endpoint, device, stream, signal)
             for endpoint, watch in self.watches.items()
@@ -98,23 +104,32 @@ class Session:
         ]
 
     def stream(self, source: SignalSource) -> StreamWatch | None:
-        """The stream of a signal, None when its bus is gone."""
+        """Return the stream of a signal; None when its bus is gone."""
         watch = self.watches.get(source.endpoint)
         return None if watch is None else watch.stream(source.device, source.stream)
 
     def events(self) -> list[Announcement]:
-        """All announcements, the oldest first."""
+        """Return all announcements, the oldest first."""
         events = [event for watch in self.watches.values() for event in watch.events.copy()]
         return sorted(events, key=lambda event: event.t_ns)
 
     def replays(self) -> list[tuple[str, ReplayMessage]]:
-        """Recordings that are replayed, each with the endpoint of its bus."""
+        """Return the replays in reach, each with the endpoint of its bus."""
         return [
             (endpoint, watch.replay) for endpoint, watch in self.watches.items() if watch.replay is not None
         ]
 
     def control_replay(self, endpoint: str, action: str, value: float = 0.0) -> None:
-        """Ask a replay to "pause", "play", "speed" or "seek"; waits for its answer, raises LabhilError."""
+        """Send a command to a replay, and wait for its answer.
+
+        Args:
+            endpoint: Endpoint of its bus.
+            action: "pause", "play", "speed" or "seek".
+            value: The speed, or the position in s.
+
+        Raises:
+            LabhilError: It does not answer, or refuses.
+        """
         watch = self.watches.get(endpoint)
         if watch is not None:
             watch.control_replay(action, value)
@@ -126,9 +141,9 @@ class Session:
         return "; ".join(fault for fault in faults if fault)
 
     def failure(self) -> str:
-        """Return why the view is out of date; empty while all is well."""
-        watched = next((why for watch in self.watches.values() if (why := watch.failure())), "")
-        return self._thread.failure() or watched
+        """Return why the view is out of date; empty while it is not."""
+        failure_of_watch = next((why for watch in self.watches.values() if (why := watch.failure())), "")
+        return self._thread.failure() or failure_of_watch
 
     @property
     def latch(self) -> Latch | None:
@@ -136,13 +151,18 @@ class Session:
         try:
             return read_latch()
         except (LabhilError, OSError) as error:
-            return Latch("nobody known", f"whether it stands cannot be read: {error}", 0.0)
+            return Latch("nobody known", f"its state cannot be read: {error}", 0.0)
 
     def stop_all(self, reason: str) -> Outcome:
         """Press the emergency stop: every device on this machine and in reach, at once.
 
-        The latch is set before any request, and works without any bus. The outcome names who did not
-        answer.
+        The latch is set before any request, and works without any bus.
+
+        Args:
+            reason: Reason in every recording.
+
+        Returns:
+            The answers of the devices, and who did not answer.
         """
         outcomes = [press_everywhere(STOP_ORIGIN, reason)]
         for endpoint in self._fixed:
@@ -164,7 +184,7 @@ class Session:
         for endpoint in self._fixed:
             release_everywhere(endpoint)
 
-    # the thread that looks around
+    # the thread of discovery
 
     def _discover_buses(self) -> None:
         while not self._stop_discovery.wait(DISCOVERY_INTERVAL):

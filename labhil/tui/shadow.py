@@ -1,4 +1,7 @@
-"""The live shadow: an accepted model beside a device, its residual against its band."""
+"""The live shadow: an accepted model simulated beside a device, with its residual and band.
+
+``shadow_process.py`` simulates, ``shadow_state.py`` holds the state.
+"""
 
 from __future__ import annotations
 
@@ -23,25 +26,25 @@ from labhil.tui.shadow_state import ShadowedOutput, ShadowState
 
 MODULE = "labhil.tui.shadow_process"
 ROOM_FOR_ORIGIN = 100
-"""Columns from which on there is room for the origin of the band."""
+"""Columns that the origin of the band needs."""
 
 PATIENCE = 0.2
-"""How long its process may take to end by itself, s."""
+"""Time for the process to end by itself, s."""
 
 MOST_SHOWN = 6
-"""Outputs that have a line; a chart shows the residual of the one that is farthest beyond."""
+"""Outputs that have a line; the chart shows the residual that is farthest beyond its band."""
 
 
 @dataclass
 class ShadowLine(Message):
-    """A line of the process of shadow ``number``."""
+    """Carry a line of the process of shadow ``number``."""
 
     number: int
     line: dict[str, Any]
 
 
 class ShadowView(Vertical):
-    """Lines that show whether the model agrees, and a chart of the residual with its band."""
+    """Show whether the model agrees, and a chart of the residual with its band."""
 
     def __init__(self) -> None:
         super().__init__(id="live-shadow")
@@ -52,21 +55,26 @@ class ShadowView(Vertical):
         """State of the shadow; None where there is none."""
 
     def compose(self) -> ComposeResult:
-        """The lines, and the chart."""
+        """Lay out the lines and the chart."""
         yield Static(id="shadow-lines")
         yield Chart(id="shadow-chart")
 
     def on_mount(self) -> None:
-        """There is nothing to show yet."""
+        """Hide the view until there is a shadow."""
         self.display = False
 
     def on_unmount(self) -> None:
-        """End its process."""
+        """End the process."""
         if self._helper is not None:
             self._helper.close(PATIENCE)
 
     def start(self, source: SignalSource, model: Path) -> None:
-        """Simulate this model along the stream of a signal, instead of what was simulated before."""
+        """Simulate a model along the stream of a signal, instead of any earlier one.
+
+        Args:
+            source: A signal of the stream.
+            model: File of the model.
+        """
         self.stop()
         self._number += 1
         number = self._number
@@ -84,7 +92,7 @@ class ShadowView(Vertical):
         self.draw(1.0)
 
     def stop(self) -> None:
-        """End it, and take it from the screen; its process may take a moment, which no key waits for."""
+        """End the shadow and hide it; a thread waits for the process, so that no key does."""
         helper, self._helper = self._helper, None
         if helper is not None:
             work_in_background(self, lambda: helper.close(PATIENCE), "ending the shadow", "shadow")
@@ -92,13 +100,13 @@ class ShadowView(Vertical):
         self.display = False
 
     def on_shadow_line(self, message: ShadowLine) -> None:
-        """Take a line of the process; lines of an earlier shadow are ignored."""
+        """Update the state; lines of an earlier shadow are ignored."""
         message.stop()
         if self.state is not None and message.number == self._number:
             self.state.handle_line(message.line)
 
     def draw(self, window: float) -> None:
-        """Show the newest state, and so many s of residuals."""
+        """Show the newest state, and the residuals of the last ``window`` s."""
         state = self.state
         if state is None or not self.is_attached:
             return

@@ -33,22 +33,27 @@ from labhil.tui.stream_watch import HISTORY, StreamWatch
 
 MODULE = "labhil.tui.shadow_process"
 SAMPLE_INTERVAL = 0.1
-"""How often the newest samples are taken, s."""
+"""Time between two reads of the newest samples, s."""
 
 CONNECTION_ATTEMPTS = 5
 """Attempts to open the bus."""
 
 OVERLAP = 0.5
-"""Extra time read before the new samples, since their stamps are not quite even, s."""
+"""Extra time read before the new samples, s, since their stamps are uneven."""
 
 MOST_POINTS = 100
-"""Pairs of smallest and largest residuals sent for a stretch: no screen has more columns for it."""
+"""Pairs of smallest and largest residuals that are sent for a stretch: no screen has more columns for it."""
 
 
 def find_validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamData | None, str]:
-    """The rig file of a result's recordings, the samples that it was judged on, and the name of their file.
+    """Find the data that a result was tested on, for the band of its residuals.
 
-    Without its recordings there is nothing but the rig kind.
+    Args:
+        model: File of the result; recordings are also looked for beside it.
+        result: The result.
+
+    Returns:
+        Rig file, samples, and name of the recording; the default rig, None and "" where none is found.
     """
     sources = sorted(result.recordings, key=lambda source: source.role != "test")
     for source in sources:
@@ -68,7 +73,12 @@ def find_validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[Rig
 
 
 class StreamSimulator:
-    """Simulates the model along the new samples of a stream, and reports the residuals."""
+    """Simulate a model along the new samples of a stream, and write the residuals.
+
+    Args:
+        model: File of the result.
+        result: The result.
+    """
 
     def __init__(self, model: Path, result: Fit | Diagnosis) -> None:
         self._saved = result.saved
@@ -85,7 +95,7 @@ class StreamSimulator:
         self._left_ns: dict[int, int] = {}
 
     def follow(self, stream_watch: StreamWatch) -> None:
-        """Simulate as much as there is; write a line for each stretch."""
+        """Simulate along the samples that have come in; write a line for each stretch."""
         latest, _, _ = stream_watch.ring.newest(0.0)
         if not len(latest):
             return
@@ -155,7 +165,7 @@ class StreamSimulator:
 
 
 def _open_bus(endpoint: str) -> AbstractContextManager[Bus]:
-    """Open the bus there; on a busy machine that may take several attempts. BusError where none answers."""
+    """Open a bus; a busy machine may need several attempts. BusError where none answers."""
     for _ in range(CONNECTION_ATTEMPTS - 1):
         with suppress(BusError):
             return open_bus(endpoint)
@@ -163,7 +173,7 @@ def _open_bus(endpoint: str) -> AbstractContextManager[Bus]:
 
 
 def main() -> int:
-    """Run the process; returns its exit status."""
+    """Run the process; return its exit status."""
     request = read_request()
     on_further_lines(lambda _line: None, lambda: os._exit(0))
     try:

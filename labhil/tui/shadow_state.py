@@ -1,4 +1,4 @@
-"""The state of a shadow, and its text on the screen."""
+"""The state of a live shadow, and its text on the screen."""
 
 from __future__ import annotations
 
@@ -13,19 +13,30 @@ from rich.text import Text
 from labhil.signals import FloatArray
 from labhil.tui.formatting import format_duration
 
-KEPT_STRETCHES = 400
-"""Stretches kept of each output: some minutes, more than any chart shows."""
+MOST_STRETCHES = 400
+"""Stored stretches of each output: some minutes, more than any chart shows."""
 
-SILENT = 3.0
-"""Lengths of a stretch without a new one after which the samples count as stopped."""
+SILENT_STRETCHES = 3.0
+"""Time without a stretch after which the samples have stopped, in lengths of a stretch."""
 
 SHORTEST_SILENCE = 2.0
-"""Shortest time after which they do, s."""
+"""Shortest such time, s."""
 
 
 @dataclass(slots=True)
 class ShadowedOutput:
-    """One output: its residual in noise levels, and whether the model agrees."""
+    """Hold one output: its residual, and whether the model agrees.
+
+    Attributes:
+        name: Name of the output.
+        unit: SI unit.
+        noise: Standard deviation of its noise, in ``unit``.
+        band: Bound of the residual, in noise levels.
+        left_at: Time at which the residual left its band, s; None while the model agrees.
+        left_ns: The same as Unix time, ns.
+        beyond: Distance of the residual from its band, in noise levels.
+        stretches: Unix time, times (n,) and residuals (n,) of each simulated stretch.
+    """
 
     name: str
     unit: str
@@ -35,11 +46,18 @@ class ShadowedOutput:
     left_ns: int | None
     beyond: float
     stretches: deque[tuple[int, FloatArray, FloatArray]] = field(
-        default_factory=lambda: deque(maxlen=KEPT_STRETCHES)
+        default_factory=lambda: deque(maxlen=MOST_STRETCHES)
     )
 
     def residual(self, now_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Times, s before ``now_ns`` and negative, and residuals; NaN between two stretches."""
+        """Return the residual for a plot.
+
+        Args:
+            now_ns: Unix time, ns.
+
+        Returns:
+            Times (n,), s before now and negative, and residuals (n,); NaN between two stretches.
+        """
         if not self.stretches:
             return np.empty(0), np.empty(0)
         t, y = [], []
@@ -52,7 +70,7 @@ class ShadowedOutput:
 
 @dataclass(slots=True)
 class ShadowState:
-    """State that the process of a shadow reports, with its ``device`` and the file name of its ``model``."""
+    """Hold what the process of a shadow reports of ``device`` and of the file of its ``model``."""
 
     device: str
     model: str
@@ -66,7 +84,7 @@ class ShadowState:
     outputs: dict[str, ShadowedOutput] = field(default_factory=dict)
 
     def handle_line(self, line: Mapping[str, Any]) -> None:
-        """Take a line of the process."""
+        """Update the state by a line of the process."""
         if "failed" in line:
             self.failed = str(line["failed"])
         elif "ended" in line:
@@ -98,16 +116,16 @@ class ShadowState:
         return all(output.left_at is None for output in self.outputs.values())
 
     def silence(self, now_ns: int) -> float | None:
-        """Time since the last stretch, s, where that is longer than it should be."""
+        """Return the time since the last stretch, s, where that is too long; else None."""
         newest = [output.stretches[-1] for output in self.outputs.values() if output.stretches]
         if not newest:
             return None
         base_ns, t, _ = newest[0]
         age = (now_ns - base_ns) * 1e-9 - float(t[-1])
-        return age if age > max(SHORTEST_SILENCE, SILENT * float(t[-1] - t[0])) else None
+        return age if age > max(SHORTEST_SILENCE, SILENT_STRETCHES * float(t[-1] - t[0])) else None
 
     def title(self, colours: Mapping[str, str], now_ns: int) -> Text:
-        """The line with the name of the model, and how the work goes."""
+        """Return the line with the name of the model and its agreement."""
         line = Text(no_wrap=True, overflow="ellipsis")
         if self.failed:
             line.append(f"✕ {self.failed}", style=f"bold {colours['error']}")
@@ -132,18 +150,18 @@ class ShadowState:
         return line
 
     def rows(self, colours: Mapping[str, str], now_ns: int, *, wide: bool = True) -> list[Text]:
-        """A line for each output: it agrees, or since when it does not and by how much."""
+        """Return a line for each output: whether it agrees, or since when and by how much it does not."""
         return [_row(output, colours, now_ns, wide=wide) for output in self.outputs.values()]
 
     def about(self) -> str:
-        """What the band is made of."""
+        """Return the origin of the band."""
         if self.validated is None:
             return ""
         return f"99.9 % of its errors on {self.validated}" if self.validated else "99.9 % of noise"
 
 
 def _row(output: ShadowedOutput, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
-    """One output; its band is left out where there is no room for it."""
+    """The line of one output; its band is left out where there is no room for it."""
     line = Text(no_wrap=True, overflow="ellipsis")
     line.append(f"  {output.name} ", style="bold")
     if output.left_at is None:

@@ -13,7 +13,16 @@ Limits = tuple[float, float]
 
 
 def round_ticks(low: float, high: float, most: int = 4) -> list[float]:
-    """Return about ``most`` round numbers from ``low`` to ``high``, at least two where these differ."""
+    """Choose ticks at round numbers.
+
+    Args:
+        low: Lower limit of the axis.
+        high: Upper limit of the axis.
+        most: About how many ticks.
+
+    Returns:
+        The ticks, at least two where the limits differ.
+    """
     if not (math.isfinite(high - low) and high > low):
         return []
     step = round_step((high - low) / max(1, most))
@@ -26,7 +35,7 @@ def round_ticks(low: float, high: float, most: int = 4) -> list[float]:
 
 
 def tick_labels(values: Sequence[float]) -> list[str]:
-    """Return the labels of these ticks."""
+    """Return the labels of ticks, with as many decimals as their step needs."""
     if not values:
         return []
     step = values[1] - values[0] if len(values) > 1 else abs(values[0]) or 1.0
@@ -43,7 +52,7 @@ def _multiples(step: float, low: float, high: float) -> list[float]:
 
 
 def round_step(step: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
+    """Return the smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
     if not step > 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(step))
@@ -51,9 +60,15 @@ def round_step(step: float) -> float:
 
 
 def axis_limits(values: Sequence[FloatArray]) -> Limits:
-    """Round limits around all finite values, with a little room; (−1, 1) where there are none.
+    """Return round limits around all finite values, with a margin.
 
-    A constant stands in the middle of an axis as wide as itself: there is no scale for a small change.
+    A constant is in the middle of an axis as wide as itself: there is no scale for a small change.
+
+    Args:
+        values: Arrays of values.
+
+    Returns:
+        The limits; (−1, 1) where no value is finite.
     """
     finite = [v[np.isfinite(v)] for v in values]
     finite = [v for v in finite if len(v)]
