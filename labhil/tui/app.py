@@ -18,13 +18,7 @@ from textual.markup import escape
 from textual.notifications import SeverityLevel
 from textual.screen import Screen
 from textual.widget import Widget
-from textual.widgets import (
-    DataTable,
-    HelpPanel,
-    OptionList,
-    SelectionList,
-    Static,
-)
+from textual.widgets import HelpPanel, Static
 
 from labhil.tui.background import OUT_OF_DATE
 from labhil.tui.bar import bar_text, question_before_leaving
@@ -38,7 +32,7 @@ from labhil.tui.library_reader import LibraryReader
 from labhil.tui.live import LivePane
 from labhil.tui.messages import LibraryRead, RunLine, StartRequested, StudyLine, StudyRequested
 from labhil.tui.palette import TABS, Palette, commands
-from labhil.tui.panes import LabScreen, TabbedPanes
+from labhil.tui.panes import LabScreen, Pane, TabbedPanes
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
@@ -119,7 +113,7 @@ class LabApp(App[None]):
             yield Static(id="bar-run")
             yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
         yield Static(id="stop-note")
-        panes: dict[str, tuple[str, Widget]] = {
+        panes: dict[str, tuple[str, Pane]] = {
             "devices": ("1 Devices", DevicesPane(self.session)),
             "live": ("2 Live", LivePane(self.session, self.folder)),
             "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.session)),
@@ -190,6 +184,10 @@ class LabApp(App[None]):
         """Name of the tab in front."""
         return self.base.query_one(TabbedPanes).active
 
+    @property
+    def _front_pane(self) -> Pane:
+        return self.base.query_one(TabbedPanes).front
+
     def _draw_plots(self) -> None:
         if (
             self.is_drawable
@@ -210,15 +208,7 @@ class LabApp(App[None]):
             self.notify(f"{OUT_OF_DATE}: {failure}", severity="error", timeout=3600.0)
         self.emergency.refresh()
         self._show_bar()
-        tab = self.tab
-        if tab == "devices":
-            self.base.query_one(DevicesPane).refresh_view()
-        elif tab == "live":
-            self.base.query_one(LivePane).refresh_list()
-        elif tab == "experiment":
-            self.base.query_one(ExperimentPane).refresh_view()
-        elif tab == "results":
-            self.base.query_one(ResultsPane).refresh_view()
+        self._front_pane.refresh_view()
 
     def _show_bar(self) -> None:
         line = bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
@@ -232,10 +222,8 @@ class LabApp(App[None]):
             return
         if self.tab == "recordings":
             self._library.scan()
-        elif self.tab == "experiment":
-            self.base.query_one(ExperimentPane).refresh_list()
-        elif self.tab == "results":
-            self.base.query_one(ResultsPane).refresh_list()
+        else:
+            self._front_pane.refresh_list()
 
     def on_library_read(self, message: LibraryRead) -> None:
         """Show the recordings that have been read."""
@@ -266,15 +254,9 @@ class LabApp(App[None]):
             self.call_next(self._focus_tab)
 
     def _focus_tab(self) -> None:
-        kinds: dict[str, tuple[str, type[Widget]]] = {
-            "devices": ("#devices-table", DataTable),
-            "live": ("#live-signals", SelectionList),
-            "experiment": ("#experiment-list", OptionList),
-            "recordings": ("#recordings-table", DataTable),
-            "results": ("#results-table", DataTable),
-        }
         if self.is_drawable:
-            self.base.set_focus(self.base.query_one(*kinds[self.tab]))
+            pane = self._front_pane
+            self.base.set_focus(pane.query_one(pane.MAIN_WIDGET))
 
     # the run
 

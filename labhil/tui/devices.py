@@ -21,7 +21,7 @@ from labhil.tui.formatting import (
     plain_grid,
 )
 from labhil.tui.lists import LabTable
-from labhil.tui.panes import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.session import Session
 
 COLUMNS = (
@@ -43,8 +43,10 @@ EMPTY = """[b]No device is on a bus here.[/b]
 [$muted]Devices of any run on this machine appear here by themselves.[/]"""
 
 
-class DevicesPane(Vertical, Backdrop):
+class DevicesPane(Vertical, Pane):
     """Show a table of devices, and the newest values of the chosen one."""
+
+    MAIN_WIDGET = "#devices-table"
 
     def __init__(self, session: Session) -> None:
         super().__init__(id="devices-pane")

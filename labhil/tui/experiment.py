@@ -24,7 +24,7 @@ from labhil.tui.dialogs import TextPrompt
 from labhil.tui.formatting import RUN_STATES, format_duration
 from labhil.tui.lists import LabOptions
 from labhil.tui.messages import StartRequested
-from labhil.tui.panes import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.recording_library import ExperimentFile, list_experiments
 from labhil.tui.runner import Runner
 from labhil.tui.session import Session
@@ -52,9 +52,10 @@ MOST_LINES = 200
 """Lines kept in the log; the recording holds every event."""
 
 
-class ExperimentPane(Vertical, Backdrop):
+class ExperimentPane(Vertical, Pane):
     """Show the list of experiments, the plan of the chosen one, the run, and its events."""
 
+    MAIN_WIDGET = "#experiment-list"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "control('pause')", "Pause", id="run.pause", tooltip="Devices safe, the run waits"),
         Binding("r", "control('resume')", "Resume", id="run.resume", tooltip="Go on where it was paused"),

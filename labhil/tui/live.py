@@ -20,7 +20,7 @@ from labhil.tui.curve import PENS, PlotCurve
 from labhil.tui.dialogs import Choose
 from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabSelection
-from labhil.tui.panes import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import list_models
 from labhil.tui.replay_control import control_replays, replay_line
@@ -40,9 +40,10 @@ Signals of every device on the bus appear here by themselves.
 [b $accent]3[/] then [b $accent]Enter[/] runs the example on a simulated bench."""
 
 
-class LivePane(Horizontal, Backdrop):
+class LivePane(Horizontal, Pane):
     """Show a list of signals, and a chart for each chosen one."""
 
+    MAIN_WIDGET = "#live-signals"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
         Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),
@@ -80,7 +81,7 @@ class LivePane(Horizontal, Backdrop):
         """Length of the time axis, s."""
         return WINDOWS[self._window]
 
-    def refresh_list(self) -> None:
+    def refresh_view(self) -> None:
         """Add signals that appeared, and remove those that are gone."""
         if self.frozen:
             return  # a frozen picture stays, whatever comes and goes meanwhile
@@ -194,7 +195,7 @@ class LivePane(Horizontal, Backdrop):
     def action_freeze(self) -> None:
         """Freeze the charts, or go on."""
         self.frozen = not self.frozen
-        self.refresh_list()
+        self.refresh_view()
         self.draw()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
@@ -35,6 +36,19 @@ class LabScreen(Screen[None], Backdrop):
     focused: Reactive[Widget | None] = Reactive(None, repaint=False)
 
 
+class Pane(Backdrop):
+    """Fill a tab; the app refreshes the pane in front."""
+
+    MAIN_WIDGET: ClassVar[str]
+    """Selector of the widget that has the focus when the tab is opened."""
+
+    def refresh_view(self) -> None:
+        """Show the present state; called several times a second."""
+
+    def refresh_list(self) -> None:
+        """List the files of the folder again; called every few seconds."""
+
+
 class TabbedPanes(Vertical, Backdrop):
     """Display one of several panes, with their tabs above.
 
@@ -48,7 +62,7 @@ class TabbedPanes(Vertical, Backdrop):
     active: reactive[str] = reactive("", init=False, repaint=False)
     """The name of the tab in front."""
 
-    def __init__(self, panes: Mapping[str, tuple[str, Widget]], first: str) -> None:
+    def __init__(self, panes: Mapping[str, tuple[str, Pane]], first: str) -> None:
         super().__init__(id="tabs")
         self._titles = {name: title for name, (title, _) in panes.items()}
         self.panes = {name: pane for name, (_, pane) in panes.items()}
@@ -60,6 +74,11 @@ class TabbedPanes(Vertical, Backdrop):
         for name, pane in self.panes.items():
             pane.display = name == self.active
             yield pane
+
+    @property
+    def front(self) -> Pane:
+        """The pane in front."""
+        return self.panes[self.active]
 
     def watch_active(self, before: str, active: str) -> None:
         """Bring a pane to the front, with one layout for both changes."""

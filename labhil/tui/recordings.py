@@ -20,7 +20,7 @@ from labhil.tui.dialogs import Choose
 from labhil.tui.formatting import format_duration, format_size, outcome_label
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
-from labhil.tui.panes import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.recording import RecordingScreen
 from labhil.tui.recording_library import LibraryEntry, list_models
 
@@ -47,9 +47,10 @@ EMPTY = """[b]No recordings in this folder yet.[/b]
   [$muted]labhil import DATA.csv --rig RIG.toml -o REC.mcap  makes one of a table[/]"""
 
 
-class RecordingsPane(Vertical, Backdrop):
+class RecordingsPane(Vertical, Pane):
     """Show a table of recordings, with marks for those that a study uses together."""
 
+    MAIN_WIDGET = "#recordings-table"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "open", "Open", id="rec.open", tooltip="Look at its channels and events"),
         Binding("space", "mark('+')", "Mark", id="rec.mark", tooltip="Use several together"),

@@ -21,7 +21,7 @@ from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
-from labhil.tui.panes import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import ResultFile, list_results
 from labhil.tui.result_files import (
@@ -49,9 +49,10 @@ KINDS = {"comparison": "compared", "verification": "verified"}
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
-class ResultsPane(Vertical, Backdrop):
+class ResultsPane(Vertical, Pane):
     """Show the list of results, and the chosen one below."""
 
+    MAIN_WIDGET = "#results-table"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             "g",

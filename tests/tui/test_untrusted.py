@@ -110,7 +110,7 @@ def test_signals_may_come_go_and_come_again_under_the_live_plots(folder: Path) -
                 lab.endpoint = f"tcp/127.0.0.1:{40123 + turn}"
                 lab.there = turn % 3 != 2
                 pane = app.query_one(LivePane)
-                pane.refresh_list()
+                pane.refresh_view()
                 pane.draw()  # before the list has become charts
                 await pilot.pause(0.1)
                 pane.draw()
