@@ -30,7 +30,7 @@ from labhil.report.formatting import NOTHING, format_number, format_p_relation, 
 from labhil.report.parameter_columns import COLUMNS
 from labhil.report.tables import titled_table
 
-NOT_THERE = "Not there, or smaller than this (99 %)"
+EXCLUDED_HEADING = "Not there, or smaller than this (99 %)"
 
 
 def fit_text(fit: FitPart) -> RenderableType:
@@ -317,10 +317,10 @@ def _exclusions(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
             f"{keyed(e.term, None, e.recording)} {format_quantity(e.largest_hidden, e.unit, 2)}"
             for e in without_joint
         ]
-        yield Text(f"{NOT_THERE}: {', '.join(limits)}", style="dim")
+        yield Text(f"{EXCLUDED_HEADING}: {', '.join(limits)}", style="dim")
     rows = limits_by_joint(diagnosis.excluded)
     if rows:
-        yield Text(f"{NOT_THERE}, by joint", style="dim")
+        yield Text(f"{EXCLUDED_HEADING}, by joint", style="dim")
         yield joints_table(rows, "dim")
     by_reason: dict[str, list[str]] = {}
     for term in group_undecided(diagnosis.undecided):

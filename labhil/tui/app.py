@@ -271,12 +271,12 @@ class LabApp(App[None]):
             self._start(message.path)
             return
 
-        def go(yes: bool | None) -> None:
+        def on_answer(yes: bool | None) -> None:
             if yes:
                 self._start(message.path)
 
         question = f"This moves real devices:\n\n  {', '.join(addresses)}\n\nIs everybody out of their way?"
-        self.push_screen(Confirm(question, "Start", "Not yet", danger=True), go)
+        self.push_screen(Confirm(question, "Start", "Not yet", danger=True), on_answer)
 
     def _start(self, path: str) -> None:
         if self.runner.is_active or self.emergency.latch is not None:

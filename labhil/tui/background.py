@@ -25,10 +25,10 @@ def work_in_background(
     """
     app = node if isinstance(node, App) else node.app
 
-    def go() -> None:
+    def run() -> None:
         try:
             work()
         except BaseException as error:  # noqa: BLE001 - nobody waits for this thread: it would end in silence
             app.call_later(app.notify, f"{what} failed: {error!r}", severity="error", timeout=30.0)
 
-    return node.run_worker(go, thread=True, group=group, exit_on_error=False)
+    return node.run_worker(run, thread=True, group=group, exit_on_error=False)

@@ -13,9 +13,7 @@ from labhil.physics.terms import keyed, listed
 from labhil.report.comparison import AGREE, comparison_basis, format_estimate
 from labhil.report.formatting import format_p_value, format_percent, format_quantity
 from labhil.tui.formatting import PlainTable
-from labhil.tui.result_text import next_steps_lines
-
-Colours = dict[str, str]
+from labhil.tui.result_text import Colours, next_steps_lines, section_title
 
 
 def comparison_headline(comparison: ComparisonPart) -> str:
@@ -38,14 +36,14 @@ def _comparison(comparison: ComparisonPart, colours: Colours) -> Iterator[Render
     yield Text(comparison.statement, style=f"bold {colours['success' if explained else 'warning']}")
     for note in comparison.notes:
         yield Text(f"▲ {note}", style=colours["warning"])
-    yield Text("\nModels", style=f"bold {colours['primary']}")
+    yield section_title("Models", colours)
     yield Text(comparison_basis(comparison), style=colours["muted"])
     yield _models(comparison, colours)
     for letter, model in _models_by_letter(comparison):
         line = Text(f"{letter}  {model.name}: ", style="bold" if model.name == comparison.best else "")
         yield line.append(", ".join(listed(model.terms)), style=f"not bold {colours['muted']}")
     if comparison.parameters:
-        yield Text("\nParameters that they share", style=f"bold {colours['primary']}")
+        yield section_title("Parameters that they share", colours)
         yield _parameters(comparison, colours)
     yield from next_steps_lines(comparison.next_steps, colours)
 
@@ -113,7 +111,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     ):
         yield Text(f"▲ {line}", style=colours["warning"])
     yield from (Text(f"· {reason}") for reason in verification.reasons)
-    yield Text("\nErrors", style=f"bold {colours['primary']}")
+    yield section_title("Errors", colours)
     errors = _table(colours, ("output",), ("RMSE", "noise floor", "ratio", "limit"))
     for row in verification.channels:
         errors.add_row(
@@ -125,7 +123,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
         )
     yield errors
     if verification.parameters:
-        yield Text("\nValues", style=f"bold {colours['primary']}")
+        yield section_title("Values", colours)
         values = _table(colours, ("parameter",), ("accepted", "refitted", ""))
         for value in verification.parameters:
             changed = Text("≠ changed" if value.changed else "", style=colours["warning"])
@@ -139,11 +137,11 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     yield Text(f"\nmodel: {verification.model}", style=colours["muted"])
 
 
-def _table(colours: Colours, words: tuple[str, ...], numbers: tuple[str, ...]) -> PlainTable:
+def _table(colours: Colours, text_columns: tuple[str, ...], number_columns: tuple[str, ...]) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    for i, name in enumerate(words):
+    for i, name in enumerate(text_columns):
         # where room is short the first column is cut: one that may be wrapped is made narrow first
         table.add_column(Text(name), overflow="ellipsis", no_wrap=i > 0)
-    for name in numbers:
+    for name in number_columns:
         table.add_column(Text(name), justify="right", no_wrap=True)
     return table

@@ -12,6 +12,7 @@ import numpy as np
 from labhil.signals import FloatArray
 from labhil.tui.raster import ACROSS, DOWN, Raster
 from labhil.tui.ring_buffer import envelope, split_at_gaps
+from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits
 
 
@@ -47,6 +48,31 @@ class PlotCurve:
     pen: Pen = Pen.SOLID
     label: str = ""
     gap: float = math.inf
+
+
+def column_curves(
+    x: FloatArray, values: FloatArray, names: Sequence[str], number: int, gap: float
+) -> list[PlotCurve]:
+    """Make a curve for each column of a signal, with colours and pens that differ.
+
+    Args:
+        x: (n,)
+        values: (n, columns or more)
+        names: Names of the columns, for the legend; a single column has no label.
+        number: Number of the signal, which decides the first colour.
+        gap: Longest step in ``x`` that the lines bridge.
+    """
+    return [
+        PlotCurve(
+            x,
+            values[:, i],
+            f"curve-{(number + i) % CURVES}",
+            PENS[i // 2 % len(PENS)],
+            name if len(names) > 1 else "",
+            gap,
+        )
+        for i, name in enumerate(names)
+    ]
 
 
 def draw_curves(curves: Sequence[PlotCurve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:

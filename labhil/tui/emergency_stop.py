@@ -72,12 +72,12 @@ class EmergencyStop:
     def ask_release(self) -> None:
         """Allow runs again, once somebody has confirmed it."""
 
-        def go(yes: bool | None) -> None:
+        def on_answer(yes: bool | None) -> None:
             if yes:
                 work_in_background(self._app, self._release, "the release of the emergency stop", "stop")
 
         question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
-        self._app.push_screen(Confirm(question, "Release", "Keep it"), go)
+        self._app.push_screen(Confirm(question, "Release", "Keep it"), on_answer)
 
     def refresh(self) -> None:
         """Show the stop that is in force, whoever pressed it."""

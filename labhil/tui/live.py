@@ -16,7 +16,7 @@ from textual.widgets.selection_list import Selection
 from labhil.signals import Direction, FloatArray
 from labhil.tui import clock
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, PlotCurve
+from labhil.tui.curve import column_curves
 from labhil.tui.dialogs import Choose
 from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabSelection
@@ -141,17 +141,7 @@ class LivePane(Horizontal, Pane):
         limits = self._grow_limits(source.key, values)
         gap = 5.0 / (stream_watch.stream.rate * stream_watch.speed)
         names = source.signal.columns()[:MOST_CURVES]
-        curves = [
-            PlotCurve(
-                ago,
-                values[:, i],
-                f"curve-{(number + i) % CURVES}",
-                PENS[i // 2 % len(PENS)],
-                name if len(names) > 1 else "",
-                max(gap, 0.05),
-            )
-            for i, name in enumerate(names)
-        ]
+        curves = column_curves(ago, values, names, number, max(gap, 0.05))
         chart.show(self._title(source, ago, values, number), curves, (-self.window, 0.0), limits)
 
     def _title(self, source: SignalSource, ago: FloatArray, values: FloatArray, number: int) -> Text:
@@ -210,12 +200,12 @@ class LivePane(Horizontal, Pane):
             way: Faster (1) or slower (−1).
         """
 
-        def go() -> None:
-            complaint = control_replays(self._session, what, way)
-            if complaint:
-                self.app.call_later(self.app.notify, complaint, severity="error")
+        def control() -> None:
+            error = control_replays(self._session, what, way)
+            if error:
+                self.app.call_later(self.app.notify, error, severity="error")
 
-        work_in_background(self, go, "steering the replay", "replay")
+        work_in_background(self, control, "controlling the replay", "replay")
 
     def action_shadow(self) -> None:
         """Simulate an accepted model beside the device of the chosen signal, or stop it."""
@@ -232,12 +222,12 @@ class LivePane(Horizontal, Pane):
             self.notify(f"A model beside a device needs {lacking}.", severity="warning")
             return
 
-        def go(choice: str | None) -> None:
+        def on_answer(choice: str | None) -> None:
             if choice is not None:
                 view.start(source, Path(choice))
 
         names = [(str(result.path), result.path.name) for result in choices]
-        self.app.push_screen(Choose(f"Which model runs beside {source.device}?", names), go)
+        self.app.push_screen(Choose(f"Which model runs beside {source.device}?", names), on_answer)
 
     def _model_source(self) -> SignalSource | None:
         """The first measured signal of the highlighted device, or else of any."""

@@ -19,12 +19,11 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.report.formatting import format_count
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, PlotCurve
+from labhil.tui.curve import PlotCurve, column_curves
 from labhil.tui.footer import KeyFooter
 from labhil.tui.formatting import format_duration, format_frequency, outcome_label
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
-from labhil.tui.themes import CURVES
 
 MOST_EVENTS = 40
 ROUTINE = "status"
@@ -109,17 +108,7 @@ def _channel(
     title.append(name, style="bold")
     title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
     gap = 5.0 * float(np.median(np.diff(data.t)))
-    return title, [
-        PlotCurve(
-            data.t,
-            values[:, i],
-            f"curve-{(number + i) % CURVES}",
-            PENS[i // 2 % len(PENS)],
-            column if len(signal.columns()) > 1 else "",
-            gap,
-        )
-        for i, column in enumerate(signal.columns())
-    ]
+    return title, column_curves(data.t, values, signal.columns(), number, gap)
 
 
 def _events(recording: Recording, colours: dict[str, str]) -> Text:

@@ -221,14 +221,14 @@ class RecordingsPane(Vertical, Pane):
         if first is None:
             return
 
-        def go(task: Task | None) -> None:
+        def on_answer(task: Task | None) -> None:
             if task is not None:
                 self.post_message(StudyRequested(task))
 
         others = [
             entry.path for entry in self._entries if entry.path not in recordings and entry.rig == first.rig
         ]
-        self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), go)
+        self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), on_answer)
 
     def action_verify(self) -> None:
         """Verify a model on the chosen recording."""
@@ -240,9 +240,9 @@ class RecordingsPane(Vertical, Pane):
             self.notify("There is no fit or diagnosis in this folder yet: f makes one.", severity="warning")
             return
 
-        def go(choice: str | None) -> None:
+        def on_answer(choice: str | None) -> None:
             if choice is not None:
                 self.post_message(StudyRequested(Task("verify", (entry.path,), (), Path(choice))))
 
         names = [(str(result.path), result.path.name) for result in choices]
-        self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), go)
+        self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), on_answer)

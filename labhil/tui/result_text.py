@@ -85,16 +85,22 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
     head.append(f" ({format_multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
     parts: list[RenderableType] = [
         head,
-        _title("Parameters", colours),
+        section_title("Parameters", colours),
         ParameterTableView(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
-    parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _method(fit, colours)]
+    parts += [
+        section_title("Errors", colours),
+        _scores(fit),
+        section_title("How", colours),
+        _method(fit, colours),
+    ]
     return Group(*parts)
 
 
-def _title(text: str, colours: Colours) -> Text:
+def section_title(text: str, colours: Colours) -> Text:
+    """Return a heading after a blank line."""
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
@@ -188,11 +194,11 @@ def _rows_of(score: Score | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
-def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> PlainTable:
+def _plain_table(text_columns: Sequence[str], number_columns: Sequence[str]) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for name in words:
+    for name in text_columns:
         table.add_column(name, no_wrap=True)
-    for name in numbers:
+    for name in number_columns:
         table.add_column(name, justify="right", no_wrap=True)
     return table
 
@@ -236,15 +242,15 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
     head.rstrip()
     parts: list[RenderableType] = [head]
     if diagnosis.missing:
-        parts.append(_title("What is missing", colours))
+        parts.append(section_title("What is missing", colours))
     for number, item in enumerate(diagnosis.missing):
         parts += [Text()] if number else []
         parts.append(_missing_effect(item, diagnosis.rivals, colours))
     if diagnosis.changed:
-        parts += [_title("What has changed", colours), _changes(diagnosis)]
+        parts += [section_title("What has changed", colours), _changes(diagnosis)]
     if diagnosis.improvement is not None:
-        parts += [_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
-    parts += [_title("Final model", colours), ParameterTableView(diagnosis.judged_rows, colours)]
+        parts += [section_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
+    parts += [section_title("Final model", colours), ParameterTableView(diagnosis.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(diagnosis.scale_factor)] if line]
     return Group(
         *parts, *_exclusions_and_sources(diagnosis, colours), *next_steps_lines(diagnosis.next_steps, colours)
@@ -254,7 +260,7 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
 def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[RenderableType]:
     """Yield what to do next, a line each, under a heading; nothing for no steps."""
     if steps:
-        yield _title("What to do next", colours)
+        yield section_title("What to do next", colours)
         yield from (Text(f"· {step}") for step in steps)
 
 

@@ -31,7 +31,7 @@ from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
-from labhil.report.html.signals import STRETCHES, envelope
+from labhil.report.html.signals import INTERVALS, envelope
 from labhil.report.text import diagnosis_text
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
@@ -347,7 +347,7 @@ def test_an_envelope_keeps_every_extreme_and_breaks_at_gaps():
     values[[12_345, 299_999]] = 1.0, -2.0
     seq = np.arange(n) + (np.arange(n) > 150_000)
     drawn_t, drawn = envelope(t, values, seq)
-    assert len(drawn) < 2 * STRETCHES + 5
+    assert len(drawn) < 2 * INTERVALS + 5
     assert (np.nanmax(drawn), np.nanmin(drawn), np.isnan(drawn).sum()) == (1.0, -2.0, 1)
     assert np.all(np.diff(drawn_t) >= 0)
     assert drawn_t[np.nanargmax(drawn)] == pytest.approx(12.345)

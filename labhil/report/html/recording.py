@@ -55,11 +55,11 @@ def _kind(recording: Recording) -> str:
 
 def _lead(recording: Recording) -> tuple[Content, ...]:
     lost = sum(data.lost for data in recording.streams)
-    kept = sum(len(data) for data in recording.streams)
+    n_samples = sum(len(data) for data in recording.streams)
     figures = tiles(
         (
             ("Duration", format_quantity(recording.duration, "s"), "time of analysis, first sample to last"),
-            ("Streams", len(recording.streams), f"{format_count(kept)} samples"),
+            ("Streams", len(recording.streams), f"{format_count(n_samples)} samples"),
             ("Samples lost", format_count(lost), "holes in the sequence numbers"),
             ("File", "complete" if recording.complete else "incomplete", "whether it has its end"),
         )

@@ -12,8 +12,8 @@ from labhil.report.html.element import Markup
 from labhil.report.html.picture import Album, label
 from labhil.signals import Direction, FloatArray, Hold, IntArray, Signal
 
-STRETCHES = 900
-"""About as many as a page has pixels."""
+INTERVALS = 900
+"""Intervals of time in a picture: about as many as a page has pixels."""
 
 COLOURS = ("#1f5f8b", "#c8553d", "#2a7f62", "#8a5a00", "#7c3a85", "#57606a")
 LEFT, RIGHT = 0.09, 0.985
@@ -91,23 +91,23 @@ def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> 
     Returns:
         Times and values (m,), m at most about 1800, with NaN at breaks.
     """
-    kept = np.arange(len(values)) if len(values) <= 2 * STRETCHES else _extremes(values)
-    drawn = values[kept]
+    rows = np.arange(len(values)) if len(values) <= 2 * INTERVALS else _extremes(values)
+    drawn = values[rows]
     if seq is None:
-        return t[kept], drawn
-    missing = np.concatenate(([0], np.cumsum(np.diff(seq) > 1)))[kept]
+        return t[rows], drawn
+    missing = np.concatenate(([0], np.cumsum(np.diff(seq) > 1)))[rows]
     breaks = np.flatnonzero(np.diff(missing) > 0) + 1
-    return np.insert(t[kept], breaks, t[kept][breaks]), np.insert(drawn, breaks, np.nan)
+    return np.insert(t[rows], breaks, t[rows][breaks]), np.insert(drawn, breaks, np.nan)
 
 
 def _extremes(values: FloatArray) -> IntArray:
     """Rows of the smallest and largest value of each interval, increasing."""
     n = len(values)
-    width = -(-n // STRETCHES)
-    stretches = -(-n // width)
-    padded = np.concatenate((values, np.full(stretches * width - n, np.nan)))
-    starts = np.arange(stretches) * width
+    width = -(-n // INTERVALS)
+    n_intervals = -(-n // width)
+    padded = np.concatenate((values, np.full(n_intervals * width - n, np.nan)))
+    starts = np.arange(n_intervals) * width
     unknown = np.isnan(padded)
-    smallest = starts + np.where(unknown, np.inf, padded).reshape(stretches, width).argmin(axis=1)
-    largest = starts + np.where(unknown, -np.inf, padded).reshape(stretches, width).argmax(axis=1)
+    smallest = starts + np.where(unknown, np.inf, padded).reshape(n_intervals, width).argmin(axis=1)
+    largest = starts + np.where(unknown, -np.inf, padded).reshape(n_intervals, width).argmax(axis=1)
     return np.unique(np.concatenate((smallest, largest, [0, n - 1])))
