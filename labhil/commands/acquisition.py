@@ -86,7 +86,11 @@ def twin(
         host=host,
         series=series,
     )
-    device.serve(options, show)
+    device.serve(options, _show_address)
+
+
+def _show_address(address: str) -> None:
+    show(address)
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
