@@ -163,7 +163,7 @@ def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locat
     """Draw the force of a term over the coordinate that reveals it."""
     coordinate = share.abscissa(regimes)
     axes.scatter(coordinate.x, share.values, s=6, color=AFTER, alpha=0.5, lw=0)
-    # a regime of another coordinate is not in the picture; one of its own force lies across it
+    # regimes of other coordinates are not shown; a regime of the term itself is a horizontal band
     shown = [regime for regime in regimes if regime.coordinate in (coordinate.name, share.term)]
     for number, regime in enumerate(shown):
         span = axes.axvspan if regime.coordinate == coordinate.name else axes.axhspan

@@ -23,7 +23,7 @@ from labhil.campaign.studies.study import Task
 from labhil.tui.formatting import format_duration
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
-"""How long the work may take, s."""
+"""Time limits to choose from, s; None for none."""
 KINDS = {"fit": "Fit", "diagnose": "Diagnose"}
 
 

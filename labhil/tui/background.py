@@ -9,7 +9,7 @@ from textual.app import App
 from textual.dom import DOMNode
 from textual.worker import Worker
 
-OUT_OF_DATE = "What is shown of the devices is out of date; start the terminal UI anew"
+OUT_OF_DATE = "The view of the devices is out of date; restart the terminal UI"
 
 
 def work_in_background(

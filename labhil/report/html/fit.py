@@ -124,7 +124,7 @@ def _parameters(fit: FitPart, album: Album) -> PageSection | None:
     together = ", all together" if fit.intervals.simultaneous else ""
     caption = (
         f"Standard errors are robust to correlated residuals; 99 % intervals by {fit.intervals.method}"
-        f"{together}; the reference text's own error stands beside for comparison only"
+        f"{together}; the standard error of the reference text is for comparison only"
     )
     return section(
         "Parameters",

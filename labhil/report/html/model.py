@@ -72,7 +72,7 @@ def intervals_picture(album: Album, rows: Sequence[Parameter]) -> Markup | None:
         return None
     caption = (
         "99 % intervals in per cent of the estimate. Grey: not significantly different from zero, "
-        "or not identifiable. An arrow: the interval goes on."
+        "or not identifiable. An arrow: the interval continues."
     )
     return album.picture(caption, lambda: intervals_figure(rows))
 

@@ -29,7 +29,7 @@ def signal_picture(album: Album, data: StreamData, signal: Signal) -> Markup:
 
 def timing_picture(album: Album, data: StreamData) -> Markup:
     """Draw the time from each sample to the next."""
-    caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; a gap stands out."
+    caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; gaps are peaks."
     return album.picture(caption, lambda: _draw_timing(data))
 
 
