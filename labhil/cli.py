@@ -20,14 +20,14 @@ from labhil.commands.benchmarks import add_benchmarks
 from labhil.commands.compare import add_compare
 from labhil.commands.files import add_files
 from labhil.commands.firmware import add_firmware
+from labhil.commands.help_pages import link_pages
 from labhil.commands.machine import add_machine
-from labhil.commands.pages import link_pages
-from labhil.commands.repair import add_repair
+from labhil.commands.new import add_new
+from labhil.commands.patch import add_patch
 from labhil.commands.replay import add_replay
 from labhil.commands.safety import add_safety
 from labhil.commands.security import add_security
 from labhil.commands.serve import add_serve
-from labhil.commands.start import add_start
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
@@ -87,7 +87,7 @@ def _labhil(
 
 
 for add in (
-    add_start,
+    add_new,
     add_acquisition,
     add_safety,
     add_serve,
@@ -96,7 +96,7 @@ for add in (
     add_files,
     add_analysis,
     add_compare,
-    add_repair,
+    add_patch,
     add_trials,
     add_studies,
     add_benchmarks,

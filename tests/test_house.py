@@ -114,7 +114,7 @@ def test_the_screen_loads_nothing_that_works_for_it_elsewhere(tmp_path: Path) ->
 
 
 def test_what_works_for_the_screen_loads_no_screen(tmp_path: Path) -> None:
-    code = "import labhil.tui.running, labhil.campaign.studies.study, labhil.campaign.studies.curves\n"
+    code = "import labhil.tui.run_process, labhil.campaign.studies.study, labhil.campaign.studies.curves\n"
     assert loaded(code, ("textual",), tmp_path) == []
 
 

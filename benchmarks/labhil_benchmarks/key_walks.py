@@ -11,7 +11,7 @@ from pathlib import Path
 from textual.pilot import Pilot
 
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 ALWAYS = (
     "up",

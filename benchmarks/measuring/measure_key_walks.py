@@ -19,7 +19,7 @@ from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil_benchmarks.key_walks import Walk, fill, walk
 from measured import tell
 

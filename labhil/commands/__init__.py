@@ -1,1 +1,4 @@
-"""What each command of ``labhil`` takes and does, a room for each kind of work."""
+"""The commands of ``labhil``: their options, and the calls that do the work.
+
+``labhil/cli.py`` registers them.
+"""

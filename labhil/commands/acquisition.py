@@ -1,4 +1,4 @@
-"""Commands of the acquisition wing: simulated devices, what is installed, runs."""
+"""Commands of acquisition: ``labhil twin``, ``labhil devices``, ``labhil run``."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def twin(
     *,
     seed: Annotated[int, typer.Option(help="Seed of its noise.")] = 0,
     terms: Annotated[
-        str | None, typer.Option(help="Effects it is made of: a,b,… (default: its own; see --list).")
+        str | None, typer.Option(help="Terms of its model: a,b,… (default: its own; see --list).")
     ] = None,
     settings: Annotated[
         list[str] | None,
@@ -48,9 +48,9 @@ def twin(
         list[str] | None,
         typer.Option("--table", metavar="NAME=FILE", help="A measured map, like force_map=map.csv."),
     ] = None,
-    speed: Annotated[float, typer.Option(help="How many seconds of its world pass in one.")] = 1.0,
+    speed: Annotated[float, typer.Option(help="Seconds of simulated time in one second.")] = 1.0,
     wire: Annotated[str, typer.Option(help="pty or tcp.")] = "pty",
-    answer: Annotated[Path | None, typer.Option(help="Write what it is made of to this file.")] = None,
+    answer: Annotated[Path | None, typer.Option(help="Write its terms and values to this file.")] = None,
     host: Annotated[
         str | None,
         typer.Option(metavar="IP", help="Address of this machine for a networked twin: 127.0.0.2, …"),
@@ -58,7 +58,7 @@ def twin(
     series: Annotated[
         str | None, typer.Option(help="Make of its controller (ur5: cb3, e, or a version such as 5.11.1).")
     ] = None,
-    parameters: Annotated[bool, typer.Option("--list", help="Print terms and settings, and end.")] = False,
+    parameters: Annotated[bool, typer.Option("--list", help="Print terms and settings, and exit.")] = False,
 ) -> None:
     """Start a simulated device on the real wire.
 
@@ -94,7 +94,14 @@ def _show_address(address: str) -> None:
 
 
 def parse_settings(settings: list[str]) -> dict[str, float]:
-    """Return the numbers in ``["name=value", …]``; UsageError says which one is not like that."""
+    """Parse settings.
+
+    Args:
+        settings: For example ``["viscous_friction.coefficient=0.3"]``.
+
+    Raises:
+        UsageError: One of them is not name=number.
+    """
     parsed: dict[str, float] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -110,7 +117,14 @@ def parse_settings(settings: list[str]) -> dict[str, float]:
 
 
 def parse_tables(tables: list[str]) -> dict[str, Path]:
-    """Return the files in ``["name=file", …]``; UsageError says which one is not like that."""
+    """Parse tables.
+
+    Args:
+        tables: For example ``["force_map=map.csv"]``.
+
+    Raises:
+        UsageError: One of them is not name=file.
+    """
     parsed: dict[str, Path] = {}
     for table in tables:
         name, _, file = table.partition("=")
@@ -157,14 +171,14 @@ def run(
     json_path: JsonOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the recording goes.")] = Path(),
     anew: Annotated[
-        bool, typer.Option("--anew", help="Begin the campaign of a sweep again; its recordings stay.")
+        bool, typer.Option("--anew", help="Start the campaign of a sweep again; its recordings stay.")
     ] = False,
 ) -> None:
-    """Acquire: run the steps of an experiment file and leave one recording.
+    """Run the steps of an experiment file, and record them.
 
-    Its path is the last line of the output. Ctrl+C brings every device to its safe state and leaves a
-    readable recording. With `repeat` or [sweep] in the file it leaves one recording for each run, and a
-    campaign file beside them; the same command goes on with a campaign that was interrupted.
+    The path of the recording is the last line of the output. Ctrl+C brings every device to its safe state
+    and leaves a readable recording. With `repeat` or [sweep] in the file each run has its own recording, and
+    there is a campaign file beside them; the same command continues a campaign that was interrupted.
     """
     from labhil.api.acquisition import Experiment
 
@@ -195,9 +209,7 @@ def _run_all(planned: Experiment, out: Path, json_path: Path | None, *, anew: bo
     if campaign.error is not None:
         complain(campaign.error)
         remaining = len(campaign.file.runs) - campaign.done
-        complain(
-            f"{remaining} of {len(campaign.file.runs)} runs are not done; the same command goes on with them"
-        )
+        complain(f"{remaining} of {len(campaign.file.runs)} runs are not done; the same command continues")
     tell(campaign.warnings)
     if json_path is not None:
         write_json(campaign.to_json(), json_path)

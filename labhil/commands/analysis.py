@@ -1,4 +1,4 @@
-"""Commands of the analysis wing: fit, diagnose, verify, and what shows their results."""
+"""Commands of analysis: ``labhil terms``, ``fit``, ``diagnose``, ``verify``, ``report`` and ``linear``."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PerRecordingOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAMES",
-        help="What has a value of its own in each recording: terms, parameters or sizes of the rig, a,b,…",
+        help="Terms, parameters or sizes of the rig with a separate value in each recording: a,b,…",
     ),
 ]
 DeviceOption = Annotated[
@@ -40,7 +40,7 @@ DeviceOption = Annotated[
 ]
 SpanOption = Annotated[
     tuple[float, float] | None,
-    typer.Option(metavar="FROM TO", help="Use only this stretch of every recording, s."),
+    typer.Option(metavar="FROM TO", help="Use only this span of every recording, s."),
 ]
 SimulatorOption = Annotated[
     str | None,
@@ -53,7 +53,7 @@ RigOption = Annotated[Path | None, typer.Option(help="Rig file; default: the rec
 EstimatorOption = Annotated[
     str,
     typer.Option(
-        help="Where it begins: hybrid, nlse, pso, pso_adaptive, pso_de, differential_evolution, "
+        help="First stage: hybrid, nlse, pso, pso_adaptive, pso_de, differential_evolution, "
         "simulated_annealing, cma_es or mcmc; all end with least squares."
     ),
 ]
@@ -63,7 +63,7 @@ WindowOption = Annotated[
 CriterionOption = Annotated[
     str | None,
     typer.Option(
-        help="What the fit makes small: windowed_simulation or, of an axis too, inverse_dynamics "
+        help="Criterion of the fit: windowed_simulation or, for an axis, also inverse_dynamics "
         "(default: the rig's own metric, which scores either)."
     ),
 ]
@@ -72,7 +72,11 @@ ResultOption = Annotated[Path | None, typer.Option("--json", help="Write the who
 
 
 def rig_or_simulator(rig: Path | None, simulator: str | None) -> Path | str | None:
-    """The one of the two that is given; UsageError where both are."""
+    """Return the one of the two that is given.
+
+    Raises:
+        OptionError: Both are given.
+    """
     if rig is not None and simulator is not None:
         raise OptionError("simulator", ": expected it or --rig, found both; a rig file names it as [model]")
     return simulator or rig
@@ -96,7 +100,7 @@ def terms(
     rig: Annotated[str | None, typer.Argument(help="A rig kind; all when absent.")] = None,
     json_path: JsonOption = None,
 ) -> None:
-    """List the effects that a rig's model may have, with equation, parameters, units and source."""
+    """List the terms that a rig's model may have, with equation, parameters, units and source."""
     from labhil.report.catalogue import catalogue_json, show_catalogue
 
     refuse_unwritable(json_path)
@@ -132,15 +136,15 @@ def fit(
     html: PageOption = None,
     json_path: ResultOption = None,
 ) -> None:
-    """Fit a white-box model to a recording, with honest errors, and test it on data it has not seen.
+    """Fit a white-box model to a recording, with confidence intervals, and test it on data it has not seen.
 
     Several recordings of a rig are fitted together: they share all values but those of --per-recording.
     """
-    from labhil.api.fit import fit as make
+    from labhil.api.fit import fit as fit_recordings
 
     refuse_unwritable(json_path, plot, html)
-    with status() as say:
-        result = make(
+    with status() as progress:
+        result = fit_recordings(
             recordings,
             rig_or_simulator(rig, simulator),
             terms=names,
@@ -157,7 +161,7 @@ def fit(
             criterion=criterion,
             device=device,
             run=run,
-            progress=say,
+            progress=progress,
             warn=tell,
         )
     _deliver(result, json_path, plot, html)
@@ -178,7 +182,7 @@ def diagnose(
     span: SpanOption = None,
     seconds: Annotated[
         float | None,
-        typer.Option(metavar="N", help="End after so many s, with the best so far (so does Ctrl+C)."),
+        typer.Option(metavar="N", help="Time limit, s; the best result so far counts (as after Ctrl+C)."),
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     html: PageOption = None,
@@ -187,15 +191,15 @@ def diagnose(
         bool, typer.Option("--exit-code", help="End with 1 when there is a mismatch.")
     ] = False,
 ) -> None:
-    """Say where a model and a recording disagree, what physics is missing, and how much it helps.
+    """Find where a model and a recording disagree, which physics is missing, and what it improves.
 
     Several recordings of a rig are searched together: they share all values but those of --per-recording.
     """
-    from labhil.api.diagnosis import diagnose as search
+    from labhil.api.diagnosis import diagnose as diagnose_recordings
 
     refuse_unwritable(json_path, plot, html)
-    with status() as say:
-        result = search(
+    with status() as progress:
+        result = diagnose_recordings(
             recordings,
             rig_or_simulator(rig, simulator),
             baseline=baseline,
@@ -207,7 +211,7 @@ def diagnose(
             device=device,
             run=run,
             seconds=seconds,
-            progress=say,
+            progress=progress,
             warn=tell,
         )
     _deliver(result, json_path, plot, html)
@@ -237,27 +241,28 @@ def verify(
     device: DeviceOption = None,
     run: RunOption = None,
     alpha: Annotated[
-        float, typer.Option(help="Probability that a recording of the model itself is refused.")
+        float,
+        typer.Option(help="Probability of a false alarm: that a recording of the model itself is refused."),
     ] = 1e-3,
     json_path: ResultOption = None,
 ) -> None:
-    """Hold a recording against an accepted model: ends with 1 when it contradicts the model, else with 0.
+    """Verify an accepted model on a recording; the exit status is 1 when the recording contradicts the model.
 
-    Tests the windowed simulation with the values as they are, whether the refitted model leaves residuals
-    that go with the input, and whether refitted values differ from the accepted ones.
+    Tests the windowed simulation with the accepted values, whether the residuals of the refitted model are
+    correlated with the input, and whether refitted values differ from the accepted ones.
     """
-    from labhil.api.verification import verify as compare
+    from labhil.api.verification import verify as verify_recording
 
     refuse_unwritable(json_path)
-    with status() as say:
-        result = compare(
+    with status() as progress:
+        result = verify_recording(
             recording,
             model,
             rig_or_simulator(rig, simulator),
             alpha=alpha,
             device=device,
             run=run,
-            progress=say,
+            progress=progress,
             warn=tell,
         )
     deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
@@ -276,7 +281,7 @@ def report(
     out: Annotated[Path, typer.Option("-o", "--out", help="The page to write (.html).")],
     run: RunOption = None,
 ) -> None:
-    """Make one HTML page of a result or of a recording: complete in itself, to be read, printed or sent."""
+    """Make one self-contained HTML page of a result or of a recording, to read, print or send."""
     from labhil.report.html.page import write_page
     from labhil.report.html.report import report_page
 
@@ -295,15 +300,15 @@ def linear(
     run: RunOption = None,
     json_path: ResultOption = None,
 ) -> None:
-    """Fit linear and black-box baselines, to see what physics is worth: ARX, OE, state space, NARX, …"""
+    """Fit linear and black-box models, to compare physics with: ARX, OE, state space, NARX, …"""
     from labhil.analysis.dataset import load_dataset
     from labhil.identify.linear import linear_study, study_json, study_text
 
     refuse_unwritable(json_path)
-    material = load_dataset(recording, rig, test, holdout, run=run)
-    tell(material.losses())
-    material.refuse_holes()
-    with status() as say:
-        rows = linear_study(material.train, material.test, split_names(models), progress=say)
+    dataset = load_dataset(recording, rig, test, holdout, run=run)
+    tell(dataset.losses())
+    dataset.refuse_holes()
+    with status() as progress:
+        rows = linear_study(dataset.train, dataset.test, split_names(models), progress=progress)
     data = {"schema": "labhil.linear/1", "models": study_json(rows)}
     deliver(data, json_path, lambda: show(*study_text(rows)))

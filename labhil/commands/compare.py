@@ -1,4 +1,4 @@
-"""The command that compares models: ``labhil compare``."""
+"""The command ``labhil compare``."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from labhil.commands.files import RunOption
 from labhil.console import deliver, refuse_unwritable, results_console, tell
 from labhil.terminal import status
 
-RECORDINGS = (".mcap", ".part")
-"""Endings of arguments that are recordings to compare on, and no results."""
+RECORDING_SUFFIXES = (".mcap", ".part")
+"""Suffixes of arguments that are recordings and no results."""
 
 
 def add_compare(app: typer.Typer) -> None:
@@ -33,14 +33,14 @@ def compare(
         list[Path],
         typer.Argument(
             metavar="RESULT...",
-            help="Two to eight results (JSON of fit, diagnose or verify); recordings (.mcap) among them are "
-            "what the models are compared on.",
+            help="Two to eight results (JSON of fit, diagnose or verify), and recordings (.mcap) to compare "
+            "them on.",
         ),
     ],
     *,
     recording: Annotated[
         list[Path] | None,
-        typer.Option(help="Compare on this; may be repeated (default: what the first was judged on)."),
+        typer.Option(help="Compare on this; may be repeated (default: the test data of the first)."),
     ] = None,
     rig: RigOption = None,
     simulator: SimulatorOption = None,
@@ -53,25 +53,25 @@ def compare(
     html: PageOption = None,
     json_path: ResultOption = None,
 ) -> None:
-    """Compare models on the same recording: which explains it best, by how much, and is that more than noise.
+    """Compare models on the same recording: which explains it best, by how much, and how significantly.
 
-    Every model is simulated in the same windows. Of a diagnosis its final model counts, of a verification the
-    model that it verified. Parameters that models share stand side by side with their intervals.
+    Every model is simulated in the same windows. Of a diagnosis the final model is compared, of a
+    verification the verified model. Shared parameters are listed side by side with their intervals.
     """
-    from labhil.api.comparison import compare as make
+    from labhil.api.comparison import compare as compare_models
 
     refuse_unwritable(json_path, html)
-    positional = [path for path in results if path.suffix.lower() in RECORDINGS]
+    positional = [path for path in results if path.suffix.lower() in RECORDING_SUFFIXES]
     recordings = [*positional, *(recording or [])]
-    with status() as say:
-        comparison = make(
+    with status() as progress:
+        comparison = compare_models(
             *(path for path in results if path not in positional),
             recording=recordings or None,
             model=rig_or_simulator(rig, simulator),
             horizon=horizon,
             device=device,
             run=run,
-            progress=say,
+            progress=progress,
             warn=tell,
         )
     deliver(comparison.to_dict(), json_path, lambda: comparison.show(results_console()))

@@ -1,4 +1,4 @@
-"""Commands on files: bring in what others wrote, and take out what we wrote."""
+"""Commands on files: ``labhil import``, ``export``, ``layout``, ``recover``, ``info`` and ``list``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def info(
     run: RunOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Show what a recording holds: streams, rates, gaps, clocks, events, tags, which rig kinds it fits."""
+    """Show the contents of a recording: streams, rates, gaps, clocks, events, tags, matching rig kinds."""
     from labhil.recording.contents import describe_contents, format_contents
     from labhil.recording.reader import read_recording
 
@@ -76,23 +76,23 @@ def list_(
         None if until is None else parse_moment(until, "--until"),
         text,
     )
-    with status() as say:
-        say("reading recordings")
+    with status() as progress:
+        progress("reading recordings")
         entries = list_folder(folders or [Path()], wanted)
     data = {"schema": "labhil.list/1", "files": [entry.to_json() for entry in entries]}
     if not entries:
-        tell(["nothing found"])
+        tell(["no recordings and no results"])
     deliver(data, json_path, lambda: show(*format_list(entries)))
 
 
 def import_(
     data: Annotated[Path, typer.Argument(help="A text table, MAT, Parquet, XLSX, or ROS 2 bag.")],
     rig: Annotated[
-        Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
+        Path, typer.Option(help="The rig file; its [table] and [channels] define how to read the data.")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
 ) -> None:
-    """Make a recording of a table that others wrote."""
+    """Make a recording of a table of measured data."""
     from labhil.analysis.doubts import doubts_in
     from labhil.analysis.import_check import check_table
     from labhil.recording.reader import read_recording
@@ -101,8 +101,8 @@ def import_(
 
     table = import_table(data, load_rig(rig))
     tell(describe_import(table))
-    with status() as say:
-        table, findings = check_table(table, say)
+    with status() as progress:
+        table, findings = check_table(table, progress)
     tell(findings)
     path = write_import(table, out)
     faults = (fault for data in read_recording(path).streams for fault in data.clock_faults)
@@ -129,14 +129,14 @@ def export(
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
 
-    A ROS 2 bag holds all streams; the others hold one.
+    A ROS 2 bag holds all streams, the other formats one.
     """
-    from labhil.recording.export import export as write_table
+    from labhil.recording.export import export as export_table
     from labhil.recording.reader import read_recording
 
     source = read_recording(recording, run).of_device(device)
     tell(source.warnings())
-    show(write_table(source, out, stream))
+    show(export_table(source, out, stream))
 
 
 def layout(
@@ -177,16 +177,16 @@ def recover(
             "--keep-doubtful", help="Keep messages of chunks whose checksum is wrong: values may be wrong."
         ),
     ] = False,
-    json_path: Annotated[Path | None, typer.Option("--json", help="Write what was lost here.")] = None,
+    json_path: Annotated[Path | None, typer.Option("--json", help="Write the losses here (JSON).")] = None,
 ) -> None:
-    """Save every whole message of a broken recording, and say what was lost.
+    """Save every complete message of a broken recording, and report the losses.
 
-    Takes any MCAP file, also a .part that a killed recorder left. What is written is read back and
-    compared before it gets its name.
+    Takes any MCAP file, also a .part that a killed recorder left. The new file is read back and compared
+    before it gets its name.
     """
-    from labhil.recording.recover import recover as save
+    from labhil.recording.recover import recover as recover_messages
 
     refuse_unwritable(json_path, out)
-    result = save(broken, out, keep_doubtful=keep_doubtful)
+    result = recover_messages(broken, out, keep_doubtful=keep_doubtful)
     tell(result.lines())
     deliver(result.to_json(), json_path, lambda: show(result.path))

@@ -1,4 +1,4 @@
-"""The command that hands out the firmware of our benches."""
+"""The command ``labhil firmware``."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ def firmware(
         Path | None, typer.Option("-o", "--out", metavar="DIR", help="Copy it to this new folder.")
     ] = None,
 ) -> None:
-    """Tell where a bench's firmware for the Arduino Mega is, or copy it to edit and build it.
+    """Print the folder of a bench's firmware for the Arduino Mega, or copy it to edit and build it.
 
     How to build and flash: docs/how-to/flash-firmware.md; to wire and calibrate: docs/how-to/wire-a-bench.md.
     """
     from labhil import plugins
 
     folders = {driver: plugins.firmware_folder(driver) for driver in plugins.names(plugins.DRIVERS)}
-    ours = {driver: folder for driver, folder in folders.items() if folder is not None}
+    firmware_folders = {driver: folder for driver, folder in folders.items() if folder is not None}
     if name is None:
-        for driver, folder in ours.items():
+        for driver, folder in firmware_folders.items():
             show(f"{driver}  {folder}")
         return
-    if name not in ours:
-        raise UnknownNameError("firmware", name, ours)
+    if name not in firmware_folders:
+        raise UnknownNameError("firmware", name, firmware_folders)
     if out is None:
-        show(ours[name])
+        show(firmware_folders[name])
         return
     from labhil_firmware import write_sources
 
-    write_sources(ours[name], out)
+    write_sources(firmware_folders[name], out)
     tell(
         (
-            f"wired and calibrated as {out / 'bench.h'} says: edit that first",
+            f"wiring and calibration are in {out / 'bench.h'}: edit that first",
             f"build: make -C {out}",
             f"flash: make -C {out} flash PORT=/dev/ttyACM0",
         )

@@ -1,4 +1,4 @@
-"""``--json`` of commands that print their result as JSON: a path, ``-`` for stdout, or nothing for stdout."""
+"""The option ``--json`` of commands that print JSON: with a path, with ``-``, or alone for stdout."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ JsonOption = Annotated[
 
 
 class JsonFlagCommand(TyperCommand):
-    """A command whose ``--json`` may stand alone; what follows is its path if it is - or ends in .json."""
+    """Accept ``--json`` without a path; the next argument is its path if it is - or ends in .json."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Give a ``--json`` that stands alone the path that means stdout."""
+        """Insert ``-`` after a ``--json`` without a path."""
         expanded: list[str] = []
         for place, arg in enumerate(args):
             expanded.append(arg)

@@ -1,4 +1,4 @@
-"""Commands on the machine itself."""
+"""The command ``labhil doctor``."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def doctor(
     json_path: JsonOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings would go.")] = Path(),
 ) -> None:
-    """Say whether this machine can do the work: packages, compiler, bus, serial ports, timer, disk.
+    """Check this machine: packages, compiler, bus, serial ports, timer, disk.
 
-    Ends with 1 when something will not work; each finding says what to do.
+    The exit status is 1 when something will not work; each finding names the remedy.
     """
     from labhil.doctor.examine import examine, format_finding, to_json
 

@@ -1,4 +1,4 @@
-"""The command that plays a recording: ``labhil replay``."""
+"""The command ``labhil replay``."""
 
 from __future__ import annotations
 
@@ -26,12 +26,16 @@ def replay(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap), also an unfinished .part.")],
     *,
     speed: Annotated[
-        float, typer.Option(metavar="FACTOR", help="Seconds of the recording in one, 0.01 to 100.")
+        float,
+        typer.Option(metavar="FACTOR", help="Speed: seconds of the recording in one second, 0.01 to 100."),
     ] = 1.0,
-    start: Annotated[float, typer.Option("--from", metavar="SECONDS", help="Where it begins.")] = 0.0,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    start: Annotated[float, typer.Option("--from", metavar="SECONDS", help="Position to start at.")] = 0.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
     no_screen: Annotated[
-        bool, typer.Option("--no-screen", help="Only on the bus; print its endpoint, end with the recording.")
+        bool,
+        typer.Option(
+            "--no-screen", help="Only on the bus: print its endpoint, and exit at the end of the recording."
+        ),
     ] = False,
     device: Annotated[str | None, typer.Option(help="Only this device.")] = None,
     run: RunOption = None,
@@ -39,8 +43,8 @@ def replay(
 ) -> None:
     """Play a recording in the terminal UI and on the bus, as if its devices ran.
 
-    On the bus of this machine alone, under replay/ and not under lab/: nothing that records, commands or
-    stops devices hears it. In the terminal UI (tab 2) k pauses, < and > change the speed, j goes back.
+    Only on the bus of this machine, under replay/ and not under lab/: no recorder, controller or emergency
+    stop receives it. In the terminal UI (tab 2) k pauses, < and > change the speed, j goes back.
     """
     from labhil.recording.reader import read_recording
     from labhil.service.replay import Replay
@@ -57,7 +61,7 @@ def replay(
 
 
 def _play(playing: Replay) -> None:
-    """Wait for its end, or for Ctrl+C."""
+    """Wait for the end of the replay, or for Ctrl+C."""
     from labhil.experiment.interruption import Interruption
 
     show(playing.endpoint)

@@ -1,4 +1,4 @@
-"""Commands for who is in command: the emergency stop, and a run that is up controlled from outside."""
+"""Commands of control from outside: ``labhil estop``, ``labhil control``, ``labhil mark``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Connect = Annotated[
     str | None,
     typer.Option(
         metavar="ENDPOINT",
-        help="A bus like tcp/127.0.0.1:40123, or a folder of `labhil security add` (default: it is found).",
+        help="A bus like tcp/127.0.0.1:40123, or a folder of `labhil security add` (default: discovered).",
     ),
 ]
 
@@ -32,14 +32,14 @@ def estop(
     release: Annotated[
         bool, typer.Option("--release", help="Release it: devices may be commanded again.")
     ] = False,
-    reason: Annotated[str, typer.Option(help="Stands in every recording.")] = "no reason was given",
+    reason: Annotated[str, typer.Option(help="Reason, written to every recording.")] = "no reason was given",
     connect: Connect = None,
     json_path: JsonOption = None,
 ) -> None:
     """Emergency stop: every device goes to its safe state at once, and stays there.
 
-    The stop is latched: runs end, and no device can be commanded until `labhil estop --release`. Exit status
-    1, and the device named, when one does not answer, and when there was none to stop.
+    The stop is latched: runs end, and no device can be commanded until `labhil estop --release`. The exit
+    status is 1 when a device does not answer, which is then named, and when there was no device to stop.
     """
     from labhil.service.emergency import press_everywhere, release_everywhere
 
@@ -63,7 +63,7 @@ def estop(
         write_json(message, json_path)
     if release:
         no_device = not (outcome.answered or outcome.failed or outcome.silent)
-        tell(["released"] + (["no device was there to be told"] if no_device else []))
+        tell(["released"] + (["no device was there"] if no_device else []))
         raise typer.Exit(0 if no_device or outcome.complete else 1)
     if not (outcome.answered or outcome.failed or outcome.silent):
         tell(["no device was found to stop"])
@@ -73,12 +73,12 @@ def estop(
 
 def control(
     action: Annotated[str, typer.Argument(help="status, pause, resume, stop or abort.")],
-    reason: Annotated[str | None, typer.Option(help="Stands in the recording.")] = None,
+    reason: Annotated[str | None, typer.Option(help="Reason, written to the recording.")] = None,
     connect: Connect = None,
 ) -> None:
-    """Ask or tell a run that is up: its state, pause, resume, stop (exit status 0), abort (exit status 1).
+    """Control a run: status, pause, resume, stop (exit status 0), abort (exit status 1).
 
-    Prints what the run does now, as JSON; with status also what a served lab does.
+    Prints the state of the run as JSON; status also that of a served lab.
     """
     from labhil.bus.ask import ask
     from labhil.bus.keys import RUN, command_key
@@ -98,9 +98,9 @@ def mark(
     text: Annotated[str, typer.Argument(help="What happened, in a few words.")],
     connect: Connect = None,
 ) -> None:
-    """Put a marker into the recording of the run that is up, at this moment.
+    """Put a marker into the recording of the present run, at this moment.
 
-    It stands there as an event of the kind `mark`; `labhil info` lists it.
+    It is recorded as an event of the kind `mark`; `labhil info` lists it.
     """
     from labhil.bus.ask import ask
     from labhil.bus.keys import RUN, command_key

@@ -1,4 +1,4 @@
-"""Who may look at a lab and command it from another machine: certificates, roles, and the door itself."""
+"""Commands of access from other machines: ``labhil security``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEFAULT_PORT = 7447
 
 
 def add_security(app: typer.Typer) -> None:
-    """Register these commands as a group."""
+    """Register the group ``security``."""
     security = typer.Typer(
         help="Open a lab to other machines: certificates, and what each person may do.",
         no_args_is_help=True,
@@ -36,19 +36,21 @@ def init(
     host: Annotated[
         list[str],
         typer.Option(
-            metavar="NAME_OR_IP", help="How others reach this machine; may be repeated, the first counts."
+            metavar="NAME_OR_IP", help="Name of this machine for others; may be repeated, the first is used."
         ),
     ],
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Where the lab will be served.")] = DEFAULT_PORT,
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port at which the lab will be served.")
+    ] = DEFAULT_PORT,
 ) -> None:
-    """Make a certificate authority, and the certificate of this machine. Opens nothing yet."""
+    """Make a certificate authority, and the certificate of this machine; no port is opened yet."""
     from labhil.security.authority import Authority
 
     authority = Authority.create(folder, host, port)
     show(f"{folder}: certificates until {authority.until:%Y-%m-%d} for {', '.join(host)}")
     tell(
         [
-            f"Keep {folder} to yourself: who reads it can be anybody in this lab.",
+            f"Keep {folder} secret: whoever reads it can act as anybody in this lab.",
             f"Next: labhil security add {folder} NAME --role viewer, then labhil security serve {folder}",
         ]
     )
@@ -68,17 +70,17 @@ def add(
     ],
     days: Annotated[int, typer.Option(help="How long the certificate is valid.")] = 365,
 ) -> None:
-    """Issue a certificate: prints the folder that the person needs."""
+    """Issue a certificate, and print the folder that the person needs."""
     from labhil.security.authority import Authority
 
     rights = parse_role(role)
     authority = Authority.load(folder)
-    handed_over = authority.add(name, rights, days)
+    person_folder = authority.add(name, rights, days)
     until = Authority.load(folder).people[name].until
-    show(handed_over)
+    show(person_folder)
     tell(
         [
-            f"{name} is {rights} until {until:%Y-%m-%d}. Bring them the folder so that nobody else reads it.",
+            f"{name} is {rights} until {until:%Y-%m-%d}. Hand the folder over so that nobody else reads it.",
             f"There `labhil tui --connect {name}` shows the lab at {authority.endpoint}.",
         ]
     )
@@ -95,7 +97,7 @@ def list_(folder: Folder) -> None:
 
 
 def revoke(folder: Folder, name: Annotated[str, typer.Argument(help="Who.")]) -> None:
-    """Take all rights from a person at once; a lab that is served closes the link within a second."""
+    """Revoke a certificate at once; a served lab closes its connections within a second."""
     from labhil.security.authority import Authority
 
     person = Authority.load(folder).revoke(name)
@@ -111,8 +113,8 @@ def serve(
 ) -> None:
     """Open this machine's runs and labs to those who have a certificate, until Ctrl+C.
 
-    They see what `labhil run`, `labhil serve` and `labhil.connect` of this user have up, now and later; these
-    stay on the loopback themselves. Whoever has no certificate gets no link.
+    They see the present and future buses of `labhil run`, `labhil serve` and `labhil.connect` of this user,
+    which stay on the loopback. Whoever has no certificate gets no connection.
     """
     from labhil.experiment.interruption import Interruption
     from labhil.service.gateway import serve_guests

@@ -1,4 +1,4 @@
-"""The service of a lab: devices that stay up, a recorder, a worker."""
+"""The command ``labhil serve``."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ def serve(
     ] = None,
     *,
     folder: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where recordings go (default: as the file says).")
+        Path | None,
+        typer.Option(metavar="DIR", help="Where recordings go (default: the folder in the lab file)."),
     ] = None,
     connect: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help="Join the bus that is there (loopback).")
+        str | None, typer.Option(metavar="ENDPOINT", help="Join an existing bus (loopback).")
     ] = None,
 ) -> None:
-    """Keep a lab's devices up: published on the bus, recorded, and each finished recording analysed.
+    """Keep the devices of a lab connected, published and recorded, and analyse each finished recording.
 
     The first line of its output is the bus's endpoint (for `labhil tui --connect`, `labhil estop --connect`).
     Ctrl+C brings every device to its safe state and leaves readable recordings. Recordings that `labhil run`

@@ -1,4 +1,4 @@
-"""Commands that are studies of their own: the demo and designs."""
+"""The commands ``labhil demo`` and ``labhil optimise``."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def add_studies(app: typer.Typer) -> None:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and plots stay.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of recordings and plots.")] = Path(
         "labhil-demo"
     ),
     seed: Annotated[
         int | None, typer.Option(help="Seed of the concealed physics; default: drawn afresh.")
     ] = None,
 ) -> None:
-    """Do the main job without hardware: record a twin that conceals physics, find it, show the better fit."""
+    """Diagnose a simulated rig: record a twin with concealed physics, find it, and show the better fit."""
     from labhil.campaign.demo import run_demo
 
-    with status() as say:
-        run_demo(out, seed, say)
+    with status() as progress:
+        run_demo(out, seed, progress)
 
 
 def optimise(
@@ -42,7 +42,7 @@ def optimise(
     plot: Annotated[Path | None, typer.Option(help="Draw it here (PNG).")] = None,
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
 ) -> None:
-    """Optimise a design: largest force against flattest force curve, front and sensitivities."""
+    """Optimise a design: Pareto front of largest force and flattest force curve, with sensitivities."""
     from labhil.errors import UnknownNameError
     from labhil.optimise.show import show
     from labhil.optimise.study import run
@@ -50,8 +50,8 @@ def optimise(
     if what != "solenoid":
         raise UnknownNameError("design", what, ("solenoid",))
     refuse_unwritable(json_path, plot)
-    with status() as say:
-        study = run(seed, say, field=field)
+    with status() as progress:
+        study = run(seed, progress, field=field)
     deliver(study.to_json(), json_path, lambda: show(study, results_console()))
     if plot is not None:
         from labhil.optimise.plot import plot as draw

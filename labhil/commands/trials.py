@@ -1,4 +1,4 @@
-"""Commands of sealed trials."""
+"""Commands of sealed trials: ``labhil trial``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from labhil.terminal import show, status
 if TYPE_CHECKING:
     from labhil.campaign.trials.card import Card
 
-FIRST = "Number of the first: of a seed whose earlier trials you have looked at."
-METHOD = "diagnose, or stepwise: forward steps by the extended BIC, to compare with."
+FIRST = "Number of the first trial, where earlier trials of the seed are known already."
+METHOD = "diagnose, or stepwise (forward selection by the extended BIC, for comparison)."
 
 
 def add_trials(app: typer.Typer) -> None:
@@ -40,7 +40,7 @@ def add_trials(app: typer.Typer) -> None:
 def trial_make(
     *,
     rig: Annotated[str, typer.Option(help="A kind of rig: ball_beam, dc_motor, axis, solenoid or ur5.")],
-    trials: Annotated[int, typer.Option(help="How many.")],
+    trials: Annotated[int, typer.Option(help="Number of trials.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where the recordings go.")],
     answers: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the answers go (default: DIR-answers).")
@@ -48,22 +48,21 @@ def trial_make(
     effects: Annotated[
         str, typer.Option(help="0, 1, 2 or 3 concealed effects, hidden, some, or mixed.")
     ] = "mixed",
-    seed: Annotated[
-        int | None, typer.Option(help="For tests: the same trials again; default: the system's randomness.")
-    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed, for reproducible tests; default: random.")] = None,
     first: Annotated[int, typer.Option(help=FIRST)] = 1,
     seconds: Annotated[
-        float | None, typer.Option(help="How long each recording is (default: 2 to 30, by the rig).")
+        float | None, typer.Option(help="Length of each recording, s (default: 2 to 30, by the rig).")
     ] = None,
     disturbed: Annotated[
-        str | None, typer.Option(help="force: a random force at the drive beside all; drift: of its gain.")
+        str | None,
+        typer.Option(help="Disturbance: force (a random force at the drive) or drift (of its gain)."),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one per core).")] = None,
 ) -> None:
     """Draw rigs with concealed physics and record them; the answers are sealed in a folder elsewhere.
 
-    "hidden" draws an effect that stands in no list of names, "some" any sort with effects, "mixed" any sort
-    with nulls among them.
+    "hidden" draws an effect that is in no catalogue, "some" any sort with effects, "mixed" any sort, also
+    without effects.
     """
     from labhil.campaign.trials.make import Order, answers_beside, make_trials
 
@@ -78,29 +77,29 @@ def trial_make(
         seconds=seconds,
         disturbed=disturbed,
     )
-    with status() as say:
-        index = make_trials(order, jobs or cores(), say)
+    with status() as progress:
+        index = make_trials(order, jobs or cores(), progress)
     if index.fixed_seed:
-        show(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
+        show(f"Drawn from the fixed seed {seed}: for tests only, since whoever knows it knows the answers.")
     show(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
 
 
 def trial_run(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder of `labhil trial make`.")],
     *,
-    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one per core).")] = None,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
 ) -> None:
-    """Diagnose all trials blind; every result is kept at once and hashed.
+    """Diagnose all trials blind; every result is saved and hashed at once.
 
-    The diagnoses run in processes that are given DIR alone and cannot open an envelope, wherever it lies.
-    The same command goes on where it was interrupted. A diagnosis that fails is recorded as a failure.
+    The diagnoses run in processes that know only DIR and cannot open an answer, wherever it is. The same
+    command continues where it was interrupted. A diagnosis that fails is recorded as a failure.
     """
     from labhil.campaign.trials.folder import Results
     from labhil.campaign.trials.run import run_trials
 
-    with status() as say:
-        sealed = run_trials(folder, jobs or cores(), say, method)
+    with status() as progress:
+        sealed = run_trials(folder, jobs or cores(), progress, method)
     results = Results(folder, method)
     show(f"Results in {folder / results.name}; SHA-256 of their hashes ({results.hashes}): {sealed}")
 
@@ -112,22 +111,22 @@ def trial_score(
     json_path: Annotated[Path | None, typer.Option("--json", help="Write the whole result here.")] = None,
     plot_path: Annotated[Path | None, typer.Option("--plot", help="Draw the result here (PNG).")] = None,
     method: Annotated[str, typer.Option(help=METHOD)] = "diagnose",
-    jobs: Annotated[int | None, typer.Option(help="Processes (default: one a core).")] = None,
+    jobs: Annotated[int | None, typer.Option(help="Processes (default: one per core).")] = None,
 ) -> None:
-    """Open the envelopes and score what was said: detection, naming, false alarms, reliability, errors.
+    """Open the answers and score the diagnoses: detection, naming, false alarms, reliability, errors.
 
-    Results, recordings or answers that are not the ones that were hashed are refused.
+    Results, recordings or answers that differ from their hashes are refused.
     """
     from labhil.campaign.trials.score import score_trials
 
     refuse_unwritable(json_path, plot_path)
-    with status() as say:
-        card = score_trials(folder, answers, say, method, jobs or cores())
+    with status() as progress:
+        card = score_trials(folder, answers, progress, method, jobs or cores())
     deliver_card(card, json_path, plot_path)
 
 
 def deliver_card(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
-    """Print a score card, and write and draw it where that was asked for."""
+    """Print a score card, and write and draw it where a path is given."""
     from labhil.campaign.trials.show import show
 
     deliver(card.to_json(), json_path, lambda: show(card, results_console()))

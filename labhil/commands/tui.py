@@ -1,4 +1,4 @@
-"""The terminal UI."""
+"""The command ``labhil tui``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def add_tui(app: typer.Typer) -> None:
 
 
 def tui(
-    folder: Annotated[Path, typer.Option(metavar="DIR", help="Where recordings and results are.")] = Path(),
+    folder: Annotated[Path, typer.Option(metavar="DIR", help="Folder of recordings and results.")] = Path(),
     connect: Annotated[
         list[str] | None,
         typer.Option(
@@ -25,20 +25,18 @@ def tui(
         ),
     ] = None,
     light: Annotated[bool, typer.Option("--light", help="Dark on light, for bright rooms.")] = False,
-    web: Annotated[
-        bool, typer.Option("--web", help="Show it in a browser, at the address that is printed.")
-    ] = False,
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser, at the printed address.")] = False,
     host: Annotated[
         str, typer.Option(metavar="ADDRESS", help="With --web: beyond the loopback a token is needed.")
     ] = "127.0.0.1",
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="With --web: the port; 0 takes a free one.")
+        int, typer.Option(min=0, max=65535, help="With --web: the port; 0 for a free one.")
     ] = 8000,
 ) -> None:
     """Work in the terminal: devices, live plots, experiments, recordings, fits and diagnoses.
 
-    Shows the devices of every run on this machine, and needs none to be useful: 3 and then Enter run the
-    example on a simulated bench. With --web each page in a browser is such a screen, until Ctrl+C here.
+    Shows the devices of every run on this machine. Without devices, 3 and then Enter run the example on a
+    simulated bench. With --web each page in a browser is such a screen, until Ctrl+C here.
     """
     if web:
         require("textual_serve", "the terminal UI in a browser")

@@ -1,4 +1,4 @@
-"""The catalogue of terms, for people and as JSON."""
+"""The catalogue of terms of each rig kind, as text and as JSON (``labhil terms``)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from labhil.terminal import terminal
 
 
 def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
-    """Terms of one rig kind, or of all; UnknownNameError lists the kinds."""
+    """Return the terms of one rig kind, or of all.
+
+    Args:
+        kind: Name of a rig kind; None for all.
+
+    Raises:
+        UnknownNameError: There is no such kind.
+    """
     kinds = [kind_named(kind).name] if kind else list(kind_names())
     catalogues = {}
     for name in kinds:
@@ -23,7 +30,7 @@ def terms_by_rig(kind: str | None) -> dict[str, dict[str, Term]]:
 
 
 def catalogue_json(kind: str | None) -> dict[str, Any]:
-    """The catalogue as plain JSON data."""
+    """Return the catalogue of one rig kind, or of all, as plain JSON data."""
     rigs = {
         rig: {
             "baseline": list(rig_model(rig).baseline),
@@ -51,7 +58,7 @@ def _term_json(term: Term) -> dict[str, Any]:
 
 
 def show_catalogue(kind: str | None) -> None:
-    """Print the catalogue."""
+    """Print the catalogue of one rig kind, or of all."""
     console = terminal(highlight=False)
     for rig, terms in terms_by_rig(kind).items():
         console.print(f"[bold]{rig}[/bold]  baseline: {', '.join(rig_model(rig).baseline)}", markup=True)

@@ -1,4 +1,7 @@
-"""A comparison of models as tables for a person."""
+"""A comparison of models as tables in a terminal.
+
+The screen has its own form in ``labhil/tui/comparison_text.py``, the page in ``html/comparison.py``.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,15 @@ from rich.text import Text
 
 from labhil.analysis.schema import ComparedModel, ComparisonPart, SharedParameter, Source, ValueOfModel
 from labhil.physics.terms import keyed, listed
-from labhil.report.parameter_columns import number_text, p_text
+from labhil.report.formatting import format_number, format_p
+from labhil.report.tables import titled_table
 from labhil.report.text import next_steps_lines
 
 AGREE = {True: "agree", False: "DISAGREE", None: "not known"}
 
 
 def comparison_text(comparison: ComparisonPart) -> RenderableType:
-    """The answer, a table of models, one of the parameters that they share, and what to do next."""
+    """Return the verdict, a table of models, their shared parameters, and what to do next."""
     return Group(*_pieces(comparison))
 
 
@@ -32,12 +36,8 @@ def _pieces(comparison: ComparisonPart) -> Iterator[RenderableType]:
     yield from next_steps_lines(comparison.next_steps)
 
 
-def _table(title: str) -> Table:
-    return Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-
-
 def comparison_basis(comparison: ComparisonPart) -> str:
-    """Which recordings the models are compared on, and how."""
+    """Return a line with the recordings that the models are compared on, and the metric."""
     how = (
         "inverse dynamics"
         if comparison.horizon is None
@@ -52,12 +52,12 @@ def _stretch(source: Source) -> str:
 
 
 def model_table(comparison: ComparisonPart) -> Table:
-    """A row per model and output: its error in its unit and in noise levels."""
-    table = _table(comparison_basis(comparison))
-    for name in ("model", "output"):
-        table.add_column(name, no_wrap=True)
-    for name in ("RMSE", "noise levels", "R²", "parameters", "× best", "p"):
-        table.add_column(name, justify="right", no_wrap=True)
+    """Make a table with a row per model and output: the error in its unit and in noise levels."""
+    table = titled_table(
+        comparison_basis(comparison),
+        ("model", "output"),
+        ("RMSE", "noise levels", "R²", "parameters", "× best", "p"),
+    )
     table.add_column("terms")
     for model in comparison.models:
         best = model.name == comparison.best
@@ -66,11 +66,11 @@ def model_table(comparison: ComparisonPart) -> Table:
             table.add_row(
                 ("→ " if best else "  ") + model.name if first else "",
                 keyed(row.channel, row.joint),
-                f"{number_text(row.rmse, '.4g')} {row.unit}",
-                number_text(row.rmse_over_noise, ".3g"),
-                number_text(row.r2, ".5f"),
+                f"{format_number(row.rmse, '.4g')} {row.unit}",
+                format_number(row.rmse_over_noise, ".3g"),
+                format_number(row.r2, ".5f"),
                 str(model.n_parameters) if first else "",
-                number_text(model.times_best, ".3g") if first else "",
+                format_number(model.times_best, ".3g") if first else "",
                 _p_cell(model, best=best) if first else "",
                 Text(", ".join(listed(model.terms)) if first else ""),
                 style="bold" if best else "",
@@ -79,13 +79,12 @@ def model_table(comparison: ComparisonPart) -> Table:
 
 
 def _p_cell(model: ComparedModel, *, best: bool) -> str:
-    return "best" if best else p_text(model.p_value).removeprefix("= ")
+    return "best" if best else format_p(model.p_value)
 
 
 def parameter_table(comparison: ComparisonPart) -> Table:
-    """A row per shared parameter: its value and interval in each model, and whether they agree."""
-    table = _table("Parameters that models share: value and 99 % interval")
-    table.add_column("parameter", no_wrap=True)
+    """Make a table of shared parameters: the value and interval in each model, and whether they agree."""
+    table = titled_table("Parameters that models share: value and 99 % interval", ("parameter",))
     for model in comparison.models:
         table.add_column(Text(model.name), justify="right")
     table.add_column("")
@@ -94,16 +93,24 @@ def parameter_table(comparison: ComparisonPart) -> Table:
     for row in comparison.parameters:
         table.add_row(
             keyed(row.name, row.joint),
-            *(value_text(row, model.name) for model in comparison.models),
+            *(format_estimate(row, model.name) for model in comparison.models),
             Text(AGREE[row.agree], style="bold red" if row.agree is False else ""),
-            number_text(row.z, ".1f"),
+            format_number(row.z, ".1f"),
             row.unit,
         )
     return table
 
 
-def value_text(row: SharedParameter, model: str) -> str:
-    """The value of a model, with its interval; a dash where it has none."""
+def format_estimate(row: SharedParameter, model: str) -> str:
+    """Format the value of a parameter in one model, with its interval.
+
+    Args:
+        row: The parameter.
+        model: Name of the model.
+
+    Returns:
+        For example ``0.05 [0.04, 0.06]``; a dash where the model does not have it.
+    """
     estimate = next((candidate for candidate in row.values if candidate.model == model), None)
     if estimate is None or estimate.value is None:
         return "–"
@@ -116,4 +123,4 @@ def _interval(value: ValueOfModel) -> str:
     if not value.identifiable or value.ci99 is None:
         return " not known"
     low, high = value.ci99
-    return f" [{number_text(low, '.4g')}, {number_text(high, '.4g')}]"
+    return f" [{format_number(low, '.4g')}, {format_number(high, '.4g')}]"

@@ -1,4 +1,4 @@
-"""Faults of the data as a person reads them before a fit, and as a result holds them."""
+"""Faults of the data, as lines before the table of a fit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ HARMLESS = (FaultKind.GAP, FaultKind.NO_EXCITATION)
 
 
 def fault_lines(faults: Sequence[Fault]) -> list[str]:
-    """Each fault in a line, and what they mean for the table that follows."""
+    """Return a line for each fault, and a warning where the values of a fit suffer from them."""
     if not faults:
         return []
     lines = [f"! {fault.statement}" for fault in faults]

@@ -1,4 +1,4 @@
-"""An empty figure, its colours and its labels: what all pictures of results share."""
+"""Size, colours and labels that all figures of results share."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
 
 def figure_of(size: tuple[float, float]) -> Figure:
-    """An empty figure of this size (inches) that needs no display."""
+    """Make an empty figure of this size (inches) that needs no display."""
     with mpl.rc_context({"axes.grid": True}):
         figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
@@ -24,7 +24,14 @@ def figure_of(size: tuple[float, float]) -> Figure:
 
 
 def finish(axes: Axes, title: str, x: str, y: str) -> None:
-    """Title, labels, grid and, where something is labelled, a legend."""
+    """Add title, labels and grid to axes, and a legend where something is labelled.
+
+    Args:
+        axes: The axes, with everything drawn.
+        title: Title in bold; empty for none.
+        x: Label of the x axis.
+        y: Label of the y axis.
+    """
     axes.set_title(title, loc="left", fontsize=10, fontweight="bold")
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -34,7 +41,16 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure; UsageError when the file cannot be written or it is no format of pictures."""
+    """Write a figure to a file.
+
+    Args:
+        figure: The figure.
+        path: The file; its extension decides the format.
+
+    Raises:
+        UsageError: The file cannot be written, or its extension is no format of figures.
+        DiskFailedError: The disk is full or fails.
+    """
     try:
         with whole(path, "the plot") as draft:
             figure.savefig(draft, dpi=110)

@@ -1,8 +1,6 @@
-"""A fit as pictures: simulation beside measurement, and what the residuals look like."""
+"""A fit as figures: simulation and measurement, errors, and the autocorrelation of the residuals."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,28 +11,24 @@ from labhil.identify.score import ChannelScore
 from labhil.identify.statistics import autocorrelation, recording_slices
 from labhil.physics.model import Record
 from labhil.physics.terms import keyed
-from labhil.report.figure import AFTER, MEASURED, figure_of, finish, save
+from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.plots import time_axis, with_gaps
 from labhil.signals import FloatArray
 
-LAGS = 60
-MOST_CHANNELS = 6
 
+def fit_figure(fit: Fit, record: Record, columns: int = 4, *, max_outputs: int = 6) -> Figure:
+    """Draw four panels per output: simulation, errors, their histogram, and the residuals' autocorrelation.
 
-def fit_plot(fit: Fit, record: Record, path: Path) -> None:
-    """Write a row of panels per output channel as PNG; UsageError when the file cannot be written.
+    The histogram has the normal curve of the same spread, the autocorrelation the 99 % band of white noise.
 
-    ``record`` is the one that the test score (without one: the training score) comes from. A row
-    holds the scored simulation, its errors with the noise floor, their histogram with the normal curve of
-    the same spread, and the autocorrelation of the fitted residuals with the 99 % band of white noise.
+    Args:
+        fit: The fit.
+        record: The record of the test score; without one, of the training score.
+        columns: Panels in a row: 4, 2 or 1.
+        max_outputs: Outputs that are drawn; an arm has many.
     """
-    save(fit_figure(fit, record), path)
-
-
-def fit_figure(fit: Fit, record: Record, columns: int = 4) -> Figure:
-    """The four panels of each channel as a figure, in so many columns (4, 2 or 1)."""
     score = fit.test or fit.train
-    shown = score.channels[:MOST_CHANNELS]
+    shown = score.channels[:max_outputs]
     height = len(shown) * 4 // columns
     figure = figure_of((3.75 * columns if columns == 4 else 5.5 * columns, 3.4 * height))
     rows = figure.subplots(height, columns, squeeze=False).reshape(len(shown), 4)
@@ -51,7 +45,7 @@ def _name(channel: ChannelScore) -> str:
 
 
 def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
-    """The scored simulation of output ``j`` beside the measurement."""
+    """Draw the scored simulation of output ``j`` with the measurement."""
     score = fit.test or fit.train
     channel = score.channels[j]
     t, measured = record.t[score.rows], record.outputs[score.rows, j]
@@ -62,7 +56,7 @@ def draw_simulation(axes: Axes, fit: Fit, record: Record, j: int) -> None:
 
 
 def draw_errors(axes: Axes, fit: Fit, record: Record, j: int) -> None:
-    """The errors of output ``j`` over time, with the noise floor."""
+    """Draw the errors of output ``j`` over time, with the noise floor."""
     score = fit.test or fit.train
     channel = score.channels[j]
     axes.plot(record.t[score.rows], with_gaps(score, score.errors[:, j]), color=AFTER, lw=0.8)
@@ -76,18 +70,25 @@ def _draw_histogram(axes: Axes, errors: FloatArray, channel: ChannelScore) -> No
     axes.hist(errors, bins=61, range=(-spread, spread), color=AFTER, alpha=0.6, density=True, label="errors")
     x = np.linspace(-spread, spread, 200)
     sigma = spread / 4.5
-    bell = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
-    axes.plot(x, bell, color=MEASURED, lw=1.2, label="normal, same spread")
+    density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+    axes.plot(x, density, color=MEASURED, lw=1.2, label="normal, same spread")
     axes.locator_params(axis="x", nbins=5)
     finish(axes, "Errors, distribution", channel.unit, "density")
 
 
-def draw_autocorrelation(axes: Axes, fit: Fit, j: int) -> None:
-    """Autocorrelation of the fitted residuals of output ``j``, the mean over the recordings."""
+def draw_autocorrelation(axes: Axes, fit: Fit, j: int, *, max_lags: int = 60) -> None:
+    """Draw the autocorrelation of the fitted residuals of output ``j``, averaged over the recordings.
+
+    Args:
+        axes: Where to draw.
+        fit: The fit.
+        j: Index of the output.
+        max_lags: Largest lag, in samples; at most a third of the shortest recording.
+    """
     slices = recording_slices(fit.fitted.problem.begins, len(fit.residuals))
     residuals = [fit.residuals[run, j] for run in slices]
     lengths = [len(series) for series in residuals]
-    lags = min(LAGS, max(1, min(lengths) // 3))
+    lags = min(max_lags, max(1, min(lengths) // 3))
     correlation = np.average([autocorrelation(series, lags) for series in residuals], axis=0, weights=lengths)
     band = 2.576 / np.sqrt(sum(lengths))
     axes.vlines(np.arange(1, lags + 1), 0.0, correlation[1:], color=AFTER, lw=1.5)

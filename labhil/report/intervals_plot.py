@@ -1,4 +1,4 @@
-"""The intervals of a fit as a picture."""
+"""The confidence intervals of all parameters of a fit in one figure."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from matplotlib.figure import Figure
 
 from labhil.analysis.schema import Parameter
 from labhil.report.figure import AFTER, figure_of, finish
+from labhil.report.formatting import format_quantity
 from labhil.report.html.picture import label
-from labhil.report.html.quantity import quantity
-
-WIDEST = 120.0
-"""Per cent of the value beyond which an interval is drawn with an arrow."""
 
 UNCERTAIN = "#8a8f96"
 
-MOST_ROWS = 200
-"""Parameters in one picture; the table beside it has all."""
 
-
-def drawable(rows: Sequence[Parameter]) -> list[Parameter]:
-    """Rows with a value and an interval, ``MOST_ROWS`` at most."""
-    return [row for row in rows if row.value and row.ci99 and None not in row.ci99][:MOST_ROWS]
+def drawable(rows: Sequence[Parameter], *, max_rows: int = 200) -> list[Parameter]:
+    """Return the rows that have a value and an interval, at most 200; the table has all."""
+    return [row for row in rows if row.value and row.ci99 and None not in row.ci99][:max_rows]
 
 
 def intervals_figure(rows: Sequence[Parameter]) -> Figure:
-    """Every parameter with its interval, as a figure."""
+    """Draw each parameter with its interval as a figure."""
     figure = figure_of((10.0, 0.9 + 0.3 * len(drawable(rows))))
     draw_intervals(figure.subplots(), rows)
     return figure
 
 
-def draw_intervals(axes: Axes, parameters: Sequence[Parameter]) -> None:
-    """Every parameter with its interval, in per cent of its value."""
+def draw_intervals(axes: Axes, parameters: Sequence[Parameter], *, max_percent: float = 120.0) -> None:
+    """Draw each parameter with its interval, in per cent of its value.
+
+    Args:
+        axes: Where to draw.
+        parameters: The parameters; those without an interval are left out.
+        max_percent: Per cent of the value beyond which an interval ends in an arrow.
+    """
     rows = drawable(parameters)
     if not rows:
         axes.set_axis_off()
         axes.text(0.5, 0.5, "no parameter has an interval", ha="center")
         return
     spans = np.array([_relative_interval(row) for row in rows])
-    limit = min(WIDEST, 1.15 * float(np.abs(spans).max()) or 1.0)
+    limit = min(max_percent, 1.15 * float(np.abs(spans).max()) or 1.0)
     for place, (row, (low, high)) in enumerate(zip(rows, spans.tolist(), strict=True)):
         _draw_interval(axes, place, (low, high), limit, UNCERTAIN if _is_uncertain(row) else AFTER)
     axes.axvline(0.0, color="k", lw=0.6)
@@ -78,4 +78,4 @@ def _is_uncertain(row: Parameter) -> bool:
 
 
 def _tick_text(row: Parameter) -> str:
-    return f"{row.key} = {quantity(row.value, row.unit)}"
+    return f"{row.key} = {format_quantity(row.value, row.unit)}"

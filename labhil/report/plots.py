@@ -1,4 +1,4 @@
-"""What people compare, drawn: measurement and simulation, where the mismatch lives, before and after."""
+"""A diagnosis as figures: simulation before and after, errors, and each missing effect."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +16,7 @@ from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.identify.score import Score
 from labhil.physics.model import Metric, Record
 from labhil.physics.terms import keyed
-from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish, save
+from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish
 from labhil.signals import FloatArray
 
 Panel = Callable[[Axes], None]
@@ -27,16 +26,12 @@ LEGEND_ROOM, WIDEST = 0.3, 36
 """Room above a curve, over its range, and characters in a line of its formula."""
 
 
-def diagnosis_plot(diagnosis: Diagnosis, path: Path) -> None:
-    """Write a page of panels as PNG: simulation, errors, each missing effect, and errors as histogram.
-
-    UsageError when the file cannot be written or its extension is no format of pictures.
-    """
-    save(diagnosis_figure(diagnosis), path)
-
-
 def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
-    """The panels as a figure: two above, and below them one for each effect and the histogram."""
+    """Draw a diagnosis: simulation and errors above, each missing effect and a histogram below.
+
+    Args:
+        diagnosis: The diagnosis, with its held-out data.
+    """
     j = worst_output(diagnosis)
     below: list[Panel] = [*_effect_panels(diagnosis), partial(_draw_histogram, diagnosis=diagnosis, j=j)]
     columns = 2 if len(below) in (2, 4) else 3
@@ -53,7 +48,7 @@ def diagnosis_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def worst_output(diagnosis: Diagnosis) -> int:
-    """Index of the output with the largest mismatch; 0 where none is located."""
+    """Return the index of the output with the largest mismatch; 0 where none is located."""
     location = diagnosis.location
     if location is None:
         return 0
@@ -62,12 +57,25 @@ def worst_output(diagnosis: Diagnosis) -> int:
 
 
 def with_gaps(score: Score, values: FloatArray) -> FloatArray:
-    """Values (N,) of scored rows with a gap where a new window begins, so that no line crosses it."""
+    """Put a NaN where a new window begins, so that no line crosses it.
+
+    Args:
+        score: The score, whose rows these are.
+        values: (N,), a value for each scored row.
+
+    Returns:
+        (N,)
+    """
     return np.asarray(np.where(np.r_[True, np.diff(score.window) > 0], np.nan, values))
 
 
 def time_axis(axes: Axes, record: Record) -> str:
-    """Label of the time axis; borders between several recordings are drawn, with their numbers."""
+    """Draw the borders between recordings, and return the label of the time axis.
+
+    Args:
+        axes: Where to draw.
+        record: One or several recordings, one after another on the time axis.
+    """
     if len(record.begins) == 1:
         return "t, s"
     for begin, (first, _) in zip(record.begins, record.spans, strict=True):
@@ -78,7 +86,7 @@ def time_axis(axes: Axes, record: Record) -> str:
 
 
 def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
-    """Simulation and errors of output channel ``j`` as a figure: for rigs that have more than one."""
+    """Draw simulation and errors of output ``j``, for rigs that have several."""
     figure = figure_of((11.0, 3.6))
     axes = figure.subplots(1, 2)
     draw_windows(axes[0], diagnosis, j)
@@ -87,7 +95,7 @@ def channel_figure(diagnosis: Diagnosis, j: int) -> Figure:
 
 
 def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
-    """Output ``j`` as measured, and as simulated before and after."""
+    """Draw output ``j`` as measured, and as simulated before and after."""
     record, rows = diagnosis.held_out, diagnosis.after.rows
     t, measured = record.t[rows], record.outputs[rows, j]
     channel = diagnosis.after.channels[j]
@@ -101,7 +109,7 @@ def draw_windows(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
 
 
 def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
-    """The errors of output ``j`` before and after, with the noise floor."""
+    """Draw the errors of output ``j`` before and after, with the noise floor."""
     record = diagnosis.held_out
     channel = diagnosis.after.channels[j]
     for score, colour, label in _before_and_after(diagnosis, j):
@@ -113,7 +121,7 @@ def draw_errors(axes: Axes, diagnosis: Diagnosis, j: int) -> None:
 
 
 def _effect_panels(diagnosis: Diagnosis) -> list[Panel]:
-    """A panel for each effect that has a name, and for each curve of what has none."""
+    """One panel for each missing term that has a name, and for each nonparametric curve."""
     if not diagnosis.missing:
         return [_draw_nothing]
     curves = [curve for curve in (diagnosis.curve, *diagnosis.further_curves) if curve is not None]
@@ -128,14 +136,20 @@ def _effect_panels(diagnosis: Diagnosis) -> list[Panel]:
 def _contributions(
     diagnosis: Diagnosis,
 ) -> tuple[dict[str, locate.Contribution], dict[str, tuple[locate.Regime, ...]]]:
-    """What each effect contributes to held-out data, and the regimes where it matters."""
+    """The contribution of each missing term to held-out data, and the regimes where it matters."""
     held_out = locate.HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
     joint = diagnosis.location.joint if diagnosis.location is not None else None
     return locate.locate_terms(diagnosis.final_fit, diagnosis.named, held_out, joint)
 
 
 def draw_named_effect(axes: Axes, diagnosis: Diagnosis, term: str) -> None:
-    """What the effect with this key adds, over the coordinate where it shows best."""
+    """Draw the force of one missing term over the coordinate that shows it best.
+
+    Args:
+        axes: Where to draw.
+        diagnosis: The diagnosis.
+        term: Key of the term, such as ``spring_force``.
+    """
     shares, regimes = _contributions(diagnosis)
     _draw_effect(axes, shares[term], regimes[term])
 
@@ -146,21 +160,21 @@ def _draw_nothing(axes: Axes) -> None:
 
 
 def _draw_effect(axes: Axes, share: locate.Contribution, regimes: Sequence[locate.Regime]) -> None:
-    """What an effect adds, against the coordinate that reveals it."""
+    """Draw the force of a term over the coordinate that reveals it."""
     coordinate = share.abscissa(regimes)
     axes.scatter(coordinate.x, share.values, s=6, color=AFTER, alpha=0.5, lw=0)
-    # a regime of another coordinate is not in the picture; one of its own force lies across it
+    # regimes of other coordinates are not shown; a regime of the term itself is a horizontal band
     shown = [regime for regime in regimes if regime.coordinate in (coordinate.name, share.term)]
     for number, regime in enumerate(shown):
         span = axes.axvspan if regime.coordinate == coordinate.name else axes.axhspan
-        label = "where most of it lives" if number == 0 else None
+        label = "where it matters most" if number == 0 else None
         span(regime.low, regime.high, color=BEFORE, alpha=0.15, label=label)
-    generalised_force = f"what it adds, {share.unit}" if share.unit else "what it adds"
-    finish(axes, f"Left out: {share.term}", coordinate.label, generalised_force)
+    y_label = f"contribution, {share.unit}" if share.unit else "contribution"
+    finish(axes, f"Left out: {share.term}", coordinate.label, y_label)
 
 
 def _draw_curve(axes: Axes, curve: Curve) -> None:
-    """What no named term explains, with its band."""
+    """Draw a nonparametric curve with its band."""
     axes.fill_between(curve.x, curve.low, curve.high, color=AFTER, alpha=0.25, lw=0, label="99 % band")
     label = textwrap.fill(curve.formula or curve.acts.replace("_", " "), WIDEST)
     axes.plot(curve.x, curve.value, color=AFTER, lw=1.5, label=label)
@@ -168,7 +182,7 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + LEGEND_ROOM * (high - low))
     where = "" if curve.joint is None else f" on joint {curve.joint}"
-    finish(axes, f"What no named effect explains{where}", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
+    finish(axes, f"Unexplained by named effects{where}", f"{curve.depends_on}, {curve.x_unit}", curve.unit)
 
 
 def _draw_histogram(axes: Axes, diagnosis: Diagnosis, j: int) -> None:

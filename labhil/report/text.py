@@ -1,10 +1,13 @@
-"""Fits and diagnoses as tables that a person reads in a terminal."""
+"""Fits and diagnoses as tables in a terminal.
+
+The screen has its own form in ``labhil/tui/result_text.py``, pages are in ``html/``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -21,21 +24,17 @@ from labhil.analysis.schema import (
 from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.diagnose.fault import FaultKind
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import group_undecided, joints_table, limits_by_joint
+from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.faults import fault_lines
-from labhil.report.html.quantity import NOTHING, quantity, squared
-from labhil.report.parameter_columns import COLUMNS, number_text, p_text
+from labhil.report.formatting import NOTHING, format_number, format_p_relation, format_quantity, square_unit
+from labhil.report.parameter_columns import COLUMNS
+from labhil.report.tables import titled_table
 
-NOT_THERE = "Not there, or smaller than this (99 %)"
-
-
-def show_fit(fit: FitPart, console: Console) -> None:
-    """Print a fit."""
-    console.print(fit_text(fit))
+EXCLUDED_HEADING = "Not there, or smaller than this (99 %)"
 
 
 def fit_text(fit: FitPart) -> RenderableType:
-    """A fit as an engineer would report it."""
+    """Return a fit as text and tables: verdict, faults, parameters, scores, residuals."""
     return Group(*_fit_parts(fit))
 
 
@@ -56,19 +55,19 @@ def _fit_parts(fit: FitPart) -> Iterator[RenderableType]:
 
 
 def _fit_summary(fit: FitPart) -> str:
-    """How white the residuals are, and how the fit was made."""
-    settled = "." if fit.converged else "; stopped before it had settled."
+    """Tests of the residuals, and how the fit was made."""
+    ending = "." if fit.converged else "; stopped before it had settled."
     return (
-        f"Residuals: white with p {p_text(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
-        f"with the input with p {p_text(fit.residuals.input_crosscorrelation_p)}.\n"
-        f"{_criterion(fit)}, {fit.evaluations} simulations; RMSE there {_remaining_rmse(fit)}{settled}"
+        f"Residuals: white with p {format_p_relation(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
+        f"with the input with p {format_p_relation(fit.residuals.input_crosscorrelation_p)}.\n"
+        f"{_criterion(fit)}, {fit.evaluations} simulations; RMSE there {_remaining_rmse(fit)}{ending}"
     )
 
 
 def recording_numbers(sources: Sequence[Source]) -> list[str]:
-    """The number of each of several recordings with its file, a line each; nothing for one."""
+    """Return a line per recording with its number and file; nothing for a single recording."""
     return [
-        f"@{source.recording}  {source.path}, {number_text(source.duration, '.4g')} s"
+        f"@{source.recording}  {source.path}, {format_number(source.duration, '.4g')} s"
         + (" (test)" if source.role == "test" else "")
         for source in sources
         if source.recording is not None
@@ -78,11 +77,11 @@ def recording_numbers(sources: Sequence[Source]) -> list[str]:
 def _criterion(fit: FitPart) -> str:
     if fit.criterion == "inverse_dynamics":
         return "Fitted by inverse dynamics"
-    return f"Fitted on windows of {number_text(fit.window, '.3g')} s"
+    return f"Fitted on windows of {format_number(fit.window, '.3g')} s"
 
 
 def _remaining_rmse(fit: FitPart) -> str:
-    return ", ".join(f"{number_text(channel.rmse, '.4g')} {channel.unit}" for channel in fit.left)
+    return ", ".join(f"{format_number(channel.rmse, '.4g')} {channel.unit}" for channel in fit.left)
 
 
 def _interval_method(fit: FitPart) -> str:
@@ -91,12 +90,15 @@ def _interval_method(fit: FitPart) -> str:
 
 
 def parameter_table(estimates: Sequence[Parameter], title: str, *, stars: bool = True) -> Table:
-    """One row per parameter; ``*`` marks those that differ from zero at 1 %, where ``stars`` may be given."""
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
+    """Make a table with a row per parameter.
+
+    Args:
+        estimates: The parameters.
+        title: Title of the table.
+        stars: Whether ``*`` marks the parameters that differ from zero at 1 %.
+    """
     columns = [column.terminal for column in COLUMNS if column.terminal is not None]
-    table.add_column("parameter", no_wrap=True)
-    for name, _ in columns:
-        table.add_column(name, justify="right", no_wrap=True)
+    table = titled_table(title, ("parameter",), [name for name, _ in columns])
     table.add_column("")
     table.add_column("unit")
     for row in estimates:
@@ -104,8 +106,8 @@ def parameter_table(estimates: Sequence[Parameter], title: str, *, stars: bool =
     return table
 
 
-def percent(share: Number, unit: str = " %") -> str:
-    """``99.99 %``; a dash where there is none."""
+def format_share(share: Number, unit: str = " %") -> str:
+    """Format a fraction in per cent with two decimals; None is a dash."""
     return NOTHING if share is None else f"{100 * share:.2f}{unit}"
 
 
@@ -120,44 +122,40 @@ def _mark(row: Parameter, stars: bool) -> str:
 
 
 def score_table(scores: Sequence[tuple[str, Score]]) -> Table:
-    """Errors of windowed simulation, one row per data set and channel, then those of each recording."""
+    """Make a table of errors with a row per data set and channel, then those of each recording.
+
+    Args:
+        scores: Pairs of a name of the data and its score, all by the same metric.
+    """
     horizon = scores[0][1].horizon
-    table = Table(
-        title="Inverse dynamics" if horizon is None else f"Simulated windows of {horizon:.3g} s",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        pad_edge=False,
-    )
-    for name in ("data", "channel", "RMSE", "noise floor", "max. error", "MSE", "R²"):
-        table.add_column(name, justify="left" if name in ("data", "channel") else "right")
-    forces = any(row.relative_error is not None for _, score in scores for row in score.per_channel)
-    if forces:
-        table.add_column("RMSE/RMS", justify="right")
+    title = "Inverse dynamics" if horizon is None else f"Simulated windows of {horizon:.3g} s"
+    shows_forces = any(row.relative_error is not None for _, score in scores for row in score.per_channel)
+    headings = ["RMSE", "noise floor", "max. error", "MSE", "R²", *(["RMSE/RMS"] if shows_forces else [])]
+    table = titled_table(title, ("data", "channel"), headings, wrap=True)
     for label, channels, metric in _each_recording(scores):
         for channel in channels:
             unit = channel.unit
             table.add_row(
                 label,
                 _channel_name(channel, metric),
-                f"{number_text(channel.rmse, '.4g')} {unit}",
-                f"{number_text(channel.noise_floor, '.4g')} {unit}",
-                f"{number_text(channel.max_abs_error, '.4g')} {unit}",
-                f"{number_text(channel.mse, '.4g')} {squared(unit)}",
-                percent(channel.r2),
-                *((_share(channel),) if forces else ()),
+                f"{format_number(channel.rmse, '.4g')} {unit}",
+                f"{format_number(channel.noise_floor, '.4g')} {unit}",
+                f"{format_number(channel.max_abs_error, '.4g')} {unit}",
+                f"{format_number(channel.mse, '.4g')} {square_unit(unit)}",
+                format_share(channel.r2),
+                *((_relative_error(channel),) if shows_forces else ()),
             )
     return table
 
 
 def _channel_name(channel: ChannelErrors, metric: str) -> str:
-    """A channel's name, with the metric where it is not the headline's."""
+    """A channel's name, with its metric where that is not the one of the score."""
     name = keyed(channel.channel, channel.joint)
     return name if channel.metric in (None, metric) else f"{name} ({channel.metric.replace('_', ' ')})"
 
 
-def _share(channel: ChannelErrors) -> str:
-    """The error over the measurement, where zero means something."""
+def _relative_error(channel: ChannelErrors) -> str:
+    """The error over the RMS of the measurement; empty where it has no meaning."""
     return "" if channel.relative_error is None else f"{100 * channel.relative_error:.2f} %"
 
 
@@ -171,24 +169,16 @@ def _each_recording(
 
 
 def window_table(fit: FitPart) -> Table:
-    """How estimates move with the length of the fitted windows."""
-    table = Table(
-        title="How the estimates move with the fitted window",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        pad_edge=False,
-    )
-    table.add_column("parameter")
-    for rung in fit.by_window:
-        table.add_column(f"{rung.window:.3g} s", justify="right")
+    """Make a table of the estimates against the length of the fitted windows."""
+    lengths = [f"{row.window:.3g} s" for row in fit.by_window]
+    table = titled_table("How the estimates move with the fitted window", ("parameter",), lengths, wrap=True)
     for name in fit.by_window[0].values:
         cells = [
-            f"{number_text(rung.values[name], '.4g')} ± {number_text(rung.std_errors[name], '.1g')}"
-            for rung in fit.by_window
+            f"{format_number(row.values[name], '.4g')} ± {format_number(row.std_errors[name], '.1g')}"
+            for row in fit.by_window
         ]
         table.add_row(name, *cells)
-    table.add_row("residual / noise", *[number_text(rung.residual, ".2f") for rung in fit.by_window])
+    table.add_row("residual / noise", *[format_number(row.residual, ".2f") for row in fit.by_window])
     return table
 
 
@@ -199,10 +189,10 @@ def _fit_notes(fit: FitPart) -> list[str]:
         if row.at_bound and row.identifiable
     ]
     if fit.identifiability.rank < fit.identifiability.of:
-        known = ", ".join(fit.identifiability.combinations) or "nothing"
+        known = ", ".join(fit.identifiability.combinations) or "none"
         notes.append(
-            f"The data know {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
-            f"what they know of the rest: {known}."
+            f"The data determine {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
+            f"of the others only these combinations: {known}."
         )
         if fit.identifiability.would_help:
             notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
@@ -213,31 +203,27 @@ def _fit_notes(fit: FitPart) -> list[str]:
     elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
-            "or physics is missing. `labhil diagnose` tells."
+            "or physics is missing. `labhil diagnose` tests which."
         )
     return notes
 
 
 def _assumption(fit: FitPart) -> str:
-    """What the intervals of a model that does not explain its data stand for."""
+    """What the intervals mean where the model does not explain its data."""
     if fit.compared:
         lengths = ", ".join(f"{length:.3g}" for length in sorted((*fit.compared, fit.window or 0.0)))
         assumption = f"Intervals are widened by how far the estimates move over windows of {lengths} s"
     else:
-        assumption = "Intervals are made of one fit only, so what the misfit biases does not show in them"
+        assumption = "Intervals are those of one fit, so they do not show the bias by the misfit"
     return (
-        f"{assumption}; they assume that the rest of the misfit is independent of these parameters. Nothing "
-        "is starred: the model leaves more than noise. `labhil diagnose` looks for what is missing."
+        f"{assumption}; they assume that the remaining misfit is independent of these parameters. No "
+        "parameter is starred, because the model leaves more than noise. `labhil diagnose` looks for what is "
+        "missing."
     )
 
 
-def show_diagnosis(diagnosis: DiagnosisPart, console: Console) -> None:
-    """Print a diagnosis."""
-    console.print(diagnosis_text(diagnosis))
-
-
 def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
-    """A diagnosis as an engineer would report it."""
+    """Return a diagnosis as text and tables: verdict, findings, scores, final model, exclusions."""
     lines = (*diagnosis.doubts, *recording_numbers(diagnosis.recordings), *diagnosis.notes)
     return Group(
         Text(VERDICTS[diagnosis.verdict], style="bold"),
@@ -252,16 +238,20 @@ def diagnosis_text(diagnosis: DiagnosisPart) -> RenderableType:
 
 
 def next_steps_lines(steps: Sequence[str]) -> Iterator[RenderableType]:
-    """What to do next, a line each, under its heading; nothing where there is none."""
+    """Yield what to do next, a line each, under a heading; nothing for no steps."""
     if steps:
         yield Text("What to do next", style="bold")
         yield from (Text(f"· {step}") for step in steps)
 
 
 def _findings(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
-    """Faults, place, missing terms with their rivals, changed values."""
+    """Faults, location, missing terms with their rivals, changed parameters."""
     terms = ", ".join(listed(diagnosis.baseline.terms)) or "no terms"
-    suffices = f"p {p_text(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
+    suffices = (
+        f"p {format_p_relation(diagnosis.p_value)} that it suffices"
+        if diagnosis.asks_baseline
+        else NOT_TESTED
+    )
     yield Text(f"Baseline: {terms}; {suffices}.")
     for size in diagnosis.collapsed:
         yield Text(f"! {size.statement}", style="yellow")
@@ -273,22 +263,22 @@ def _findings(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
         name = keyed(item.term, item.joint)
         yield Text(f"• {name} ({_chance(item.probability)}): {item.statement}", style="green")
         yield Text(
-            f"  {item.equation};  ΔBIC {number_text(item.evidence.delta_bic, '.0f')}, "
-            f"held-out gain {number_text(item.evidence.heldout_loglik_gain, '.1f')} nats "
-            f"(p {p_text(item.evidence.p_value)})"
+            f"  {item.equation};  ΔBIC {format_number(item.evidence.delta_bic, '.0f')}, "
+            f"held-out gain {format_number(item.evidence.heldout_loglik_gain, '.1f')} nats "
+            f"(p {format_p_relation(item.evidence.p_value)})"
         )
     for rival in diagnosis.rivals:
         yield Text(
             f"  or {keyed(rival.term, rival.joint)} instead of {rival.instead_of} "
-            f"({_chance(rival.probability)}); to tell: {rival.experiment}"
+            f"({_chance(rival.probability)}); to tell them apart: {rival.experiment}"
         )
     if diagnosis.remainder is not None:
         yield Text(diagnosis.remainder.statement)
     for change in diagnosis.changed:
         yield Text(
             f"• {keyed(change.name, change.joint, change.recording)} changed from "
-            f"{number_text(change.before, '.4g')} to {number_text(change.after, '.4g')} {change.unit} "
-            f"(p {p_text(change.p_value)})"
+            f"{format_number(change.before, '.4g')} to {format_number(change.after, '.4g')} {change.unit} "
+            f"(p {format_p_relation(change.p_value)})"
         )
 
 
@@ -303,35 +293,34 @@ def _improvement(improvement: Improvement) -> Iterator[RenderableType]:
     where = f"the parts of {data} that" if improvement.parts else f"{data}, which"
     yield Text(
         f"On {where} the search never saw: RMSE {_change(improvement.rmse_before, improvement.rmse_after)}, "
-        f"noise floor {number_text(improvement.noise_floor, '.4g')}; "
-        f"R² {percent(improvement.r2_before, '')} → {percent(improvement.r2_after)}."
+        f"noise floor {format_number(improvement.noise_floor, '.4g')}; "
+        f"R² {format_share(improvement.r2_before, '')} → {format_share(improvement.r2_after)}."
     )
     if improvement.shorter_windows is not None:
         shorter = improvement.shorter_windows
         yield Text(
-            f"On windows of {number_text(shorter.horizon, '.3g')} s, as the search uses them: RMSE "
-            f"{_change(shorter.rmse_before, shorter.rmse_after)}. Longer ones say little here: something "
-            "that is not recorded drives the plant (or errors add up), and outgrows what the models differ "
-            "in."
+            f"On windows of {format_number(shorter.horizon, '.3g')} s, as the search uses them: RMSE "
+            f"{_change(shorter.rmse_before, shorter.rmse_after)}. Longer windows say little here: an "
+            "unrecorded disturbance (or accumulated error) exceeds the difference between the models."
         )
 
 
 def _change(before: Number, after: Number) -> str:
-    return f"{number_text(before, '.4g')} → {number_text(after, '.4g')}"
+    return f"{format_number(before, '.4g')} → {format_number(after, '.4g')}"
 
 
 def _exclusions(diagnosis: DiagnosisPart) -> Iterator[RenderableType]:
-    """What is absent or too small to detect, and what cannot be decided, by reason."""
+    """Terms that are absent or too small to detect, and undecided terms by reason."""
     without_joint = [e for e in diagnosis.excluded if e.joint is None]
     if without_joint:
         limits = [
-            f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}"
+            f"{keyed(e.term, None, e.recording)} {format_quantity(e.largest_hidden, e.unit, 2)}"
             for e in without_joint
         ]
-        yield Text(f"{NOT_THERE}: {', '.join(limits)}", style="dim")
+        yield Text(f"{EXCLUDED_HEADING}: {', '.join(limits)}", style="dim")
     rows = limits_by_joint(diagnosis.excluded)
     if rows:
-        yield Text(f"{NOT_THERE}, by joint", style="dim")
+        yield Text(f"{EXCLUDED_HEADING}, by joint", style="dim")
         yield joints_table(rows, "dim")
     by_reason: dict[str, list[str]] = {}
     for term in group_undecided(diagnosis.undecided):

@@ -1,35 +1,29 @@
-"""A verification as tables for a person."""
+"""A verification as tables in a terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from labhil.analysis.schema import VerificationPart
 from labhil.physics.terms import keyed
-from labhil.report.parameter_columns import number_text, p_text
-
-
-def show_verification(verification: VerificationPart, console: Console) -> None:
-    """Print the answer, what was tested, and where the simulation is worst."""
-    console.print(verification_text(verification))
+from labhil.report.formatting import format_number, format_p, format_p_relation
+from labhil.report.tables import titled_table
 
 
 def verification_text(verification: VerificationPart) -> RenderableType:
-    """The answer, what was tested, and where the simulation is worst."""
+    """Return the verdict, the tests of each output, the refitted values, and the worst windows."""
     return Group(*_pieces(verification))
 
 
 def _pieces(verification: VerificationPart) -> Iterator[RenderableType]:
-    verdict = (
-        "consistent with the model" if verification.consistent else "The recording contradicts the model"
-    )
-    begin = "The recording is " if verification.consistent else ""
+    relation = "is consistent with" if verification.consistent else "contradicts"
     yield Text(
-        f"{begin}{verdict} (p {p_text(verification.p_value)}, false alarms {verification.alpha:g}).",
+        f"The recording {relation} the model "
+        f"(p {format_p_relation(verification.p_value)}, false alarms {verification.alpha:g}).",
         style="bold green" if verification.consistent else "bold red",
     )
     yield Text(verification.statement, style="" if verification.adequacy == "explained" else "yellow")
@@ -46,20 +40,11 @@ def _pieces(verification: VerificationPart) -> Iterator[RenderableType]:
         yield window_table(verification)
 
 
-def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold", box=None, pad_edge=False)
-    for name in words:
-        table.add_column(name, no_wrap=True)
-    for name in numbers:
-        table.add_column(name, justify="right", no_wrap=True)
-    return table
-
-
 def channel_table(verification: VerificationPart) -> Table:
-    """A row per output: error over floor with its limit, and what the refitted model leaves."""
+    """Make a table with a row per output: error, noise floor, their ratio and its limit."""
     horizon = verification.score.horizon
     how = "inverse dynamics" if horizon is None else f"simulated windows of {horizon:.3g} s"
-    table = _table(
+    table = titled_table(
         f"With the values as they are, {how}",
         ("output",),
         ("RMSE", "noise floor", "ratio", "limit", "p", "p of residuals and input"),
@@ -67,21 +52,21 @@ def channel_table(verification: VerificationPart) -> Table:
     for row in verification.channels:
         table.add_row(
             keyed(row.channel, row.joint),
-            f"{number_text(row.rmse, '.4g')} {row.unit}",
-            f"{number_text(row.noise_floor, '.4g')} {row.unit}",
-            number_text(row.ratio, ".3g"),
-            number_text(row.limit, ".3g"),
-            p_text(row.rmse_p).removeprefix("= "),
-            p_text(row.structure_p).removeprefix("= "),
+            f"{format_number(row.rmse, '.4g')} {row.unit}",
+            f"{format_number(row.noise_floor, '.4g')} {row.unit}",
+            format_number(row.ratio, ".3g"),
+            format_number(row.limit, ".3g"),
+            format_p(row.rmse_p),
+            format_p(row.structure_p),
         )
     return table
 
 
 def value_table(verification: VerificationPart) -> Table:
-    """A row per parameter: accepted, refitted, and whether they differ."""
-    table = _table(
-        f"Values, refitted on windows of {number_text(verification.window, '.3g')} s: "
-        f"all together p {p_text(verification.values_p)}",
+    """Make a table with a row per parameter: accepted value, refitted value, and whether they differ."""
+    table = titled_table(
+        f"Values, refitted on windows of {format_number(verification.window, '.3g')} s: "
+        f"all together p {format_p_relation(verification.values_p)}",
         ("parameter",),
         ("accepted", "refitted", "± of the difference", "z", "p (all looked at)"),
     )
@@ -90,11 +75,11 @@ def value_table(verification: VerificationPart) -> Table:
     for change in verification.parameters:
         table.add_row(
             keyed(change.name, change.joint),
-            number_text(change.before, ".5g"),
-            number_text(change.after, ".5g"),
-            number_text(change.std_error, ".2g"),
-            number_text(change.z, ".1f"),
-            p_text(change.p_value).removeprefix("= "),
+            format_number(change.before, ".5g"),
+            format_number(change.after, ".5g"),
+            format_number(change.std_error, ".2g"),
+            format_number(change.z, ".1f"),
+            format_p(change.p_value),
             "changed" if change.changed else "",
             change.unit,
         )
@@ -102,8 +87,8 @@ def value_table(verification: VerificationPart) -> Table:
 
 
 def window_table(verification: VerificationPart) -> Table:
-    """The windows that are simulated worst."""
-    table = _table("Worst windows", (), ("from", "to", "RMSE / noise floor"))
+    """Make a table of the windows with the largest errors."""
+    table = titled_table("Worst windows", (), ("from", "to", "RMSE / noise floor"))
     for window in verification.worst_windows:
-        table.add_row(f"{window.begin:.4g} s", f"{window.end:.4g} s", number_text(window.ratio, ".3g"))
+        table.add_row(f"{window.begin:.4g} s", f"{window.end:.4g} s", format_number(window.ratio, ".3g"))
     return table

@@ -1,1 +1,4 @@
-"""The terminal UI: what a person in the lab works with."""
+"""The terminal UI: devices, live plots, experiments, recordings and results.
+
+Begin with ``app.py`` (tabs, keys, emergency stop) and ``bus_watch.py`` (what devices send).
+"""

@@ -1,4 +1,4 @@
-"""The choices for a fit or a diagnosis: terms in the catalogue's words, test recording, estimator, time."""
+"""The dialog before a fit or a diagnosis: terms, test recording, estimator, time limit."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from textual.widgets.selection_list import Selection
 from labhil.campaign.studies.catalogue import MODULE, Catalogue
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
-from labhil.tui.words import duration
+from labhil.tui.formatting import format_duration
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
-"""How long the work may take, s."""
+"""Time limits to choose from, s; None for none."""
 KINDS = {"fit": "Fit", "diagnose": "Diagnose"}
 
 
 @dataclass
 class CatalogueLine(Message):
-    """A line of the process that reads the catalogue."""
+    """Carry a line of the process that reads the catalogue of terms."""
 
     line: dict[str, Any]
 
 
 class AnalysisDialog(ModalScreen[Task | None]):
-    """Terms or baseline, test recording, estimator and time, before a fit or a diagnosis begins.
+    """Choose terms or baseline, test recording, estimator and time before a fit or a diagnosis.
 
     Args:
-        task: Its recordings and tests, and what the dialog does not choose.
-        rig: The rig kind of the recording, None where it has none.
-        others: Recordings that could judge the result.
+        task: Recordings and test recordings, and what the dialog does not choose.
+        rig: Rig kind of the recording; None where it has none.
+        others: Recordings that the result could be tested on.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -61,12 +61,12 @@ class AnalysisDialog(ModalScreen[Task | None]):
         if task.tests:
             self._tests.insert(0, task.tests)
         self._test = self._limit = self._estimator = 0
-        self._trouble = "" if rig else "the recording has no rig file: its default terms are taken"
+        self._problem = "" if rig else "the recording has no rig file: its default terms are taken"
         self.catalogue: Catalogue | None = None
         self._helper: Helper | None = None
 
     def compose(self) -> ComposeResult:
-        """The choices, the terms, and what the highlighted one is."""
+        """Lay out the choices, the terms, and the description of the highlighted term."""
         with Vertical(classes="dialog dialog-wide", id="analysis-box"):
             yield Static(id="analysis-how")
             yield SelectionList[str](id="analysis-terms")
@@ -77,10 +77,10 @@ class AnalysisDialog(ModalScreen[Task | None]):
         """Start to read the catalogue."""
         if self._rig:
             request = {"rig": self._rig}
-            self._helper = Helper("the catalogue", MODULE, request, self._hear)
+            self._helper = Helper("the catalogue", MODULE, request, self._forward_line)
         self._show_choices()
 
-    def _hear(self, line: dict[str, Any]) -> None:
+    def _forward_line(self, line: dict[str, Any]) -> None:
         self.post_message(CatalogueLine(line))
 
     def on_unmount(self) -> None:
@@ -95,8 +95,8 @@ class AnalysisDialog(ModalScreen[Task | None]):
         if "done" in line:
             self.catalogue = Catalogue.from_json(line["done"])
             self._fill()
-        elif "failed" in line or ("ended" in line and self.catalogue is None and not self._trouble):
-            self._trouble = str(line.get("failed") or line.get("complaint") or "the catalogue cannot be read")
+        elif "failed" in line or ("ended" in line and self.catalogue is None and not self._problem):
+            self._problem = str(line.get("failed") or line.get("complaint") or "the catalogue cannot be read")
         self._show_choices()
 
     def _fill(self) -> None:
@@ -112,11 +112,11 @@ class AnalysisDialog(ModalScreen[Task | None]):
         selection_list.focus()
 
     def on_selection_list_selection_highlighted(self, _event: Any) -> None:
-        """Show what this term is."""
-        self._show_effect()
+        """Describe the highlighted term."""
+        self._show_term()
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
-        """Show how many terms are selected."""
+        """Show the number of selected terms."""
         self._show_choices()
 
     @property
@@ -129,7 +129,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
 
     @property
     def selected_task(self) -> Task:
-        """The task as it is chosen now."""
+        """The task with the present choices."""
         catalogue = self.catalogue
         estimator = catalogue.estimators[self._estimator] if catalogue and self._kind == "fit" else None
         return replace(
@@ -153,7 +153,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         rows.append(("t", "judged on", tests or "the last 30 % of each recording"))
         limit = "as long as it takes"
         if task.seconds is not None:
-            limit = f"at most {duration(task.seconds)}, then the best so far"
+            limit = f"at most {format_duration(task.seconds)}, then the best so far"
         rows.append(("s", "time", limit))
         for key, name, value in rows:
             text.append(f"{key} ", style=f"bold {colours['accent']}")
@@ -164,12 +164,12 @@ class AnalysisDialog(ModalScreen[Task | None]):
             text.append(f"{what}: {len(self.selected_terms)} of {len(self.catalogue.effects)}", style="bold")
             text.append("   d takes the default", style=colours["muted"])
         else:
-            text.append(self._trouble or "reading the catalogue …", style=colours["muted"])
+            text.append(self._problem or "reading the catalogue …", style=colours["muted"])
         self.query_one("#analysis-how", Static).update(text)
-        self._show_effect()
+        self._show_term()
 
-    def _show_effect(self) -> None:
-        """Show the highlighted term in the catalogue's words."""
+    def _show_term(self) -> None:
+        """Show statement and equation of the highlighted term."""
         colours, selection_list = self.app.theme_variables, self.query_one(SelectionList)
         text = Text()
         if self.catalogue is not None and selection_list.highlighted is not None:
@@ -182,7 +182,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self.query_one("#analysis-about", Static).update(text)
 
     def action_what(self) -> None:
-        """A fit, or a diagnosis."""
+        """Change between fit and diagnosis."""
         self._kind = "diagnose" if self._kind == "fit" else "fit"
         self._fill()
         self._show_choices()
@@ -193,28 +193,28 @@ class AnalysisDialog(ModalScreen[Task | None]):
         self._show_choices()
 
     def action_estimator(self) -> None:
-        """The next estimator."""
+        """Take the next estimator."""
         if self.catalogue is not None and self._kind == "fit":
             self._estimator = (self._estimator + 1) % len(self.catalogue.estimators)
             self._show_choices()
 
     def action_test(self) -> None:
-        """The next recording to judge on."""
+        """Take the next test recording."""
         self._test = (self._test + 1) % len(self._tests)
         self._show_choices()
 
     def action_limit(self) -> None:
-        """The next limit of time."""
+        """Take the next time limit."""
         self._limit = (self._limit + 1) % len(LIMITS)
         self._show_choices()
 
     def action_start(self) -> None:
-        """Begin, unless a fit would have no term at all."""
+        """Start, unless a fit has no terms."""
         if self.catalogue is not None and self._kind == "fit" and not self.selected_terms:
             self.app.notify("Take at least one term: Space.", severity="warning")
             return
         self.dismiss(self.selected_task)
 
     def action_leave(self) -> None:
-        """Begin nothing."""
+        """Close without a task."""
         self.dismiss(None)

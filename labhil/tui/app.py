@@ -1,4 +1,7 @@
-"""The application: five tabs, one key that stops everything, and no way out that leaves a device moving."""
+"""The application: five tabs, the emergency stop, and an orderly end of runs and studies.
+
+Each tab has a pane in a file of its own; ``session.py`` holds the view of the buses.
+"""
 
 from __future__ import annotations
 
@@ -15,51 +18,53 @@ from textual.markup import escape
 from textual.notifications import SeverityLevel
 from textual.screen import Screen
 from textual.widget import Widget
-from textual.widgets import (
-    DataTable,
-    HelpPanel,
-    OptionList,
-    SelectionList,
-    Static,
-)
+from textual.widgets import HelpPanel, Static
 
 from labhil.tui.background import OUT_OF_DATE
 from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
-from labhil.tui.endings import end_in_order
+from labhil.tui.emergency_stop import EmergencyStop, StopButton
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
-from labhil.tui.lab import Session
+from labhil.tui.frame_limiter import FrameLimiter
+from labhil.tui.library_reader import LibraryReader
 from labhil.tui.live import LivePane
-from labhil.tui.messages import RunLine, ShelfRead, StartRequested, StudyLine, StudyRequested
-from labhil.tui.pace import FrameLimiter
-from labhil.tui.pages import LabScreen, Pages
+from labhil.tui.messages import LibraryRead, RunLine, StartRequested, StudyLine, StudyRequested
 from labhil.tui.palette import TABS, Palette, commands
+from labhil.tui.panes import LabScreen, Pane, TabbedPanes
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
 from labhil.tui.runner import Runner
-from labhil.tui.shelf_reader import ShelfReader
-from labhil.tui.stop import EmergencyStop, StopButton
+from labhil.tui.session import Session
+from labhil.tui.shutdown import end_in_order
 from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
 
 FRAME_INTERVAL = 0.1
-"""Plots are drawn at most ten times a second, see ``FrameLimiter``."""
-FACTS_INTERVAL = 0.25
-"""Tables and states are brought up to date four times a second, so that silence shows within one."""
+"""Shortest time between two frames of the plots, s; see ``FrameLimiter``."""
+STATE_INTERVAL = 0.25
+"""Time between two refreshes of tables and states, s, so that a silent stream shows within a second."""
 FILES_INTERVAL = 2.0
+"""Time between two scans of the folder, s."""
 
 STOP_KEYS = ("f12", "ctrl+e")
 
 
 class LabApp(App[None]):
-    """What a person in the lab works with."""
+    """Run the terminal UI.
+
+    Args:
+        folder: Folder of recordings, results and experiments.
+        session: View of the buses in reach.
+        theme: Name of the first theme.
+        tab: Name of the first tab.
+    """
 
     TITLE = "labhil"
     CSS_PATH = "lab.tcss"
     ENABLE_COMMAND_PALETTE = True
-    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - theirs is no class variable
+    HORIZONTAL_BREAKPOINTS = [(0, "-narrow"), (120, "-wide")]  # noqa: RUF012 - Textual declares no class variable
     VERTICAL_BREAKPOINTS = [(0, "-low"), (36, "-high")]  # noqa: RUF012
     BINDINGS: ClassVar[list[BindingType]] = [
         *[
@@ -82,67 +87,69 @@ class LabApp(App[None]):
         Binding("ctrl+q,ctrl+c", "leave", "Quit", id="app.quit.too", show=False, priority=True),
     ]
 
-    def __init__(self, folder: Path, lab: Session, *, theme: str = DARK.name, tab: str = "devices") -> None:
+    def __init__(
+        self, folder: Path, session: Session, *, theme: str = DARK.name, tab: str = "devices"
+    ) -> None:
         super().__init__()
-        self.folder, self.lab, self._first_tab = folder, lab, tab
+        self.folder, self.session, self._first_tab = folder, session, tab
         self.runner = Runner(folder, lambda line: self.post_message(RunLine(line)))
         self.studies = Studies(self)
-        self._shelf = ShelfReader(self, folder)
-        self.emergency = EmergencyStop(self, lab, self._show_stop, self._log_run)
+        self._library = LibraryReader(self, folder)
+        self.emergency = EmergencyStop(self, session, self._show_stop, self._log_event)
         self.leaving = ""
-        self._pace = FrameLimiter()
-        self._bar, self._is_blind = Text(), False
+        self._frame_limiter = FrameLimiter()
+        self._bar_line, self._is_out_of_date = Text(), False
         self._panes: tuple[Widget, ...] = ()
-        # the line under a tab that glides costs a third of the time until the tab's pane is there
+        # the moving line under a tab costs a third of the time until its pane is visible
         self.animation_level = "none"
         self.register_theme(DARK)
         self.register_theme(LIGHT)
         self.theme = theme
 
     def compose(self) -> ComposeResult:
-        """The bar, the tabs, the footer."""
+        """Lay out the bar, the tabs and the footer."""
         with Horizontal(id="bar"):
             yield Static(" labhil ", id="brand")
             yield Static(id="bar-run")
             yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
         yield Static(id="stop-note")
-        panes: dict[str, tuple[str, Widget]] = {
-            "devices": ("1 Devices", DevicesPane(self.lab)),
-            "live": ("2 Live", LivePane(self.lab, self.folder)),
-            "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.lab)),
+        panes: dict[str, tuple[str, Pane]] = {
+            "devices": ("1 Devices", DevicesPane(self.session)),
+            "live": ("2 Live", LivePane(self.session, self.folder)),
+            "experiment": ("3 Experiment", ExperimentPane(self.folder, self.runner, self.session)),
             "recordings": ("4 Recordings", RecordingsPane(self.folder)),
             "results": ("5 Results", ResultsPane(self.folder, self.studies.jobs)),
         }
-        yield Pages(panes, self._first_tab)
+        yield TabbedPanes(panes, self._first_tab)
         yield KeyFooter()
 
     def get_default_screen(self) -> Screen[Any]:
-        """The screen with the tabs."""
+        """Return the screen with the tabs."""
         return LabScreen(id="_default")
 
     def on_mount(self) -> None:
         """Start the timers, and read the folder."""
-        self._panes = tuple(self.base.query_one(Pages).panes.values())
+        self._panes = tuple(self.base.query_one(TabbedPanes).panes.values())
         self.set_interval(FRAME_INTERVAL, self._draw_plots)
-        self.set_interval(FACTS_INTERVAL, self._show_facts)
-        self.set_interval(FILES_INTERVAL, self.look_at_files)
-        self._shelf.look()  # before the tab is opened: reading takes a while
+        self.set_interval(STATE_INTERVAL, self._refresh_state)
+        self.set_interval(FILES_INTERVAL, self.refresh_files)
+        self._library.scan()  # before the tab is opened: reading takes a while
         end_in_order(self, self.runner)
         self._show_tab()
-        self.watch(self.base.query_one(Pages), "active", self._show_tab, init=False)
+        self.watch(self.base.query_one(TabbedPanes), "active", self._show_tab, init=False)
         self.watch(self.base, "focused", self._keep_focus, init=False)
 
     def on_unmount(self) -> None:
-        """End what this screen started; a second call finds nothing to do."""
+        """End the run and all studies."""
         self.close_everything()
 
     def close_everything(self) -> None:
-        """End the run and all studies; idempotent. A run without a stop request has failed."""
+        """End the run and all studies; safe to call twice. A run without a stop request fails."""
         self.runner.close()
         self.studies.jobs.close()
 
     async def on_event(self, event: Event) -> None:
-        """The emergency stop comes before everything, also where a dialog holds the keys."""
+        """Handle the keys of the emergency stop before all others, also while a dialog is open."""
         if isinstance(event, Key) and event.key in STOP_KEYS:
             self.action_stop_all()
             return
@@ -157,72 +164,71 @@ class LabApp(App[None]):
         timeout: float | None = None,
         markup: bool = False,
     ) -> None:
-        """Show a message; text of a device, a file or the bus in it is no markup."""
+        """Show a message without interpreting markup: it may hold text of devices, files or the bus."""
         super().notify(message, title=title, severity=severity, timeout=timeout, markup=markup)
 
-    # what is shown
+    # drawing
 
     @property
     def base(self) -> Screen[Any]:
-        """The screen with the tabs, whatever lies over it."""
+        """The screen with the tabs, below any dialog."""
         return self.screen_stack[0]
 
     @property
     def is_drawable(self) -> bool:
-        """Whether there is anything to draw on: not before the first layout, nor while the screen goes."""
+        """Whether there is something to draw on: not before the first layout, nor during shutdown."""
         return self.is_running and bool(self._panes) and all(pane.is_attached for pane in self._panes)
 
     @property
     def tab(self) -> str:
-        """The tab in front."""
-        return self.base.query_one(Pages).active
+        """Name of the tab in front."""
+        return self.base.query_one(TabbedPanes).active
+
+    @property
+    def _front_pane(self) -> Pane:
+        return self.base.query_one(TabbedPanes).front
 
     def _draw_plots(self) -> None:
-        if self.is_drawable and self.tab == "live" and len(self.screen_stack) == 1 and self._pace.due():
+        if (
+            self.is_drawable
+            and self.tab == "live"
+            and len(self.screen_stack) == 1
+            and self._frame_limiter.due()
+        ):
             self.base.query_one(LivePane).draw()
 
-    def _show_facts(self) -> None:
-        failure = self.lab.failure()
-        if self.runner.active:
-            self.runner.end_unseen(failure)
+    def _refresh_state(self) -> None:
+        failure = self.session.failure()
+        if self.runner.is_active:
+            self.runner.abort_if_unseen(failure)
         if not self.is_drawable:
             return
-        if failure and not self._is_blind:
-            self._is_blind = True
+        if failure and not self._is_out_of_date:
+            self._is_out_of_date = True
             self.notify(f"{OUT_OF_DATE}: {failure}", severity="error", timeout=3600.0)
         self.emergency.refresh()
         self._show_bar()
-        tab = self.tab
-        if tab == "devices":
-            self.base.query_one(DevicesPane).refresh_view()
-        elif tab == "live":
-            self.base.query_one(LivePane).refresh_list()
-        elif tab == "experiment":
-            self.base.query_one(ExperimentPane).refresh_view()
-        elif tab == "results":
-            self.base.query_one(ResultsPane).refresh_view()
+        self._front_pane.refresh_view()
 
     def _show_bar(self) -> None:
         line = bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
-        if line != self._bar:
-            self._bar = line
+        if line != self._bar_line:
+            self._bar_line = line
             self.base.query_one("#bar-run", Static).update(line, layout=False)
 
-    def look_at_files(self) -> None:
-        """Read anew what the tab in front shows of the folder; recordings in a thread, one look at a time."""
+    def refresh_files(self) -> None:
+        """Read the files that the tab in front shows; recordings in a thread, one scan at a time."""
         if not self.is_drawable:
             return
         if self.tab == "recordings":
-            self._shelf.look()
-        elif self.tab == "experiment":
-            self.base.query_one(ExperimentPane).refresh_list()
-        elif self.tab == "results":
-            self.base.query_one(ResultsPane).refresh_list()
+            self._library.scan()
+        else:
+            self._front_pane.refresh_list()
 
-    def on_shelf_read(self, message: ShelfRead) -> None:
-        """The folder as far as it is read."""
+    def on_library_read(self, message: LibraryRead) -> None:
+        """Show the recordings that have been read."""
         if self.is_drawable:
-            self.base.query_one(RecordingsPane).take(message.recordings)
+            self.base.query_one(RecordingsPane).show_entries(message.recordings)
 
     # tabs
 
@@ -234,34 +240,28 @@ class LabApp(App[None]):
     def action_tab(self, name: str) -> None:
         """Bring a tab to the front."""
         if len(self.screen_stack) == 1:
-            self.base.query_one(Pages).active = name
+            self.base.query_one(TabbedPanes).active = name
 
     def _show_tab(self) -> None:
         """Refresh the tab in front, and focus its main widget at once: keys may be typed ahead."""
-        self._show_facts()
-        self.look_at_files()
+        self._refresh_state()
+        self.refresh_files()
         self._focus_tab()
 
     def _keep_focus(self, focused: Widget | None) -> None:
-        """Keep the keys with the tab: a layout that comes late, or a click beside it, takes them away."""
+        """Keep the focus in the tab: a late layout, or a click beside it, takes it away."""
         if focused is None and self.app_focus:
             self.call_next(self._focus_tab)
 
     def _focus_tab(self) -> None:
-        kinds: dict[str, tuple[str, type[Widget]]] = {
-            "devices": ("#devices-table", DataTable),
-            "live": ("#live-signals", SelectionList),
-            "experiment": ("#experiment-list", OptionList),
-            "recordings": ("#recordings-table", DataTable),
-            "results": ("#results-table", DataTable),
-        }
         if self.is_drawable:
-            self.base.set_focus(self.base.query_one(*kinds[self.tab]))
+            pane = self._front_pane
+            self.base.set_focus(pane.query_one(pane.MAIN_WIDGET))
 
     # the run
 
     def on_start_requested(self, message: StartRequested) -> None:
-        """Start a run; one that moves real devices only after a question."""
+        """Start a run; ask first where it moves real devices."""
         if self.emergency.latch is not None:
             self.notify("The emergency stop is on: F9 releases it.", severity="error")
             return
@@ -271,43 +271,43 @@ class LabApp(App[None]):
             self._start(message.path)
             return
 
-        def go(yes: bool | None) -> None:
+        def on_answer(yes: bool | None) -> None:
             if yes:
                 self._start(message.path)
 
         question = f"This moves real devices:\n\n  {', '.join(addresses)}\n\nIs everybody out of their way?"
-        self.push_screen(Confirm(question, "Start", "Not yet", danger=True), go)
+        self.push_screen(Confirm(question, "Start", "Not yet", danger=True), on_answer)
 
     def _start(self, path: str) -> None:
-        if self.runner.active or self.emergency.latch is not None:
+        if self.runner.is_active or self.emergency.latch is not None:
             return
         pane = self.base.query_one(ExperimentPane)
         name = pane.plan.experiment.experiment.name if pane.plan is not None else Path(path).stem
         self.runner.start(Path(path), name)
         pane.log_line("starting", name)
-        self._show_facts()
+        self._refresh_state()
 
     def on_run_line(self, message: RunLine) -> None:
         """Follow the run."""
         before = self.runner.state
-        self.runner.take(message.line)
+        self.runner.handle_line(message.line)
         if not self.is_drawable:
             return
         pane = self.base.query_one(ExperimentPane)
         if "result" in message.line:
             pane.take_result(message.line["result"], message.line["error"])
-            self.look_at_files()
+            self.refresh_files()
         elif "refused" in message.line:
             pane.log_line("refused", message.line["refused"])
         if self.runner.state != before or "ended" in message.line:
-            self._show_facts()
-        if self.leaving and not self.runner.active:
+            self._refresh_state()
+        if self.leaving and not self.runner.is_active:
             self.exit()
 
     # studies
 
     def on_study_requested(self, message: StudyRequested) -> None:
-        """Start a fit, a diagnosis, …; show it where results are."""
+        """Start a fit, a diagnosis, …, and show it among the results."""
         if self.studies.start(message):
             self.action_tab("results")
         self.base.query_one(ResultsPane).refresh_list()
@@ -321,7 +321,7 @@ class LabApp(App[None]):
         if is_new_state:
             self.studies.announce(job)
             results.refresh_list()
-            self.look_at_files()
+            self.refresh_files()
             if has_result(job):
                 results.show_file(Path(job.done))
         elif self.tab == "results":
@@ -330,14 +330,14 @@ class LabApp(App[None]):
     # the emergency stop
 
     def action_stop_all(self) -> None:
-        """Bring every device in reach to its safe state, and hold all runs until it is released."""
+        """Bring every device in reach to its safe state, and block all runs until the release."""
         self.emergency.press()
 
     def action_release(self) -> None:
         """Allow runs again, once somebody has confirmed it."""
         self.emergency.ask_release()
 
-    def _log_run(self, kind: str, text: str, device: str = "") -> None:
+    def _log_event(self, kind: str, text: str, device: str = "") -> None:
         if self.is_drawable:
             self.base.query_one(ExperimentPane).log_line(kind, text, device)
 
@@ -351,7 +351,7 @@ class LabApp(App[None]):
         return True
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """There is something to release only after a stop."""
+        """Enable the release only after an emergency stop."""
         if action == "release":
             return self.emergency.latch is not None and len(self.screen_stack) == 1
         return True
@@ -359,7 +359,7 @@ class LabApp(App[None]):
     # leaving
 
     def action_leave(self) -> None:
-        """Quit; with a run on, only after a question, and after the run has ended in order."""
+        """Quit; during a run only after a question, and after the run has ended in order."""
         if self.leaving:
             self.exit()
             return
@@ -374,27 +374,27 @@ class LabApp(App[None]):
     def _leave(self, yes: bool | None) -> None:
         if not yes:
             return
-        if not self.runner.active:
+        if not self.runner.is_active:
             self.exit()
             return
         self.leaving = "stopping"
-        self.runner.ask("stop", "the terminal UI is quit")
+        self.runner.request("stop", "the terminal UI is quit")
         self.notify("Stopping the run …", timeout=30)
 
     def action_keys(self) -> None:
-        """Show all keys of the screen in front, or put them away again."""
+        """Show or hide all keys of the screen in front."""
         if self.screen.query(HelpPanel):
             self.action_hide_help_panel()
         else:
             self.action_show_help_panel()
 
     def action_toggle_theme(self) -> None:
-        """From dark to light, and back."""
+        """Change between the dark and the light theme."""
         self.theme = LIGHT.name if self.theme == DARK.name else DARK.name
 
     # the command palette
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        """Only what makes sense now; names of files and experiments in it are no markup."""
+        """Yield the commands that are possible now; names in them are no markup."""
         for name, about, action, *_ in commands(self, self.base.query_one(ExperimentPane)):
             yield SystemCommand(escape(name), escape(about), action)

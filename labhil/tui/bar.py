@@ -1,4 +1,4 @@
-"""The work in progress, in words: the line at the top of the screen, and the question before it is left."""
+"""The line at the top of the screen, and the question before quitting."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from pathlib import Path
 from rich.text import Text
 
 from labhil.campaign.studies.jobs import Job
+from labhil.tui.formatting import RUN_STATES
 from labhil.tui.runner import Runner
-from labhil.tui.words import RUN_STATES
 
 
 def bar_text(folder: Path, runner: Runner, at_work: Sequence[Job], colours: dict[str, str]) -> Text:
-    """Return the line at the top: the run and the analyses at work, or the folder where there are none."""
+    """Return the line at the top: the run and the studies at work, or the folder.
+
+    Args:
+        folder: Folder of the screen.
+        runner: The run.
+        at_work: Studies that have not ended.
+        colours: Colours of the theme.
+    """
     line = Text(no_wrap=True, overflow="ellipsis")
     if runner.state != "idle":
         line.append_text(RUN_STATES[runner.state].text(colours))
         line.append(f" {runner.name} ")
-        if runner.duration and runner.active:
+        if runner.duration and runner.is_active:
             line.append(f"{runner.elapsed:.0f} of {runner.duration:.0f} s ", style="bold")
     for job in at_work:
         line.append(f" … {job.title}", style=colours["accent"])
@@ -29,8 +36,8 @@ def bar_text(folder: Path, runner: Runner, at_work: Sequence[Job], colours: dict
 
 
 def question_before_leaving(runner: Runner, at_work: Sequence[Job]) -> str:
-    """Return what to ask before the screen is left; empty where nothing is at work."""
-    if runner.active:
+    """Return the question before quitting; empty where nothing is at work."""
+    if runner.is_active:
         return "A run is on.\n\nStop it and quit? Devices go to their safe state, the recording is kept."
     if at_work:
         titles = "\n  ".join(job.title for job in at_work)

@@ -1,4 +1,4 @@
-"""A comparison or a verification as text: the answer first, then what it rests on."""
+"""A comparison or a verification as text on the screen."""
 
 from __future__ import annotations
 
@@ -10,16 +10,14 @@ from rich.text import Text
 
 from labhil.analysis.schema import ComparedModel, ComparisonPart, VerificationPart
 from labhil.physics.terms import keyed, listed
-from labhil.report.comparison import AGREE, comparison_basis, value_text
-from labhil.report.html.quantity import p_value, percent, quantity
-from labhil.tui.result_text import next_steps_lines
-from labhil.tui.words import PlainTable
-
-Colours = dict[str, str]
+from labhil.report.comparison import AGREE, comparison_basis, format_estimate
+from labhil.report.formatting import format_p_value, format_percent, format_quantity
+from labhil.tui.formatting import PlainTable
+from labhil.tui.result_text import Colours, next_steps_lines, section_title
 
 
 def comparison_headline(comparison: ComparisonPart) -> str:
-    """A comparison in a few words, for a list."""
+    """Return a comparison in a few words, for a list."""
     equals = [model.name for model in comparison.models if not model.worse_than_best]
     if comparison.verdict == "alike":
         return f"{', '.join(equals)} alike"
@@ -29,7 +27,7 @@ def comparison_headline(comparison: ComparisonPart) -> str:
 
 
 def comparison_renderable(comparison: ComparisonPart, colours: Colours) -> RenderableType:
-    """The statement, a table of models, one of the parameters that they share, and what to do next."""
+    """Return the verdict, a table of models, their shared parameters, and what to do next."""
     return Group(*_comparison(comparison, colours))
 
 
@@ -38,14 +36,14 @@ def _comparison(comparison: ComparisonPart, colours: Colours) -> Iterator[Render
     yield Text(comparison.statement, style=f"bold {colours['success' if explained else 'warning']}")
     for note in comparison.notes:
         yield Text(f"▲ {note}", style=colours["warning"])
-    yield Text("\nModels", style=f"bold {colours['primary']}")
+    yield section_title("Models", colours)
     yield Text(comparison_basis(comparison), style=colours["muted"])
     yield _models(comparison, colours)
     for letter, model in _models_by_letter(comparison):
         line = Text(f"{letter}  {model.name}: ", style="bold" if model.name == comparison.best else "")
         yield line.append(", ".join(listed(model.terms)), style=f"not bold {colours['muted']}")
     if comparison.parameters:
-        yield Text("\nParameters that they share", style=f"bold {colours['primary']}")
+        yield section_title("Parameters that they share", colours)
         yield _parameters(comparison, colours)
     yield from next_steps_lines(comparison.next_steps, colours)
 
@@ -58,18 +56,18 @@ def _models(comparison: ComparisonPart, colours: Colours) -> PlainTable:
             table.add_row(
                 keyed(row.channel, row.joint),
                 f"{letter}{' ←' if best else ''}" if i == 0 else "",
-                quantity(row.rmse, row.unit),
-                quantity(row.rmse_over_noise, "", 3),
-                ("best" if best else quantity(model.times_best, "", 3)) if i == 0 else "",
-                "" if best or i else p_value(model.p_value),
-                percent(row.r2),
+                format_quantity(row.rmse, row.unit),
+                format_quantity(row.rmse_over_noise, "", 3),
+                ("best" if best else format_quantity(model.times_best, "", 3)) if i == 0 else "",
+                "" if best or i else format_p_value(model.p_value),
+                format_percent(row.r2),
                 style="bold" if best else "",
             )
     return table
 
 
 def _models_by_letter(comparison: ComparisonPart) -> Iterator[tuple[str, ComparedModel]]:
-    """The models with a letter each: names of files leave no room for numbers."""
+    """The models with a letter each: file names leave no room for numbers."""
     yield from zip(ascii_uppercase, comparison.models, strict=False)
 
 
@@ -80,19 +78,19 @@ def _parameters(comparison: ComparisonPart, colours: Colours) -> PlainTable:
         unit = f" {row.unit}" if row.unit else ""
         table.add_row(
             f"{keyed(row.name, row.joint)}{unit}",
-            *(value_text(row, name) for name in names),
+            *(format_estimate(row, name) for name in names),
             Text(AGREE[row.agree], style=colours["warning"] if row.agree is False else ""),
         )
     return table
 
 
 def verification_headline(verification: VerificationPart) -> str:
-    """A verification in a few words, for a list."""
+    """Return a verification in a few words, for a list."""
     return verification.verdict
 
 
 def verification_renderable(verification: VerificationPart, colours: Colours) -> RenderableType:
-    """The answer, the reasons, each output's error, and the values that have changed."""
+    """Return the verdict, the reasons, the errors of each output, and the changed parameters."""
     return Group(*_verification(verification, colours))
 
 
@@ -100,7 +98,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     sign, word = ("✓", "consistent with") if verification.consistent else ("✕", "contradicted by")
     colour = colours["success" if verification.consistent else "error"]
     yield Text(
-        f"{sign} The model is {word} the recording (p {p_value(verification.p_value)}).",
+        f"{sign} The model is {word} the recording (p {format_p_value(verification.p_value)}).",
         style=f"bold {colour}",
     )
     yield Text(
@@ -113,37 +111,37 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
     ):
         yield Text(f"▲ {line}", style=colours["warning"])
     yield from (Text(f"· {reason}") for reason in verification.reasons)
-    yield Text("\nErrors", style=f"bold {colours['primary']}")
+    yield section_title("Errors", colours)
     errors = _table(colours, ("output",), ("RMSE", "noise floor", "ratio", "limit"))
     for row in verification.channels:
         errors.add_row(
             keyed(row.channel, row.joint),
-            quantity(row.rmse, row.unit),
-            quantity(row.noise_floor, row.unit),
-            quantity(row.ratio, "", 3),
-            quantity(row.limit, "", 3),
+            format_quantity(row.rmse, row.unit),
+            format_quantity(row.noise_floor, row.unit),
+            format_quantity(row.ratio, "", 3),
+            format_quantity(row.limit, "", 3),
         )
     yield errors
     if verification.parameters:
-        yield Text("\nValues", style=f"bold {colours['primary']}")
+        yield section_title("Values", colours)
         values = _table(colours, ("parameter",), ("accepted", "refitted", ""))
         for value in verification.parameters:
             changed = Text("≠ changed" if value.changed else "", style=colours["warning"])
             values.add_row(
                 keyed(value.name, value.joint),
-                quantity(value.before, value.unit),
-                quantity(value.after, value.unit),
+                format_quantity(value.before, value.unit),
+                format_quantity(value.after, value.unit),
                 changed,
             )
         yield values
     yield Text(f"\nmodel: {verification.model}", style=colours["muted"])
 
 
-def _table(colours: Colours, words: tuple[str, ...], numbers: tuple[str, ...]) -> PlainTable:
+def _table(colours: Colours, text_columns: tuple[str, ...], number_columns: tuple[str, ...]) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    for i, name in enumerate(words):
+    for i, name in enumerate(text_columns):
         # where room is short the first column is cut: one that may be wrapped is made narrow first
         table.add_column(Text(name), overflow="ellipsis", no_wrap=i > 0)
-    for name in numbers:
+    for name in number_columns:
         table.add_column(Text(name), justify="right", no_wrap=True)
     return table

@@ -1,4 +1,4 @@
-"""A curve, and how it is drawn on a raster: lines differ in their pen, not in colour alone."""
+"""A plotted curve, and how it is drawn on a raster; curves differ in their pen, not in colour alone."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from labhil.signals import FloatArray
 from labhil.tui.raster import ACROSS, DOWN, Raster
-from labhil.tui.ring import envelope, pieces
+from labhil.tui.ring_buffer import envelope, split_at_gaps
+from labhil.tui.themes import CURVES
 from labhil.tui.ticks import Limits
 
 
 class Pen(StrEnum):
-    """How a line is drawn; its picture stands in the legend."""
+    """How a line is drawn; the value is its sample in the legend."""
 
     SOLID = "━━"
     DASHED = "╍╍"
@@ -25,14 +26,20 @@ class Pen(StrEnum):
 
 PENS = (Pen.SOLID, Pen.DASHED, Pen.DOTS)
 DASH, PAUSE = 4, 4
-"""Lengths in points of the drawn curve."""
+"""Lengths of dashes and of the gaps between them, in points of the curve."""
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """A line of points (n,), or dots; NaN in ``y`` and steps longer than ``gap`` in ``x`` lift the pen.
+class PlotCurve:
+    """Hold a line of points, or dots.
 
-    ``colour`` is a name from the theme, as ``curve-0``.
+    Attributes:
+        x: (n,)
+        y: (n,); NaN breaks the line.
+        colour: Name of a colour of the theme, such as ``curve-0``.
+        pen: Solid, dashed, or dots.
+        label: Text in the legend; empty for none.
+        gap: Longest step in ``x`` that the line bridges.
     """
 
     x: FloatArray
@@ -43,8 +50,44 @@ class Curve:
     gap: float = math.inf
 
 
-def draw_curves(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
-    """Return a raster of so many cells with the curves between the limits; each is owned by its number."""
+def column_curves(
+    x: FloatArray, values: FloatArray, names: Sequence[str], number: int, gap: float
+) -> list[PlotCurve]:
+    """Make a curve for each column of a signal, with colours and pens that differ.
+
+    Args:
+        x: (n,)
+        values: (n, columns or more)
+        names: Names of the columns, for the legend; a single column has no label.
+        number: Number of the signal, which decides the first colour.
+        gap: Longest step in ``x`` that the lines bridge.
+    """
+    return [
+        PlotCurve(
+            x,
+            values[:, i],
+            f"curve-{(number + i) % CURVES}",
+            PENS[i // 2 % len(PENS)],
+            name if len(names) > 1 else "",
+            gap,
+        )
+        for i, name in enumerate(names)
+    ]
+
+
+def draw_curves(curves: Sequence[PlotCurve], x: Limits, y: Limits, columns: int, rows: int) -> Raster:
+    """Draw curves between limits.
+
+    Args:
+        curves: The curves; later ones cover earlier ones.
+        x: Limits of x.
+        y: Limits of y.
+        columns: Width of the raster in cells.
+        rows: Height of the raster in cells.
+
+    Returns:
+        The raster, whose dots are owned by the index of their curve.
+    """
     raster = Raster(columns, rows)
     for number, curve in enumerate(curves):
         visible = _clip(curve, x)
@@ -61,19 +104,19 @@ def draw_curves(curves: Sequence[Curve], x: Limits, y: Limits, columns: int, row
     return raster
 
 
-def _clip(curve: Curve, limits: Limits) -> Curve:
-    """The points between the limits, and one beyond each, so that lines go on to the edge."""
+def _clip(curve: PlotCurve, limits: Limits) -> PlotCurve:
+    """The points between the limits, and one beyond each, so that lines reach the edge."""
     inside = (curve.x >= limits[0]) & (curve.x <= limits[1])
     if inside.all():
         return curve
     near = inside.copy()
     near[1:] |= inside[:-1]
     near[:-1] |= inside[1:]
-    return Curve(curve.x[near], curve.y[near], curve.colour, curve.pen, curve.label, curve.gap)
+    return PlotCurve(curve.x[near], curve.y[near], curve.colour, curve.pen, curve.label, curve.gap)
 
 
-def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """The stretches between two lifts of the pen, reduced to what the columns can show."""
+def _runs(curve: PlotCurve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """The unbroken parts of a curve, reduced to what the columns can show."""
     finite = np.isfinite(curve.y)
     breaks = np.flatnonzero(np.diff(finite.astype(np.int8))) + 1
     total = max(1, len(curve.x))
@@ -81,6 +124,6 @@ def _runs(curve: Curve, columns: int) -> Iterator[tuple[FloatArray, FloatArray]]
         if not finite[part[0]]:
             continue
         x, y = curve.x[part], curve.y[part]
-        for run in pieces(x, curve.gap):
-            share = max(2, math.ceil(columns * (run.stop - run.start) / total))
-            yield envelope(x[run], y[run], share)
+        for run in split_at_gaps(x, curve.gap):
+            width = max(2, math.ceil(columns * (run.stop - run.start) / total))
+            yield envelope(x[run], y[run], width)

@@ -1,4 +1,4 @@
-"""The devices on the bus: how each stands, how regularly it sends, who holds it, and what it reads now."""
+"""The tab of devices: state, rate, lease and newest values of each."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.widgets import DataTable, Static
 
-from labhil.tui.lab import Session
-from labhil.tui.lists import LabTable
-from labhil.tui.pages import Backdrop
-from labhil.tui.watch import REPLAYED, Announcement, DeviceView
-from labhil.tui.words import (
-    NOTHING,
+from labhil.report.formatting import NOTHING, format_count
+from labhil.tui.bus_watch import REPLAYED, Announcement, DeviceView
+from labhil.tui.formatting import (
     PlainTable,
-    count,
-    device_look,
-    duration,
-    frequency,
-    milliseconds,
+    device_label,
+    format_duration,
+    format_frequency,
+    format_milliseconds,
     plain_grid,
 )
+from labhil.tui.lists import LabTable
+from labhil.tui.panes import Pane
+from labhil.tui.session import Session
 
 COLUMNS = (
     ("device", 10),
@@ -44,17 +43,19 @@ EMPTY = """[b]No device is on a bus here.[/b]
 [$muted]Devices of any run on this machine appear here by themselves.[/]"""
 
 
-class DevicesPane(Vertical, Backdrop):
-    """A table of devices, and what the chosen one reads."""
+class DevicesPane(Vertical, Pane):
+    """Show a table of devices, and the newest values of the chosen one."""
 
-    def __init__(self, lab: Session) -> None:
+    MAIN_WIDGET = "#devices-table"
+
+    def __init__(self, session: Session) -> None:
         super().__init__(id="devices-pane")
-        self._lab = lab
+        self._session = session
         self._shown: tuple[str, ...] = ()
         self._shape: object = None
 
     def compose(self) -> ComposeResult:
-        """The table, the readings, and the text for an empty bench."""
+        """Lay out the table, the values, and the text for an empty bus."""
         yield Static(EMPTY, id="devices-empty")
         with Container(id="devices-split"):
             yield LabTable(id="devices-table", cursor_type="row", zebra_stripes=False)
@@ -69,8 +70,8 @@ class DevicesPane(Vertical, Backdrop):
         self.refresh_view()
 
     def refresh_view(self) -> None:
-        """Show the devices as they are now."""
-        devices = self._lab.devices()
+        """Show the devices in their present state."""
+        devices = self._session.devices()
         self.query_one("#devices-empty").display = not devices
         self.query_one("#devices-split").display = bool(devices)
         table = self.query_one(DataTable)
@@ -90,13 +91,13 @@ class DevicesPane(Vertical, Backdrop):
                         table.update_cell(key, column, cell, update_width=column == "last event")
         if devices:
             endpoint, view = devices[min(table.cursor_row, len(devices) - 1)]
-            entries = facts(endpoint, view)
+            entries = device_facts(endpoint, view)
             # numbers change all the time, the height seldom: a layout costs more than all the rest
             shape = (
                 endpoint,
                 view.name,
                 view.stream,
-                self._lab.fault,
+                self._session.fault,
                 [len(value) for _, value in entries[4:]],
             )
             readings = self._readings(view, entries)
@@ -104,27 +105,27 @@ class DevicesPane(Vertical, Backdrop):
             self._shape = shape
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
-        """Another device was chosen."""
+        """Show the values of the chosen device."""
         if self._shown:
             self.refresh_view()
 
     def _row(self, view: DeviceView) -> list[Text]:
         colours = self.app.theme_variables
-        beat = view.beat
-        stale = view.state == "gone" or beat is None or beat.silent
-        rate = NOTHING if stale or beat is None else frequency(beat.rate)
-        delay = NOTHING if stale or beat is None else milliseconds(beat.transit)
-        gaps = Text(NOTHING if beat is None else count(beat.gaps))
-        if beat is not None and beat.gaps:
+        health = view.health
+        stale = view.state == "gone" or health is None or health.silent
+        rate = NOTHING if stale or health is None else format_frequency(health.rate)
+        delay = NOTHING if stale or health is None else format_milliseconds(health.transit)
+        gaps = Text(NOTHING if health is None else format_count(health.gaps))
+        if health is not None and health.gaps:
             gaps.stylize(f"bold {colours['warning']}")
         return [
             Text(view.name.removeprefix(REPLAYED), style="bold"),
-            device_look(view).text(colours),
+            device_label(view).text(colours),
             Text(rate),
             gaps,
             Text(delay),
             Text(view.holder or NOTHING, overflow="ellipsis"),
-            Text(NOTHING if view.event is None else event_line(view.event), style=colours["muted"]),
+            Text(NOTHING if view.event is None else format_event(view.event), style=colours["muted"]),
         ]
 
     def _readings(self, view: DeviceView, entries: list[tuple[str, str]]) -> Group:
@@ -134,20 +135,20 @@ class DevicesPane(Vertical, Backdrop):
         grid.add_column()
         for name, value in entries:
             grid.add_row(name, value)
-        if self._lab.fault:
-            grid.add_row(Text("▲ trouble", style=colours["warning"]), self._lab.fault)
+        if self._session.fault:
+            grid.add_row(Text("▲ fault", style=colours["warning"]), self._session.fault)
         if view.stream is None:
             return Group(grid)
         return Group(*self._values(view), Text(), grid)
 
     def _values(self, view: DeviceView) -> tuple[Text, PlainTable]:
-        """The newest readings, marked as live only while samples come in."""
+        """The newest values, marked as live only while samples come in."""
         assert view.stream is not None
         colours = self.app.theme_variables
-        stale = view.state == "gone" or view.beat is None or view.beat.silent
+        stale = view.state == "gone" or view.health is None or view.health.silent
         title = Text(view.name, style="bold")
         if stale:
-            age = duration(view.beat.age if view.beat else None)
+            age = format_duration(view.health.age if view.health else None)
             title.append(f"  ◌ last known, {age} ago", style=colours["warning"])
         else:
             title.append("  ▶ now", style=colours["success"])
@@ -156,7 +157,7 @@ class DevicesPane(Vertical, Backdrop):
         table.add_column(justify="right", no_wrap=True)
         table.add_column(no_wrap=True)
         table.add_column(style=colours["muted"], no_wrap=True, overflow="ellipsis")
-        values = iter(view.last)
+        values = iter(view.last_values)
         for signal in view.stream.signals:
             for column in signal.columns():
                 value = next(values, None)
@@ -167,16 +168,25 @@ class DevicesPane(Vertical, Backdrop):
         return title, table
 
 
-def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
-    """Everything known of a device but its samples, as names and values."""
-    beat, stream = view.beat, view.stream
+def device_facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
+    """Return names and values of everything that is known of a device, except its samples.
+
+    Args:
+        endpoint: Endpoint of its bus.
+        view: The device.
+    """
+    health, stream = view.health, view.stream
     lines = []
-    if stream is not None and beat is not None:
+    if stream is not None and health is not None:
         speed = "" if view.speed == 1.0 else f" × {view.speed:g} (its time runs faster)"
-        lines.append(("rate", f"{frequency(beat.rate)} measured, {stream.rate:g} Hz{speed} nominal"))
-        lines.append(("delay", f"{milliseconds(beat.transit)} from acquisition to this screen"))
-        lines.append(("jitter", f"{milliseconds(beat.lateness)} between the quickest and the latest sample"))
-        lines.append(("samples", f"{count(beat.received)} seen, {count(beat.gaps)} missing"))
+        lines.append(("rate", f"{format_frequency(health.rate)} measured, {stream.rate:g} Hz{speed} nominal"))
+        lines.append(("delay", f"{format_milliseconds(health.transit)} from acquisition to this screen"))
+        lines.append(
+            ("jitter", f"{format_milliseconds(health.lateness)} between the quickest and the latest sample")
+        )
+        lines.append(
+            ("samples", f"{format_count(health.received)} seen, {format_count(health.gaps)} missing")
+        )
     lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
     metadata = view.metadata
     if view.is_replayed:
@@ -187,7 +197,7 @@ def facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
     return lines
 
 
-def event_line(event: Announcement) -> str:
-    """An event in one line."""
+def format_event(event: Announcement) -> str:
+    """Return an event in one line."""
     time_of_day = datetime.fromtimestamp(event.t_ns * 1e-9).astimezone().strftime("%H:%M:%S")
     return f"{time_of_day} {event.kind}: {event.message}" if event.message else f"{time_of_day} {event.kind}"

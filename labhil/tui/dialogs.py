@@ -1,4 +1,4 @@
-"""Small questions in the middle of the screen."""
+"""Dialogs in the middle of the screen: a question, a choice, a line of text, a notice."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from textual.widgets.option_list import Option
 
 
 class Confirm(ModalScreen[bool]):
-    """A question with two answers; Escape gives the careful one."""
+    """Ask a question with two answers; the negative one has the focus, and Escape gives it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("y", "answer(True)", "Yes", id="confirm.yes"),
@@ -26,7 +26,7 @@ class Confirm(ModalScreen[bool]):
         self._question, self._yes, self._no, self._danger = question, yes, no, danger
 
     def compose(self) -> ComposeResult:
-        """The question and its answers."""
+        """Lay out the question and its answers."""
         with Vertical(classes="dialog"):
             yield Static(self._question, markup=False)
             with Horizontal(classes="dialog-buttons"):
@@ -34,20 +34,25 @@ class Confirm(ModalScreen[bool]):
                 yield Button(f"{self._no}  n", id="no")
 
     def on_mount(self) -> None:
-        """The careful answer is where Enter would go."""
+        """Focus the negative answer."""
         self.query_one("#no", Button).focus()
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """Answer."""
+        """Answer by a button."""
         self.dismiss(event.button.id == "yes")
 
     def action_answer(self, answer: bool) -> None:
-        """Answer by key."""
+        """Answer by a key."""
         self.dismiss(answer)
 
 
 class Choose(ModalScreen[str | None]):
-    """One of several things, or none; ``choices`` are keys and what is shown."""
+    """Choose one of several entries, or none.
+
+    Args:
+        title: Title of the dialog.
+        choices: Keys and texts of the entries.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", "Cancel", id="choose.cancel")]
 
@@ -56,7 +61,7 @@ class Choose(ModalScreen[str | None]):
         self._title, self._choices = title, choices
 
     def compose(self) -> ComposeResult:
-        """The list."""
+        """Lay out the list."""
         with Vertical(classes="dialog"):
             yield Static(self._title, markup=False)
             yield OptionList(*[Option(shown, id=key) for key, shown in self._choices], markup=False)
@@ -71,8 +76,13 @@ class Choose(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class Write(ModalScreen[str | None]):
-    """A line of text to write, or none."""
+class TextPrompt(ModalScreen[str | None]):
+    """Ask for a line of text.
+
+    Args:
+        title: Title of the dialog.
+        most: Largest number of characters.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape", "leave", "Cancel", id="write.cancel")]
 
@@ -81,7 +91,7 @@ class Write(ModalScreen[str | None]):
         self._title, self._most = title, most
 
     def compose(self) -> ComposeResult:
-        """The line."""
+        """Lay out the line."""
         with Vertical(classes="dialog"):
             yield Static(self._title, markup=False)
             yield Input(max_length=self._most)
@@ -93,12 +103,12 @@ class Write(ModalScreen[str | None]):
         self.dismiss(event.value.strip() or None)
 
     def action_leave(self) -> None:
-        """No text."""
+        """Return no text."""
         self.dismiss(None)
 
 
 class Notice(ModalScreen[None]):
-    """A text to read."""
+    """Show a text."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,q", "dismiss", "Close", id="tell.close")]
 
@@ -107,7 +117,7 @@ class Notice(ModalScreen[None]):
         self._title, self._text = title, text
 
     def compose(self) -> ComposeResult:
-        """Title and text."""
+        """Lay out title and text."""
         with Vertical(classes="dialog dialog-wide"):
             yield Static(self._title, classes="dialog-title", markup=False)
             yield Static(self._text, markup=False)

@@ -1,4 +1,4 @@
-"""Choose an experiment, read what it will do, and run it: start, pause, resume, stop, abort."""
+"""The tab of experiments: choose one, read its plan, and run it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from labhil.experiment.control import MAX_MARK_LENGTH, RECORDED
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import Plan, make_plan
 from labhil.host_clock import steady_ns
-from labhil.tui.dialogs import Write
-from labhil.tui.lab import Session
+from labhil.tui.dialogs import TextPrompt
+from labhil.tui.formatting import RUN_STATES, format_duration
 from labhil.tui.lists import LabOptions
 from labhil.tui.messages import StartRequested
-from labhil.tui.pages import Backdrop
-from labhil.tui.recording_library import ExperimentFile, experiments
+from labhil.tui.panes import Pane
+from labhil.tui.recording_library import ExperimentFile, list_experiments
 from labhil.tui.runner import Runner
-from labhil.tui.words import RUN_STATES, duration
+from labhil.tui.session import Session
 
 BUTTONS: tuple[tuple[str, str, ButtonVariant], ...] = (
     ("start", "Start ⏎", "success"),
@@ -52,9 +52,10 @@ MOST_LINES = 200
 """Lines kept in the log; the recording holds every event."""
 
 
-class ExperimentPane(Vertical, Backdrop):
-    """The list of experiments, the plan of the chosen one, the run, and what happens."""
+class ExperimentPane(Vertical, Pane):
+    """Show the list of experiments, the plan of the chosen one, the run, and its events."""
 
+    MAIN_WIDGET = "#experiment-list"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "control('pause')", "Pause", id="run.pause", tooltip="Devices safe, the run waits"),
         Binding("r", "control('resume')", "Resume", id="run.resume", tooltip="Go on where it was paused"),
@@ -63,9 +64,9 @@ class ExperimentPane(Vertical, Backdrop):
         Binding("m", "mark", "Mark", id="run.mark", tooltip="A marker at this moment of the recording"),
     ]
 
-    def __init__(self, folder: Path, runner: Runner, lab: Session) -> None:
+    def __init__(self, folder: Path, runner: Runner, session: Session) -> None:
         super().__init__(id="experiment-pane")
-        self._folder, self._runner, self._lab = folder, runner, lab
+        self._folder, self._runner, self._session = folder, runner, session
         self._files: list[ExperimentFile] = []
         self.plan: Plan | None = None
         self._logged_ns = 0
@@ -73,7 +74,7 @@ class ExperimentPane(Vertical, Backdrop):
         self._shown_state = ""
 
     def compose(self) -> ComposeResult:
-        """The parts, from the choice to the log."""
+        """Lay out the list, the plan, the controls and the log."""
         with Container(id="experiment-choice"):
             yield LabOptions(id="experiment-list", markup=False)
             with VerticalScroll(id="plan-scroll"):
@@ -95,8 +96,8 @@ class ExperimentPane(Vertical, Backdrop):
         self.refresh_view()
 
     def refresh_list(self) -> None:
-        """Look for experiment files anew."""
-        files = experiments(self._folder)
+        """List the experiment files again."""
+        files = list_experiments(self._folder)
         if files == self._files:
             return
         self._files = files
@@ -118,26 +119,26 @@ class ExperimentPane(Vertical, Backdrop):
             self._show_plan(self._files[int(event.option.id)])
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
-        """Enter starts it."""
+        """Start the chosen experiment."""
         if event.option.id is not None:
             self.action_control("start")
 
     def on_button_pressed(self, event: Button.Pressed) -> None:
-        """A button does what its key does."""
+        """Do the same as the key of the button."""
         event.stop()
         self.action_control((event.button.id or "").removeprefix("run-"))
 
     def action_control(self, name: str) -> None:
-        """Start, pause, resume, stop or abort."""
+        """Start, pause, resume, stop or abort the run, where its state allows it."""
         if self._runner.state not in ALLOWED[name]:
             return
         if name != "start":
-            self._runner.ask(name)
+            self._runner.request(name)
         elif self.plan is not None:
             self.post_message(StartRequested(str(self.plan.experiment.path)))
 
     def action_mark(self) -> None:
-        """Ask for a marker's text; the recording holds it at the moment of the key."""
+        """Ask for the text of a marker, which is recorded at the time of the key."""
         if self._runner.state not in MARKABLE:
             return
         pressed_ns = steady_ns()
@@ -146,10 +147,10 @@ class ExperimentPane(Vertical, Backdrop):
             if text is not None:
                 self._runner.mark(text, pressed_ns)
 
-        self.app.push_screen(Write("What happened at this moment?", MAX_MARK_LENGTH), mark)
+        self.app.push_screen(TextPrompt("What happened at this moment?", MAX_MARK_LENGTH), mark)
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only keys that do something now are shown."""
+        """Enable only the keys that have an effect now."""
         if action == "control":
             return self._runner.state in ALLOWED[str(parameters[0])]
         if action == "mark":
@@ -157,7 +158,7 @@ class ExperimentPane(Vertical, Backdrop):
         return True
 
     def moves_hardware(self) -> list[str]:
-        """The addresses of real devices that the chosen experiment would move."""
+        """Return the addresses of real devices that the chosen experiment would move."""
         if self.plan is None:
             return []
         return [d.section.address for d in self.plan.devices if d.section.address != TWIN]
@@ -180,13 +181,13 @@ class ExperimentPane(Vertical, Backdrop):
     # the run
 
     def refresh_view(self) -> None:
-        """Show how far the run is, and the events since the last look."""
+        """Show the progress of the run, and the new events."""
         runner, colours = self._runner, self.app.theme_variables
         self.query_one("#run-state", Static).update(RUN_STATES[runner.state].text(colours))
         bar = self.query_one(ProgressBar)
         bar.update(total=max(runner.duration, 1e-9), progress=runner.elapsed)
         has_duration = runner.duration > 0
-        elapsed = f"{runner.elapsed:.1f} of {duration(runner.duration)}" if has_duration else ""
+        elapsed = f"{runner.elapsed:.1f} of {format_duration(runner.duration)}" if has_duration else ""
         self.query_one("#run-elapsed", Static).update(elapsed)
         self.query_one("#run-reason", Static).update(Text(runner.reason, style=colours["muted"]))
         self._log_events()
@@ -197,13 +198,20 @@ class ExperimentPane(Vertical, Backdrop):
             self.refresh_bindings()
 
     def _log_events(self) -> None:
-        events = [event for event in self._lab.events() if event.t_ns > self._logged_ns]
+        events = [event for event in self._session.events() if event.t_ns > self._logged_ns]
         for event in events:
             self._logged_ns = event.t_ns
             self.log_line(event.kind, event.message, event.device, event.t_ns)
 
     def log_line(self, kind: str, message: str, device: str = "", t_ns: int | None = None) -> None:
-        """Add a line to the log."""
+        """Add a line to the log.
+
+        Args:
+            kind: Kind of the event.
+            message: Its text.
+            device: The device; empty for the screen itself.
+            t_ns: Unix time, ns; None for now.
+        """
         colours = self.app.theme_variables
         moment = datetime.now() if t_ns is None else datetime.fromtimestamp(t_ns * 1e-9)
         line = Text()
@@ -226,7 +234,7 @@ class ExperimentPane(Vertical, Backdrop):
 
 
 def plan_text(plan: Plan, colours: dict[str, str]) -> Text:
-    """The text of ``labhil run --dry-run``, with its warnings first."""
+    """Return the text of ``labhil run --dry-run``, with its warnings first."""
     text = Text()
     for warning in plan.warnings():
         text.append(f"▲ {warning}\n", style=colours["warning"])

@@ -1,4 +1,4 @@
-"""The keys of what is in front, in the last row."""
+"""The row of keys at the bottom of the screen."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from textual.events import Leave, MouseDown, MouseMove, MouseScrollDown, MouseSc
 from textual.screen import Screen
 from textual.widget import Widget
 
-SCROLLED = 4
-"""Columns by which a turn of the wheel moves keys that have no room."""
+SCROLL_STEP = 4
+"""Columns by which a turn of the wheel scrolls the keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class _ShownKey:
-    """A key of the row: what is written, and what it does."""
+    """Hold a key of the row: label, description and binding."""
 
     key: str
     label: str
@@ -28,14 +28,15 @@ class _ShownKey:
 
     @property
     def width(self) -> int:
-        """Columns, with the blanks around the key and behind its description."""
+        """Columns, with the blanks around the label and after the description."""
         return len(self.label) + len(self.description) + 3
 
 
 class KeyFooter(Widget):
-    """The keys that are bound now, in one line that is one widget, to click as well.
+    """Show the bound keys in one line, which can be clicked.
 
-    A widget for each key, as Textual's own footer has, costs more than the rest of a change of the pane.
+    It is one widget. Textual's own footer has a widget for each key, which costs more than all else when
+    the pane changes.
     """
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {
@@ -51,20 +52,25 @@ class KeyFooter(Widget):
         self._keys: tuple[_ShownKey, ...] = ()
         self._hovered: _ShownKey | None = None
         self._first_column = 0
-        self._waits = False
+        self._update_is_pending = False
 
     def on_mount(self) -> None:
         """Follow changes of the keys."""
-        self.screen.bindings_updated_signal.subscribe(self, self._look_later)
+        self.screen.bindings_updated_signal.subscribe(self, self._schedule_update)
 
-    def _look_later(self, screen: Screen[object]) -> None:
-        """Look at the keys once what is under way has been drawn: they change several times in a row."""
-        if screen.app.app_focus and self.is_attached and screen is self.screen and not self._waits:
-            self._waits = True
-            self.call_after_refresh(self._look)
+    def _schedule_update(self, screen: Screen[object]) -> None:
+        """Update the keys after the next refresh: they change several times in a row."""
+        if (
+            screen.app.app_focus
+            and self.is_attached
+            and screen is self.screen
+            and not self._update_is_pending
+        ):
+            self._update_is_pending = True
+            self.call_after_refresh(self._update_keys)
 
-    def _look(self) -> None:
-        self._waits = False
+    def _update_keys(self) -> None:
+        self._update_is_pending = False
         keys = tuple(self._bound_keys())
         if keys != self._keys:
             self._keys, self._hovered, self._first_column = keys, None, 0
@@ -81,7 +87,7 @@ class KeyFooter(Widget):
                 yield _ShownKey(binding.key, label, binding.description, tooltip, enabled)
 
     def render(self) -> RenderResult:
-        """The row, from its first visible column on."""
+        """Return the row from its first visible column on."""
         line = Text(no_wrap=True, end="")
         key_style = self.get_component_rich_style("key-footer--key")
         text_style = self.get_component_rich_style("key-footer--description")
@@ -95,15 +101,15 @@ class KeyFooter(Widget):
         return line[self._first_column :] if self._first_column else line
 
     def _key_at(self, column: int) -> _ShownKey | None:
-        end = -self._first_column
+        right_edge = -self._first_column
         for key in self._keys:
-            end += key.width
-            if column < end:
+            right_edge += key.width
+            if column < right_edge:
                 return key
         return None
 
     def on_mouse_down(self, event: MouseDown) -> None:
-        """Do what the key does."""
+        """Press the key under the pointer."""
         key = self._key_at(event.x)
         if key is None:
             return
@@ -113,11 +119,11 @@ class KeyFooter(Widget):
             self.app.bell()
 
     def on_mouse_move(self, event: MouseMove) -> None:
-        """Mark the key under the pointer, and explain it."""
+        """Highlight the key under the pointer, and show its tooltip."""
         self._hover(self._key_at(event.x))
 
     def on_leave(self, _event: Leave) -> None:
-        """The pointer is elsewhere."""
+        """Remove the highlight."""
         self._hover(None)
 
     def _hover(self, key: _ShownKey | None) -> None:
@@ -127,14 +133,14 @@ class KeyFooter(Widget):
             self.refresh()
 
     def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
-        """Show keys further right, where they have no room."""
+        """Scroll to keys further right, where they have no room."""
         event.stop()
-        self._scroll(SCROLLED)
+        self._scroll(SCROLL_STEP)
 
     def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
-        """Show keys further left."""
+        """Scroll to keys further left."""
         event.stop()
-        self._scroll(-SCROLLED)
+        self._scroll(-SCROLL_STEP)
 
     def _scroll(self, columns: int) -> None:
         hidden = max(0, sum(key.width for key in self._keys) - self.size.width)

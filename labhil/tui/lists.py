@@ -1,4 +1,4 @@
-"""Lists and tables of the terminal UI: Textual's, at less cost where a tab is changed."""
+"""Lists and tables of Textual, with less work when a tab is changed."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from textual.widgets import DataTable, OptionList, SelectionList
 
 
 class _Rows(ScrollView):
-    """Rows at the top, and nothing below them; its style follows the focus only where that is seen."""
+    """Draw the empty area below the rows once, and follow the focus only where it is visible."""
 
     _styled_with_focus: bool | None = None
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """The lines; those below the last row are drawn once."""
+        """Return the lines; those below the last row are drawn once."""
         used = max(1, self.virtual_size.height - round(self.scroll_y) + 1 - crop.y)
         if used >= crop.height:
             return super().render_lines(crop)
@@ -29,19 +29,19 @@ class _Rows(ScrollView):
         self._styled_with_focus = self.has_focus
 
     def watch_has_focus(self, has_focus: bool) -> None:
-        """Take the styles of the focus, or not: what goes with its tab has the focus when it is back."""
+        """Restyle for the focus, unless the tab is hidden: it has the focus again when it returns."""
         is_hidden = not all(node.display for node in self.ancestors_with_self)
         if has_focus != self._styled_with_focus and not (is_hidden and not has_focus):
             super().watch_has_focus(has_focus)
 
 
 class LabTable(DataTable[Any], _Rows):
-    """A table."""
+    """Show a table."""
 
 
 class LabOptions(OptionList, _Rows):
-    """A list to choose one of."""
+    """Show a list to choose one of."""
 
 
 class LabSelection(SelectionList[str], _Rows):
-    """A list to choose several of."""
+    """Show a list to choose several of."""

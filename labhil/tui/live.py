@@ -1,4 +1,4 @@
-"""Live plots: the chosen signals, drawn from the newest samples of their rings."""
+"""The tab of live plots: the chosen signals, drawn from the newest samples of their streams."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
 from labhil.signals import Direction, FloatArray
-from labhil.tui import lab as labs
+from labhil.tui import clock
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, Curve
+from labhil.tui.curve import column_curves
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Place, Session
+from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabSelection
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.plot import Chart
-from labhil.tui.recording_library import models
-from labhil.tui.replaying import replay_line, steer
+from labhil.tui.recording_library import list_models
+from labhil.tui.replay_control import control_replays, replay_line
+from labhil.tui.session import Session, SignalSource
 from labhil.tui.shadow import ShadowView
 from labhil.tui.stream_watch import trace
 from labhil.tui.themes import CURVES
-from labhil.tui.ticks import Limits, limits_of
-from labhil.tui.words import duration
+from labhil.tui.ticks import Limits, axis_limits
 
 WINDOWS = (2.0, 5.0, 10.0, 20.0, 60.0)
 MOST_CHARTS = 6
@@ -40,9 +40,10 @@ Signals of every device on the bus appear here by themselves.
 [b $accent]3[/] then [b $accent]Enter[/] runs the example on a simulated bench."""
 
 
-class LivePane(Horizontal, Backdrop):
-    """A list of signals, and a chart for each chosen one."""
+class LivePane(Horizontal, Pane):
+    """Show a list of signals, and a chart for each chosen one."""
 
+    MAIN_WIDGET = "#live-signals"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
         Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),
@@ -56,10 +57,10 @@ class LivePane(Horizontal, Backdrop):
         Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
     ]
 
-    def __init__(self, lab: Session, folder: Path) -> None:
+    def __init__(self, session: Session, folder: Path) -> None:
         super().__init__(id="live-pane")
-        self._lab, self._folder = lab, folder
-        self._places: dict[str, Place] = {}
+        self._session, self._folder = session, folder
+        self._sources: dict[str, SignalSource] = {}
         self._charts: dict[str, Chart] = {}
         self._limits: dict[str, Limits] = {}
         self._window = 2
@@ -67,7 +68,7 @@ class LivePane(Horizontal, Backdrop):
         self.frozen = self._replayed = False
 
     def compose(self) -> ComposeResult:
-        """The list, the state, the charts."""
+        """Lay out the list, the state and the charts."""
         yield LabSelection(id="live-signals")
         with Vertical(id="live-main"):
             yield Static(id="live-state")
@@ -77,39 +78,39 @@ class LivePane(Horizontal, Backdrop):
 
     @property
     def window(self) -> float:
-        """How much of the past is shown, s."""
+        """Length of the time axis, s."""
         return WINDOWS[self._window]
 
-    def refresh_list(self) -> None:
-        """Take up signals that appeared, and drop those that are gone."""
+    def refresh_view(self) -> None:
+        """Add signals that appeared, and remove those that are gone."""
         if self.frozen:
             return  # a frozen picture stays, whatever comes and goes meanwhile
-        replayed = bool(self._lab.replays())
+        replayed = bool(self._session.replays())
         if replayed != self._replayed:
             self._replayed = replayed
             self.refresh_bindings()
-        places = {place.key: place for place in self._lab.places()}
-        if places.keys() == self._places.keys():
+        sources = {source.key: source for source in self._session.signal_sources()}
+        if sources.keys() == self._sources.keys():
             return
         signal_list = self.query_one(SelectionList)
         chosen = set(signal_list.selected)
-        new = [place for key, place in places.items() if key not in self._places]
-        self._places = places
+        new = [source for key, source in sources.items() if key not in self._sources]
+        self._sources = sources
         signal_list.clear_options()
-        several = len({(place.endpoint, place.device) for place in places.values()}) > 1
-        chosen |= {place.key for place in _first_choice(new)}
-        for key, place in places.items():
-            name = f"{place.device} {place.signal.name}" if several else place.signal.name
-            signal_list.add_option(Selection(Content(f"{name}, {place.signal.unit}"), key, key in chosen))
+        several = len({(source.endpoint, source.device) for source in sources.values()}) > 1
+        chosen |= {source.key for source in _first_choice(new)}
+        for key, source in sources.items():
+            name = f"{source.device} {source.signal.name}" if several else source.signal.name
+            signal_list.add_option(Selection(Content(f"{name}, {source.signal.unit}"), key, key in chosen))
         self.call_after_refresh(self._choose)
 
     def on_selection_list_selected_changed(self, _event: SelectionList.SelectedChanged[str]) -> None:
-        """Other signals were chosen."""
+        """Show charts of the chosen signals."""
         self.call_after_refresh(self._choose)
 
     async def _choose(self) -> None:
         signal_list = self.query_one(SelectionList)
-        chosen = [key for key in self._places if key in set(signal_list.selected)][:MOST_CHARTS]
+        chosen = [key for key in self._sources if key in set(signal_list.selected)][:MOST_CHARTS]
         if chosen == list(self._charts):
             return
         area = self.query_one("#live-charts")
@@ -119,45 +120,35 @@ class LivePane(Horizontal, Backdrop):
         self.draw()
 
     def draw(self) -> None:
-        """Draw the newest, unless the picture is held."""
+        """Draw the newest samples, unless the charts are frozen."""
         self._show_state()
         if self.frozen:
             return
-        now_ns = labs.clock_ns()
+        now_ns = clock.clock_ns()
         for number, (key, chart) in enumerate(self._charts.items()):
-            place = self._places.get(key)  # a signal that has just gone has its chart until the next layout
-            if place is not None and chart.is_attached:
-                self._draw_chart(chart, place, now_ns, number)
+            source = self._sources.get(key)  # a signal that has just gone has its chart until the next layout
+            if source is not None and chart.is_attached:
+                self._draw_chart(chart, source, now_ns, number)
         self.query_one(ShadowView).draw(self.window)
 
-    def _draw_chart(self, chart: Chart, place: Place, now_ns: int, number: int) -> None:
-        watched = self._lab.stream(place)
-        if watched is None:
+    def _draw_chart(self, chart: Chart, source: SignalSource, now_ns: int, number: int) -> None:
+        stream_watch = self._session.stream(source)
+        if stream_watch is None:
             return
-        ago, values = trace(watched, place.signal.name, self.window, now_ns)
+        ago, values = trace(stream_watch, source.signal.name, self.window, now_ns)
         shown = ago >= -self.window
         ago, values = ago[shown], values[shown]
-        limits = self._grow_limits(place.key, values)
-        gap = 5.0 / (watched.stream.rate * watched.speed)
-        names = place.signal.columns()[:MOST_CURVES]
-        curves = [
-            Curve(
-                ago,
-                values[:, i],
-                f"curve-{(number + i) % CURVES}",
-                PENS[i // 2 % len(PENS)],
-                name if len(names) > 1 else "",
-                max(gap, 0.05),
-            )
-            for i, name in enumerate(names)
-        ]
-        chart.show(self._title(place, ago, values, number), curves, (-self.window, 0.0), limits)
+        limits = self._grow_limits(source.key, values)
+        gap = 5.0 / (stream_watch.stream.rate * stream_watch.speed)
+        names = source.signal.columns()[:MOST_CURVES]
+        curves = column_curves(ago, values, names, number, max(gap, 0.05))
+        chart.show(self._title(source, ago, values, number), curves, (-self.window, 0.0), limits)
 
-    def _title(self, place: Place, ago: FloatArray, values: FloatArray, number: int) -> Text:
+    def _title(self, source: SignalSource, ago: FloatArray, values: FloatArray, number: int) -> Text:
         colours = self.app.theme_variables
         title = Text(no_wrap=True, overflow="ellipsis")
-        title.append(place.signal.name, style=f"bold {colours[f'curve-{number % CURVES}']}")
-        title.append(f" of {place.device}, {place.signal.unit}", style=colours["muted"])
+        title.append(source.signal.name, style=f"bold {colours[f'curve-{number % CURVES}']}")
+        title.append(f" of {source.device}, {source.signal.unit}", style=colours["muted"])
         if not len(ago) or ago[-1] < -1.0:
             title.append("   ◌ nothing comes in", style=f"bold {colours['warning']}")
         elif values.shape[1] == 1:
@@ -165,11 +156,11 @@ class LivePane(Horizontal, Backdrop):
         return title
 
     def _grow_limits(self, key: str, values: FloatArray) -> Limits:
-        """Limits grow with the data and do not shrink by themselves: a breathing picture cannot be read."""
+        """Limits that grow with the data and never shrink by themselves: changing axes are hard to read."""
         limits = self._limits.get(key)
         if not values.size:
             return limits or (-1.0, 1.0)
-        low, high = limits_of([values])
+        low, high = axis_limits([values])
         if limits is not None:
             low, high = min(low, limits[0]), max(high, limits[1])
         self._limits[key] = (low, high)
@@ -177,83 +168,88 @@ class LivePane(Horizontal, Backdrop):
 
     def _show_state(self) -> None:
         colours = self.app.theme_variables
-        self.query_one("#live-empty").display = not self._places
+        self.query_one("#live-empty").display = not self._sources
         line = Text(no_wrap=True, overflow="ellipsis")
         if self.frozen:
             line.append("‖ FROZEN ", style=f"bold {colours['warning']}")
             line.append("the recording goes on; p goes on here, arrows and + − look around", colours["muted"])
-        elif replays := self._lab.replays():
+        elif replays := self._session.replays():
             line.append_text(replay_line(replays[0][1], colours))
-        elif self._places:
-            line.append(f"▶ the last {duration(self.window)}", style="bold")
-            line.append(f", {len(self._charts)} of {len(self._places)} signals", style=colours["muted"])
+        elif self._sources:
+            line.append(f"▶ the last {format_duration(self.window)}", style="bold")
+            line.append(f", {len(self._charts)} of {len(self._sources)} signals", style=colours["muted"])
         if line != self._state_line:
             self._state_line = line
             self.query_one("#live-state", Static).update(line, layout=False)
 
     def action_freeze(self) -> None:
-        """Hold the picture, or go on."""
+        """Freeze the charts, or go on."""
         self.frozen = not self.frozen
-        self.refresh_list()
+        self.refresh_view()
         self.draw()
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Replay keys work only where a recording is replayed."""
-        return bool(self._lab.replays()) if action == "replay" else True
+        """Enable the keys of a replay only during one."""
+        return bool(self._session.replays()) if action == "replay" else True
 
     def action_replay(self, what: str, way: int = 0) -> None:
-        """Steer the replay; a thread waits for its answer."""
+        """Control the replay; a thread waits for its answer.
 
-        def go() -> None:
-            complaint = steer(self._lab, what, way)
-            if complaint:
-                self.app.call_later(self.app.notify, complaint, severity="error")
+        Args:
+            what: "toggle", "speed" or "back".
+            way: Faster (1) or slower (−1).
+        """
 
-        work_in_background(self, go, "steering the replay", "replay")
+        def control() -> None:
+            error = control_replays(self._session, what, way)
+            if error:
+                self.app.call_later(self.app.notify, error, severity="error")
+
+        work_in_background(self, control, "controlling the replay", "replay")
 
     def action_shadow(self) -> None:
-        """Put an accepted model beside the device of the chosen signal, or take it away."""
+        """Simulate an accepted model beside the device of the chosen signal, or stop it."""
         view = self.query_one(ShadowView)
         if view.state is not None:
-            view.end()
+            view.stop()
             return
-        place = self._place_of_model()
-        choices = models(self._folder)
-        if place is None or not choices:
+        source = self._model_source()
+        choices = list_models(self._folder)
+        if source is None or not choices:
             lacking = (
-                "a device that sends samples" if place is None else "a fit or a diagnosis in this folder"
+                "a device that sends samples" if source is None else "a fit or a diagnosis in this folder"
             )
             self.notify(f"A model beside a device needs {lacking}.", severity="warning")
             return
 
-        def go(choice: str | None) -> None:
+        def on_answer(choice: str | None) -> None:
             if choice is not None:
-                view.begin(place, Path(choice))
+                view.start(source, Path(choice))
 
         names = [(str(result.path), result.path.name) for result in choices]
-        self.app.push_screen(Choose(f"Which model runs beside {place.device}?", names), go)
+        self.app.push_screen(Choose(f"Which model runs beside {source.device}?", names), on_answer)
 
-    def _place_of_model(self) -> Place | None:
-        """The first measured signal of the device that the list is at, or else of any."""
+    def _model_source(self) -> SignalSource | None:
+        """The first measured signal of the highlighted device, or else of any."""
         signal_list = self.query_one(SelectionList)
-        outputs = [p for p in self._places.values() if p.signal.direction is Direction.OUTPUT]
+        outputs = [p for p in self._sources.values() if p.signal.direction is Direction.OUTPUT]
         if signal_list.highlighted is None or not outputs:
             return next(iter(outputs), None)
-        place = self._places.get(signal_list.get_option_at_index(signal_list.highlighted).value)
+        source = self._sources.get(signal_list.get_option_at_index(signal_list.highlighted).value)
         of_device = [
             p
             for p in outputs
-            if place is not None and (p.endpoint, p.device) == (place.endpoint, place.device)
+            if source is not None and (p.endpoint, p.device) == (source.endpoint, source.device)
         ]
         return next(iter(of_device or outputs))
 
     def action_window(self, change: int) -> None:
-        """Show more or less of the past."""
+        """Lengthen or shorten the time axis."""
         self._window = min(max(self._window + change, 0), len(WINDOWS) - 1)
         self.draw()
 
     def action_rescale(self) -> None:
-        """Take the limits from what is shown now."""
+        """Fit the limits to the visible samples."""
         self._limits.clear()
         self.draw()
 
@@ -262,7 +258,7 @@ class LivePane(Horizontal, Backdrop):
         self.toggle_class("list-toggled")
 
 
-def _first_choice(places: list[Place]) -> list[Place]:
-    """The default plots: measurements and inputs of the first device's first stream."""
-    wanted = [p for p in places if p.signal.direction in (Direction.OUTPUT, Direction.INPUT)]
-    return sorted(wanted, key=lambda place: place.signal.direction is not Direction.OUTPUT)[:3]
+def _first_choice(sources: list[SignalSource]) -> list[SignalSource]:
+    """The default plots: outputs and inputs of the first device's first stream."""
+    wanted = [p for p in sources if p.signal.direction in (Direction.OUTPUT, Direction.INPUT)]
+    return sorted(wanted, key=lambda source: source.signal.direction is not Direction.OUTPUT)[:3]

@@ -1,4 +1,4 @@
-"""From the command to the screen, and back without leaving anything behind."""
+"""The entry point of the terminal UI."""
 
 from __future__ import annotations
 
@@ -9,25 +9,36 @@ from pathlib import Path
 
 from labhil.errors import UsageError
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil.tui.themes import DARK, LIGHT
 
 SWITCH_INTERVAL = 0.001
-"""Seconds after which a thread that reads files lets the screen go on; Python's own 5 ms, many times per key,
-are felt."""
+"""Switch interval of Python's threads, s; its default of 5 ms, many times per key, is perceptible."""
 
 
 def run_tui(folder: Path, connect: Iterable[str], *, light: bool = False, tab: str = "devices") -> int:
-    """Show the screen, first this ``tab`` of it, until it is left; returns the exit status.
+    """Show the terminal UI until it is quit.
 
-    Raises UsageError where there is no such folder, BusError where nobody listens at an endpoint. However
-    the screen ends, a run that it started is ended in order.
+    However it ends, a run that it started is ended in order.
+
+    Args:
+        folder: Folder of recordings, results and experiments.
+        connect: Endpoints of buses to watch.
+        light: Whether to begin with the light theme.
+        tab: Name of the first tab.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        UsageError: There is no such folder.
+        BusError: Nobody listens at an endpoint.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: expected a folder for recordings, found none")
-    with Session(tuple(connect)) as lab:
-        app = LabApp(folder, lab, theme=LIGHT.name if light else DARK.name, tab=tab)
-        # modules live as long as the screen: a collection that walks through them holds a key up for 0.1 s
+    with Session(tuple(connect)) as session:
+        app = LabApp(folder, session, theme=LIGHT.name if light else DARK.name, tab=tab)
+        # modules live as long as the screen: a garbage collection of them would delay a key by 0.1 s
         gc.freeze()
         sys.setswitchinterval(SWITCH_INTERVAL)
         try:

@@ -1,4 +1,4 @@
-"""Messages of the working parts to the screen."""
+"""Messages from threads and panes to the app."""
 
 from __future__ import annotations
 
@@ -12,35 +12,35 @@ from labhil.tui.recording_library import LibraryEntry
 
 @dataclass
 class RunLine(Message):
-    """A line of the run process."""
+    """Carry a line of the run process."""
 
     line: dict[str, Any]
 
 
 @dataclass
 class StudyLine(Message):
-    """A line of the process of job ``number``."""
+    """Carry a line of the process of job ``number``."""
 
     number: int
     line: dict[str, Any]
 
 
 @dataclass
-class ShelfRead(Message):
-    """The recordings of the folder, as far as they are read."""
+class LibraryRead(Message):
+    """Carry the recordings of the folder that have been read."""
 
     recordings: list[LibraryEntry]
 
 
 @dataclass
 class StartRequested(Message):
-    """A request to run this experiment."""
+    """Request a run of the experiment file at ``path``."""
 
     path: str
 
 
 @dataclass
 class StudyRequested(Message):
-    """A request for a study; ``task`` is a labhil.campaign.studies.study.Task."""
+    """Request a study; ``task`` is a labhil.campaign.studies.study.Task."""
 
     task: Any

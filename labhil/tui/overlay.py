@@ -1,4 +1,4 @@
-"""Measurement and models over each other: the terms of one switched on and off, or whole models."""
+"""Models over a measurement: the terms of one model, or several models, switched on and off."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from textual.widgets.selection_list import Selection
 from labhil.campaign.studies.overlay import MODULE
 from labhil.campaign.studies.process import Helper
 from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, Pen
+from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import Chart, Plot
 from labhil.tui.themes import CURVES
@@ -32,13 +32,18 @@ Channel = dict[str, Any]
 
 @dataclass
 class SimulationLine(Message):
-    """A line of the process that simulates."""
+    """Carry a line of the process that simulates."""
 
     line: dict[str, Any]
 
 
 class Overlay(Screen[None]):
-    """Outputs of a recording, and models over them that are switched on and off in a list."""
+    """Show outputs of a recording, with models over them that a list switches on and off.
+
+    Args:
+        heading: Title of the screen.
+        request: Request to the process that simulates.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="overlay.back"),
@@ -55,7 +60,7 @@ class Overlay(Screen[None]):
         self._reason = ""
 
     def compose(self) -> ComposeResult:
-        """A title, the list of options, the errors, and room for charts."""
+        """Lay out the title, the list, the errors and the charts."""
         yield Static(Text(f" {self._heading} … simulating", style="bold"), id="overlay-title")
         with Container(id="overlay-split"):
             with Vertical(id="overlay-side"):
@@ -66,9 +71,9 @@ class Overlay(Screen[None]):
 
     def on_mount(self) -> None:
         """Start to simulate the models."""
-        self._helper = Helper("the simulation", MODULE, self._request, self._hear)
+        self._helper = Helper("the simulation", MODULE, self._request, self._forward_line)
 
-    def _hear(self, line: dict[str, Any]) -> None:
+    def _forward_line(self, line: dict[str, Any]) -> None:
         self.post_message(SimulationLine(line))
 
     def on_unmount(self) -> None:
@@ -87,9 +92,9 @@ class Overlay(Screen[None]):
             if line["ended"] != 0 or not self._charts:
                 self._fail(self._reason or str(line["complaint"] or "the process that simulates has ended"))
         elif "channels" in line:
-            await self.take(line)
+            await self.show_line(line)
 
-    async def take(self, line: dict[str, Any]) -> None:
+    async def show_line(self, line: dict[str, Any]) -> None:
         """Show a line of the process that has curves."""
         raise NotImplementedError
 
@@ -97,8 +102,13 @@ class Overlay(Screen[None]):
         title = Text(f" ✕ {reason}", style=f"bold {self.app.theme_variables['error']}")
         self.query_one("#overlay-title", Static).update(title)
 
-    async def begin(self, options: Mapping[str, str], charts: int) -> None:
-        """List the options by their names, and mount so many charts."""
+    async def add_options(self, options: Mapping[str, str], charts: int) -> None:
+        """List the options, and mount the charts.
+
+        Args:
+            options: Names of the options by their keys.
+            charts: Number of charts.
+        """
         selection_list = self.query_one(SelectionList)
         for value, name in options.items():
             selection_list.add_option(Selection(Content(name), value, True))
@@ -108,11 +118,11 @@ class Overlay(Screen[None]):
         selection_list.focus()
 
     def show_errors(self, lines: Sequence[str]) -> None:
-        """Show how large the errors are."""
+        """Show the sizes of the errors."""
         self.query_one("#overlay-errors", Static).update(Text("\n".join(lines)))
 
     def show_title(self, more: str = "") -> None:
-        """Show what is on the screen."""
+        """Show the heading, with more after it."""
         title = Text(f" {self._heading}{more}", style="bold", no_wrap=True, overflow="ellipsis")
         self.query_one("#overlay-title", Static).update(title)
 
@@ -126,7 +136,7 @@ class Overlay(Screen[None]):
 
 
 class ModelsScreen(Overlay):
-    """The outputs of a recording under the models of several results, or by how much each of them errs."""
+    """Show the outputs of a recording with the models of several results, or the errors of each model."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
@@ -147,13 +157,13 @@ class ModelsScreen(Overlay):
         self.shown: frozenset[str] | None = None
         """The letters of the models on the screen; None before the first."""
 
-    async def take(self, line: dict[str, Any]) -> None:
+    async def show_line(self, line: dict[str, Any]) -> None:
         """Show all models."""
         self._heading = f"{len(line['models'])} models over {line['recording']}"
         options = {
             letter: f"{letter}  {name}" for letter, name in zip(ascii_uppercase, line["models"], strict=False)
         }
-        await self.begin(options, len(line["channels"]))
+        await self.add_options(options, len(line["channels"]))
         self._line = line
         self._draw()
 
@@ -171,7 +181,7 @@ class ModelsScreen(Overlay):
             for letter, model in models:
                 if letter in selected:
                     colour = f"curve-{model['number'] % CURVES}"
-                    curves.append(Curve(*self._model_curve(channel, model), colour, Pen.SOLID, letter))
+                    curves.append(PlotCurve(*self._model_curve(channel, model), colour, Pen.SOLID, letter))
             what = "less measured, " if self._differences else ""
             chart.show(f"{channel['name']}, {what}{channel['unit']}", curves, keep_view=True)
             rmse = [f"{letter} {_error({**model, 'unit': channel['unit']})}" for letter, model in models]
@@ -188,7 +198,7 @@ class ModelsScreen(Overlay):
         return t, simulated - np.interp(t, np.array(channel["t"]), _numbers(channel["measured"]))
 
     def action_differences(self) -> None:
-        """Show the errors of the models, or their curves."""
+        """Change between the errors of the models and their curves."""
         self._differences = not self._differences
         for chart in self._charts:
             chart.query_one(Plot).action_whole()
@@ -196,7 +206,7 @@ class ModelsScreen(Overlay):
 
 
 class OverlayScreen(Overlay):
-    """The outputs of a recording under the whole model and under the terms that are switched on."""
+    """Show the outputs of a recording with the complete model, and with the selected terms only."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path.name, {"result": str(path.absolute())})
@@ -204,11 +214,11 @@ class OverlayScreen(Overlay):
         self.shown: frozenset[str] | None = None
         """The terms without which the model on the screen was simulated; None before the first."""
 
-    async def take(self, line: dict[str, Any]) -> None:
-        """Show the model with the terms that this line was simulated with."""
+    async def show_line(self, line: dict[str, Any]) -> None:
+        """Show the model with the terms of this line."""
         if "terms" in line:
             self._complete = line["channels"]
-            await self.begin({term: term for term in line["terms"]}, len(line["channels"]))
+            await self.add_options({term: term for term in line["terms"]}, len(line["channels"]))
         self.shown = frozenset(line["without"])
         for chart, complete, channel in zip(self._charts, self._complete, line["channels"], strict=True):
             chart.show(f"{channel['name']}, {channel['unit']}", curves_of(complete, channel), keep_view=True)
@@ -216,7 +226,7 @@ class OverlayScreen(Overlay):
         self._show_progress()
 
     def _show_progress(self) -> None:
-        """Show what is on the screen, and whether it is up to date."""
+        """Show in the title whether the curves are up to date."""
         if self.shown is None:
             return
         self.show_title("" if self.shown == self._deselected() else " … simulating")
@@ -227,29 +237,29 @@ class OverlayScreen(Overlay):
         return frozenset(terms) - frozenset(selection_list.selected)
 
     def on_selection_list_selected_changed(self, _event: Any) -> None:
-        """Simulate with these terms."""
+        """Simulate with the selected terms."""
         if self.shown is not None and self._helper is not None:
             self._helper.tell({"without": sorted(self._deselected())})
             self._show_progress()
 
 
-def curves_of(complete: Channel, selected: Channel) -> list[Curve]:
+def curves_of(complete: Channel, selected: Channel) -> list[PlotCurve]:
     """Return the curves of an output: measured, with all terms, and with the selected ones."""
     t, measured = np.array(complete["t"]), _measured_curve(complete)
-    model = Curve(t, _numbers(selected["simulated"]), "curve-0", Pen.SOLID, "model")
+    model = PlotCurve(t, _numbers(selected["simulated"]), "curve-0", Pen.SOLID, "model")
     if not selected["without"]:
         return [measured, model]
-    all_terms = Curve(t, _numbers(complete["simulated"]), "curve-1", Pen.DASHED, "all terms")
+    all_terms = PlotCurve(t, _numbers(complete["simulated"]), "curve-1", Pen.DASHED, "all terms")
     return [measured, all_terms, model]
 
 
-def _measured_curve(channel: Channel) -> Curve:
+def _measured_curve(channel: Channel) -> PlotCurve:
     measured = _numbers(channel["measured"])
-    return Curve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
+    return PlotCurve(np.array(channel["t"]), measured, "curve-measured", Pen.DOTS, "measured")
 
 
 def _errors(complete: Channel, selected: Channel) -> str:
-    """The RMSE of an output, and that with all terms."""
+    """RMSE of an output, and its RMSE with all terms."""
     text = f"{selected['name']}: RMSE {_error(selected)}"
     return f"{text}, all terms {_error(complete)}" if selected["without"] else text
 

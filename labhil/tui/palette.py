@@ -1,4 +1,4 @@
-"""The command palette: only what makes sense now, each named after what it acts on."""
+"""The command palette: only the commands that are possible now."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ TABS = ("devices", "live", "experiment", "recordings", "results")
 
 
 class Palette(CommandPalette):
-    """The palette, whose search ends where it is left.
+    """Show the commands, with a search that ends when the palette is closed.
 
-    Textual 8.2 searches for what was typed in a worker, which looks for the list of commands. Where the
-    palette was left in between the list is gone, and the whole program would end with an error.
+    Textual 8.2 searches in a worker, which queries the list of commands. Where the palette was closed in
+    between, the list is gone, and the whole program would end with an error.
     """
 
     @work(exclusive=True, group=CommandPalette._GATHER_COMMANDS_GROUP)
@@ -35,7 +35,12 @@ class Palette(CommandPalette):
 
 
 def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
-    """What can be done now."""
+    """Yield the commands that are possible now.
+
+    Args:
+        app: The app.
+        pane: The pane of experiments, which controls the run.
+    """
     yield SystemCommand("lab: stop all devices", "Emergency stop (F12)", app.action_stop_all)
     if app.emergency.latch is not None:
         yield SystemCommand(

@@ -1,4 +1,4 @@
-"""Charts: a title with the legend, and under it curves of braille dots with axes, to zoom and to move."""
+"""Charts: a title with the legend, and curves of braille dots with axes, to zoom and to move."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from textual.widget import Widget
 from textual.widgets import Static
 
 from labhil.signals import FloatArray
-from labhil.tui.curve import Curve, draw_curves
-from labhil.tui.ticks import Limits, labels, limits_of, ticks
+from labhil.tui.curve import PlotCurve, draw_curves
+from labhil.tui.ticks import Limits, axis_limits, round_ticks, tick_labels
 
 MARGIN = 9
 """Columns on the left for tick labels."""
@@ -30,13 +30,13 @@ FRAME = 2
 """Columns, and rows, of the frame around the curves; one more row under it is for the ticks of x."""
 
 ZOOM, WHEEL_ZOOM, MOVE = 0.15, 0.05, 0.1
-"""By how much a key or the wheel narrows the view at each side, and how far a key moves it: shares of it."""
+"""Share of the view that a key or the wheel cuts off at each side, and by which a key moves it."""
 
 View = tuple[Limits, Limits]
 
 
 class Plot(Widget, can_focus=True):
-    """The curves and their axes. A picture is made once for what is shown, not once for each line of it."""
+    """Draw curves with their axes; the lines are made once for a view, not for each refresh."""
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {"plot--axis", "plot--tick"}
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -60,53 +60,60 @@ class Plot(Widget, can_focus=True):
 
     def __init__(self) -> None:
         super().__init__()
-        self._curves: tuple[Curve, ...] = ()
+        self._curves: tuple[PlotCurve, ...] = ()
         self._full_view: View = ((0.0, 1.0), (-1.0, 1.0))
         self._view = self._full_view
         self._lines: list[Strip] = []
         self.cursor: float | None = None
-        """Where on x the values are read, None for nowhere."""
+        """Position on x where the values are read; None for none."""
 
     @dataclass
     class CursorMoved(Message):
-        """The cursor is at another place."""
+        """Report a new position of the cursor on x."""
 
         x: float | None
 
     @property
     def view(self) -> View:
-        """The limits of x and of y that are shown."""
+        """The visible limits of x and of y."""
         return self._view
 
-    def show(self, curves: Sequence[Curve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
-        """Draw the curves between these limits, or with ``keep_view`` in the zoomed view."""
+    def show(self, curves: Sequence[PlotCurve], x: Limits, y: Limits, *, keep_view: bool = False) -> None:
+        """Draw curves.
+
+        Args:
+            curves: The curves.
+            x: Limits of x.
+            y: Limits of y.
+            keep_view: Whether a zoomed view stays as it is.
+        """
         is_zoomed = self._view != self._full_view
         self._curves, self._full_view = tuple(curves), (_widen(x), _widen(y))
-        self._look_at(self._view if keep_view and is_zoomed else self._full_view)
+        self._set_view(self._view if keep_view and is_zoomed else self._full_view)
 
     def notify_style_update(self) -> None:
-        """Draw anew, in the colours of another theme."""
+        """Draw again in the colours of another theme."""
         super().notify_style_update()
-        self._look_at(self._view)
+        self._set_view(self._view)
 
     def on_resize(self, _event: Resize) -> None:
-        """Draw anew, as large as it is now."""
-        self._look_at(self._view)
+        """Draw again in the new size."""
+        self._set_view(self._view)
 
-    def _look_at(self, view: View) -> None:
+    def _set_view(self, view: View) -> None:
         self._view, self._lines = view, []
         self.refresh()
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """The requested part of the picture; there is no border and no padding around it."""
+        """Return the requested part of the lines; there is no border and no padding."""
         width, height = self.size
         if not self._lines:
-            self._lines = self._picture(width - MARGIN - FRAME, height - FRAME - 1)
+            self._lines = self._render_picture(width - MARGIN - FRAME, height - FRAME - 1)
         lines = self._lines[crop.y : crop.bottom]
         return lines if crop.width == width else [line.crop(crop.x, crop.right) for line in lines]
 
-    def _picture(self, columns: int, rows: int) -> list[Strip]:
-        """Every line, as wide as the widget, with the terminal's filters (as without colours) applied."""
+    def _render_picture(self, columns: int, rows: int) -> list[Strip]:
+        """Every line, as wide as the widget, with the terminal's filters applied."""
         base, (width, height) = self.rich_style, self.size
         strips = self._frame(columns, rows, base) if columns > 0 and rows > 0 else [Strip.blank(0)] * height
         lines = [line.adjust_cell_length(width, base) for line in strips]
@@ -138,74 +145,76 @@ class Plot(Widget, can_focus=True):
         return lines
 
     def _ticks_of_x(self, columns: int) -> dict[int, str]:
-        """The labels under the columns."""
+        """Labels below the columns."""
         low, high = self._view[0]
-        values = ticks(low, high, max(2, min(10, columns // 9)))
-        places = [round((tick - low) / (high - low) * (columns - 1)) for tick in values]
-        return dict(zip(places, labels(values), strict=True))
+        values = round_ticks(low, high, max(2, min(10, columns // 9)))
+        positions = [round((tick - low) / (high - low) * (columns - 1)) for tick in values]
+        return dict(zip(positions, tick_labels(values), strict=True))
 
     def _ticks_of_y(self, rows: int) -> dict[int, str]:
-        """The labels beside the rows."""
+        """Labels beside the rows."""
         low, high = self._view[1]
-        values = ticks(low, high, max(1, min(6, rows // 3)))
-        places = [round((high - tick) / (high - low) * (rows - 1)) for tick in values]
-        return dict(zip(places, labels(values), strict=True))
+        values = round_ticks(low, high, max(1, min(6, rows // 3)))
+        positions = [round((high - tick) / (high - low) * (rows - 1)) for tick in values]
+        return dict(zip(positions, tick_labels(values), strict=True))
 
     def _cursor_column(self, columns: int) -> int | None:
-        """The column of the cursor, where it is in view."""
+        """Column of the cursor; None where it is out of view."""
         (low, high), x = self._view[0], self.cursor
         return None if x is None or not low <= x <= high else round((x - low) / (high - low) * (columns - 1))
 
-    # looking around
+    # zooming and moving
 
     def action_whole(self) -> None:
-        """Show all of it again, without a cursor."""
-        self._put_cursor(None)
-        self._look_at(self._full_view)
+        """Show the full view, without a cursor."""
+        self._set_cursor(None)
+        self._set_view(self._full_view)
 
-    def action_cursor(self, way: int) -> None:
-        """Move the cursor by a column; the first time it comes in the middle."""
+    def action_cursor(self, step: int) -> None:
+        """Move the cursor by a column; at first it appears in the middle."""
         columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
         column = self._cursor_column(columns)
         if columns > 1:
-            place = columns // 2 if column is None else min(max(column + way, 0), columns - 1)
-            self._put_cursor(low + (high - low) * place / (columns - 1))
+            column_index = columns // 2 if column is None else min(max(column + step, 0), columns - 1)
+            self._set_cursor(low + (high - low) * column_index / (columns - 1))
 
     def on_click(self, event: Click) -> None:
-        """Put the cursor where it was clicked."""
+        """Put the cursor where the mouse was clicked."""
         columns, (low, high) = self.size.width - MARGIN - FRAME, self._view[0]
-        place = event.x - MARGIN - 1
-        if columns > 1 and 0 <= place < columns:
-            self._put_cursor(low + (high - low) * place / (columns - 1))
+        column_index = event.x - MARGIN - 1
+        if columns > 1 and 0 <= column_index < columns:
+            self._set_cursor(low + (high - low) * column_index / (columns - 1))
 
-    def _put_cursor(self, x: float | None) -> None:
+    def _set_cursor(self, x: float | None) -> None:
         if x != self.cursor:
             self.cursor = x
             self.post_message(self.CursorMoved(x))
-            self._look_at(self._view)
+            self._set_view(self._view)
 
-    def action_zoom(self, way: int) -> None:
-        """Show less, or more, around the middle."""
-        self._zoom(ZOOM * way, 0.5, 0.5)
+    def action_zoom(self, step: int) -> None:
+        """Zoom about the middle."""
+        self._zoom(ZOOM * step, 0.5, 0.5)
 
     def action_move(self, right: int, up: int) -> None:
         """Shift the view."""
         self._move(MOVE * right, MOVE * up)
 
     def _zoom(self, share: float, right: float, up: float) -> None:
-        """Narrow the view about a place in it (shares of it from the left and from below)."""
+        """Zoom about a point of the view, given as shares from the left and from below."""
         centre = (right, up)
         limits = [
             (low + 2 * at * share * (high - low), high - 2 * (1 - at) * share * (high - low))
             for (low, high), at in zip(self._view, centre, strict=True)
         ]
-        if all(low + abs(low) * 1e-9 < high for low, high in limits):  # no further than numbers reach
-            self._look_at((limits[0], limits[1]))
+        if all(
+            low + abs(low) * 1e-9 < high for low, high in limits
+        ):  # as far as floating-point numbers resolve
+            self._set_view((limits[0], limits[1]))
 
     def _move(self, right: float, up: float) -> None:
         (x0, x1), (y0, y1) = self._view
         dx, dy = right * (x1 - x0), up * (y1 - y0)
-        self._look_at(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
+        self._set_view(((x0 + dx, x1 + dx), (y0 + dy, y1 + dy)))
 
     def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
         """Zoom in at the pointer, once the chart has been clicked; before that the page scrolls."""
@@ -224,58 +233,63 @@ class Plot(Widget, can_focus=True):
         self._zoom(share, min(max(right, 0.0), 1.0), min(max(1 - down, 0.0), 1.0))
 
     def on_mouse_move(self, event: MouseMove) -> None:
-        """Drag the picture."""
+        """Drag the view."""
         columns, rows = self.size.width - MARGIN - FRAME, self.size.height - FRAME - 1
         if event.button == 1 and columns > 0 and rows > 0:
             self._move(-event.delta_x / columns, event.delta_y / rows)
 
 
 class Chart(Vertical):
-    """A title with the legend, and the plot under it."""
+    """Show a title with the legend, and the plot below."""
 
     def __init__(self, *, id: str | None = None, classes: str | None = None) -> None:  # noqa: A002
         super().__init__(id=id, classes=classes)
         self._heading = Static("", classes="chart-title")
         self._plot = Plot()
-        self._curves: tuple[Curve, ...] = ()
+        self._curves: tuple[PlotCurve, ...] = ()
         self._title = Text()
 
     def compose(self) -> ComposeResult:
-        """The two parts."""
+        """Lay out title and plot."""
         yield self._heading
         yield self._plot
 
     def on_mount(self) -> None:
-        """Write the title that was set before mounting; follow changes of the theme."""
-        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._write())
-        self._write()
+        """Show the title that was set before, and follow changes of the theme."""
+        self.app.theme_changed_signal.subscribe(self, lambda _theme: self._update_heading())
+        self._update_heading()
 
     def show(
         self,
         title: str | Text,
-        curves: Sequence[Curve],
+        curves: Sequence[PlotCurve],
         x: Limits | None = None,
         y: Limits | None = None,
         *,
         keep_view: bool = False,
     ) -> None:
-        """Draw ``curves``; limits that are None are those of the points.
+        """Draw curves under a title.
 
-        With ``keep_view`` what has been zoomed into stays in view.
+        Args:
+            title: The title.
+            curves: The curves.
+            x: Limits of x; None for those of the points.
+            y: Limits of y; None for those of the points.
+            keep_view: Whether a zoomed view stays as it is.
         """
         self._title = Text(title, no_wrap=True, overflow="ellipsis") if isinstance(title, str) else title
         self._curves = tuple(curves)
         span = x or _span([curve.x for curve in curves])
-        self._plot.show(curves, span, y or limits_of([curve.y for curve in curves]), keep_view=keep_view)
+        self._plot.show(curves, span, y or axis_limits([curve.y for curve in curves]), keep_view=keep_view)
         if self.is_mounted:
-            self._write()
+            self._update_heading()
 
     def on_plot_cursor_moved(self, message: Plot.CursorMoved) -> None:
-        """Write the values there."""
+        """Show the values at the cursor."""
         message.stop()
-        self._write()
+        self._update_heading()
 
-    def _write(self) -> None:
+    def _update_heading(self) -> None:
         colours, line = self.app.theme_variables, self._title.copy()
         x = self._plot.cursor
         if x is not None:
@@ -293,8 +307,8 @@ class Chart(Vertical):
         self._heading.update(line, layout=False)  # always one line
 
 
-def _value_at(curve: Curve, x: float) -> float | None:
-    """The value of the point nearest to ``x``; None where there is none, or the pen is lifted."""
+def _value_at(curve: PlotCurve, x: float) -> float | None:
+    """Value of the point nearest to ``x``; None where there is none, or a break."""
     if not len(curve.x):
         return None
     value = float(curve.y[int(np.argmin(np.abs(curve.x - x)))])
@@ -319,7 +333,7 @@ def _edge(left: str, line: str, tick: str, right: str, columns: int, x_labels: d
 
 
 def _under(x_labels: dict[int, str], width: int) -> str:
-    """The labels of the ticks of x, each centred under its tick; one that has no room is left out."""
+    """The labels of the ticks of x, each centred under its tick; one without room is left out."""
     line, free = "", 0
     for column, label in x_labels.items():
         start = min(MARGIN + 1 + column - len(label) // 2, width - len(label))

@@ -1,4 +1,4 @@
-"""The screen of a recording: every channel drawn, and its events."""
+"""The screen of one recording: every channel drawn, and its events."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from textual.widgets import Static
 from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
+from labhil.report.formatting import format_count
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, Curve
+from labhil.tui.curve import PlotCurve, column_curves
 from labhil.tui.footer import KeyFooter
+from labhil.tui.formatting import format_duration, format_frequency, outcome_label
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
-from labhil.tui.themes import CURVES
-from labhil.tui.words import count, duration, ended_look, frequency
 
 MOST_EVENTS = 40
 ROUTINE = "status"
 
 
 class RecordingScreen(Screen[None]):
-    """The channels of a recording, read in a thread."""
+    """Show the channels of a recording, which is read in a thread."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
@@ -42,13 +42,13 @@ class RecordingScreen(Screen[None]):
         self._path = path
 
     def compose(self) -> ComposeResult:
-        """A title, and room for charts."""
+        """Lay out a title, and room for charts."""
         yield Static(Text(f" {self._path.name} … reading", style="bold"), id="recording-title")
         yield VerticalScroll(id="recording-body")
         yield KeyFooter()
 
     def on_mount(self) -> None:
-        """Read it."""
+        """Start to read the recording."""
         work_in_background(self, self._read, f"reading {self._path.name}", "read")
 
     def _read(self) -> None:
@@ -69,7 +69,7 @@ class RecordingScreen(Screen[None]):
         colours = self.app.theme_variables
         status, reason = run_outcome(recording)
         title = Text(f" {self._path.name}  ", style="bold", no_wrap=True, overflow="ellipsis")
-        title.append_text(ended_look(status).text(colours))
+        title.append_text(outcome_label(status).text(colours))
         title.append(f"  {reason}", style=colours["muted"])
         self.query_one("#recording-title", Static).update(title)
         body = self.query_one("#recording-body")
@@ -89,35 +89,26 @@ class RecordingScreen(Screen[None]):
 def _facts(recording: Recording) -> Text:
     text = Text()
     rig = recording.rig.kind.name if recording.rig is not None else "no rig file"
-    text.append(f"{rig}, {duration(recording.duration)}")
+    text.append(f"{rig}, {format_duration(recording.duration)}")
     for data in recording.streams:
-        text.append(
-            f"\n/{data.device}/{data.stream.name}: {count(len(data))} samples at {frequency(data.rate)}"
-        )
-        text.append(f", {count(data.lost)} lost" if data.lost else ", none lost")
+        text.append(f"\n/{data.device}/{data.stream.name}: {format_count(len(data))} samples")
+        text.append(f" at {format_frequency(data.rate)}")
+        text.append(f", {format_count(data.lost)} lost" if data.lost else ", none lost")
     for line in recording.warnings():
         text.append(f"\n▲ {line}")
     return text
 
 
-def _channel(data: StreamData, name: str, number: int, colours: dict[str, str]) -> tuple[Text, list[Curve]]:
+def _channel(
+    data: StreamData, name: str, number: int, colours: dict[str, str]
+) -> tuple[Text, list[PlotCurve]]:
     signal = next(signal for signal in data.stream.signals if signal.name == name)
     values = data[name].reshape(len(data), -1)
     title = Text(no_wrap=True, overflow="ellipsis")
     title.append(name, style="bold")
     title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
     gap = 5.0 * float(np.median(np.diff(data.t)))
-    return title, [
-        Curve(
-            data.t,
-            values[:, i],
-            f"curve-{(number + i) % CURVES}",
-            PENS[i // 2 % len(PENS)],
-            column if len(signal.columns()) > 1 else "",
-            gap,
-        )
-        for i, column in enumerate(signal.columns())
-    ]
+    return title, column_curves(data.t, values, signal.columns(), number, gap)
 
 
 def _events(recording: Recording, colours: dict[str, str]) -> Text:

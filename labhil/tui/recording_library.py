@@ -1,4 +1,4 @@
-"""The files of a folder, as a screen lists them: recordings, results, experiments."""
+"""The files of a folder: recordings, results and experiments, as the screen lists them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
 LARGEST_READ = 256 << 20
-"""Recordings of more bytes are listed by their size alone: reading them takes seconds."""
+"""Largest recording that is read for the list, bytes: reading more takes seconds."""
 
-GROWING = 3.0
-"""A file without its final name counts as growing for so many s after its last change."""
+GROWING_TIME = 3.0
+"""Time after its last change in which a file without its final name counts as growing, s."""
 
 LARGEST_RESULT = LARGEST
 SCHEMAS = {
@@ -28,15 +28,24 @@ SCHEMAS = {
     "labhil.comparison/1": "comparison",
     "labhil.verification/1": "verification",
 }
-WITH_A_MODEL = ("fit", "diagnosis")
+KINDS_WITH_MODEL = ("fit", "diagnosis")
 
 
 @dataclass(frozen=True, slots=True)
 class LibraryEntry:
-    """One recording. A field that cannot be read is None, and ``fault`` says why.
+    """Describe one recording; a field that cannot be read is None.
 
-    ``duration`` in s of the device's world; ``status`` is "done", "failed", "imported", "no end",
-    "growing" while somebody writes it, or "unreadable".
+    Attributes:
+        path: The file.
+        size: Bytes.
+        modified: Unix time of its last change, s.
+        rig: Rig kind.
+        duration: s of the time of the device.
+        samples: Number of samples.
+        gaps: Number of samples that are missing.
+        status: "done", "failed", "imported", "no end", "growing" while it is written, or "unreadable".
+        reason: Reason of the end of the run.
+        fault: Why a field cannot be read.
     """
 
     path: Path
@@ -52,21 +61,26 @@ class LibraryEntry:
 
     @property
     def when(self) -> str:
-        """When it was written, local time."""
+        """Time of its last change, local time."""
         return datetime.fromtimestamp(self.modified).astimezone().strftime("%d %b %H:%M")
 
 
 class RecordingLibrary:
-    """The recordings of a folder, read once and again only where they change."""
+    """List the recordings of a folder; each is read once, and again where it changes.
+
+    Args:
+        folder: The folder.
+        clock: Unix time, s.
+    """
 
     def __init__(self, folder: Path, clock: Callable[[], float] = time.time) -> None:
         self.folder, self._clock = folder, clock
         self._entries: dict[tuple[Path, int, float], LibraryEntry] = {}
 
-    def look(self) -> Iterator[list[LibraryEntry]]:
-        """Yield the list again and again while it is read, the newest recording first.
+    def scan(self) -> Iterator[list[LibraryEntry]]:
+        """Yield the list repeatedly while it is read, the newest recording first.
 
-        A growing file is not read: it would be read anew with each look.
+        A growing file is not read, since every scan would read it again.
         """
         keys = sorted(_recordings(self.folder), key=lambda key: -key[2])
         self._entries = {key: self._entries[key] for key in keys if key in self._entries}
@@ -75,10 +89,10 @@ class RecordingLibrary:
         for index, key in enumerate(keys):
             if key in self._entries:
                 continue
-            if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING:
+            if key[0].suffix == ".part" and abs(self._clock() - key[2]) < GROWING_TIME:
                 entries[index] = LibraryEntry(*key, status="growing")
             else:
-                entries[index] = self._entries[key] = describe(*key)
+                entries[index] = self._entries[key] = read_entry(*key)
             yield list(entries)
 
 
@@ -92,8 +106,14 @@ def _recordings(folder: Path) -> Iterator[tuple[Path, int, float]]:
             yield path, status.st_size, status.st_mtime
 
 
-def describe(path: Path, size: int, modified: float) -> LibraryEntry:
-    """Read one recording; ``fault`` holds the error, if any."""
+def read_entry(path: Path, size: int, modified: float) -> LibraryEntry:
+    """Read one recording for the list; ``fault`` holds the error, if any.
+
+    Args:
+        path: The file.
+        size: Its bytes.
+        modified: Unix time of its last change, s.
+    """
     if size > LARGEST_READ:
         return LibraryEntry(path, size, modified, fault="large: open it to read it")
     try:
@@ -117,7 +137,7 @@ def describe(path: Path, size: int, modified: float) -> LibraryEntry:
 
 
 def run_outcome(recording: Recording) -> tuple[str, str]:
-    """The exit status of the run as a word, and its reason."""
+    """Return the exit status of the run as a word, and its reason."""
     end_metadata = recording.metadata.get("end", {})
     status, reason = end_metadata.get("exit_status", ""), end_metadata.get("reason", "")
     if not recording.complete or not end_metadata:
@@ -129,15 +149,15 @@ def run_outcome(recording: Recording) -> tuple[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class ResultFile:
-    """The JSON of a fit, a diagnosis, a comparison or a verification."""
+    """Describe the JSON file of a fit, a diagnosis, a comparison or a verification."""
 
     path: Path
     kind: str
     modified: float
 
 
-def results(folder: Path) -> list[ResultFile]:
-    """The results in a folder, the newest first; other JSON is left out."""
+def list_results(folder: Path) -> list[ResultFile]:
+    """Return the results in a folder, the newest first; other JSON files are left out."""
     result_files = []
     for path in folder.glob("*.json"):
         try:
@@ -150,14 +170,14 @@ def results(folder: Path) -> list[ResultFile]:
     return sorted(result_files, key=lambda result: -result.modified)
 
 
-def models(folder: Path) -> list[ResultFile]:
-    """The results that have a model, the newest first."""
-    return [result for result in results(folder) if result.kind in WITH_A_MODEL]
+def list_models(folder: Path) -> list[ResultFile]:
+    """Return the results that have a model, the newest first."""
+    return [result for result in list_results(folder) if result.kind in KINDS_WITH_MODEL]
 
 
 @lru_cache(maxsize=4096)
 def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
-    """The kind of result in a file of that size and age, None where it is no result; read once."""
+    """Kind of the result in a file of that size and age; None where it is no result. Cached."""
     if size > LARGEST_RESULT:
         return None
     try:
@@ -168,15 +188,15 @@ def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """An experiment file; ``packaged`` ones come with labhil."""
+    """Describe an experiment file; ``packaged`` ones come with labhil."""
 
     path: Path
     name: str
     packaged: bool
 
 
-def experiments(folder: Path) -> list[ExperimentFile]:
-    """The experiments in a folder, then those that come with labhil."""
+def list_experiments(folder: Path) -> list[ExperimentFile]:
+    """Return the experiments in a folder, then those that come with labhil."""
     examples = Path(str(files("labhil.experiment") / "examples"))
     local = [(path, False) for path in sorted(folder.glob("*.toml"))]
     packaged = [(path, True) for path in sorted(examples.glob("*.toml"))]

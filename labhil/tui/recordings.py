@@ -1,4 +1,4 @@
-"""The recordings of the folder: how each ended, its contents, and the studies that it allows."""
+"""The tab of recordings: their outcome and contents, and the studies of them."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
+from labhil.report.formatting import format_count
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
+from labhil.tui.formatting import format_duration, format_size, outcome_label
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.recording import RecordingScreen
-from labhil.tui.recording_library import LibraryEntry, models
-from labhil.tui.words import count, duration, ended_look, size
+from labhil.tui.recording_library import LibraryEntry, list_models
 
 COLUMNS = (
     ("mark", "", 1),
@@ -46,9 +47,10 @@ EMPTY = """[b]No recordings in this folder yet.[/b]
   [$muted]labhil import DATA.csv --rig RIG.toml -o REC.mcap  makes one of a table[/]"""
 
 
-class RecordingsPane(Vertical, Backdrop):
-    """The table of recordings, with marks for those that belong together."""
+class RecordingsPane(Vertical, Pane):
+    """Show a table of recordings, with marks for those that a study uses together."""
 
+    MAIN_WIDGET = "#recordings-table"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("enter", "open", "Open", id="rec.open", tooltip="Look at its channels and events"),
         Binding("space", "mark('+')", "Mark", id="rec.mark", tooltip="Use several together"),
@@ -69,7 +71,7 @@ class RecordingsPane(Vertical, Backdrop):
         self._detail = Text()
 
     def compose(self) -> ComposeResult:
-        """The table, and the text for an empty folder."""
+        """Lay out the table, and the text for an empty folder."""
         yield Static(
             EMPTY.format(folder=str(self._folder.absolute()).replace("[", r"\[")), id="recordings-empty"
         )
@@ -81,20 +83,20 @@ class RecordingsPane(Vertical, Backdrop):
         table = self.query_one(DataTable)
         for key, label, width in COLUMNS:
             table.add_column(label, key=key, width=width)
-        self.take([])
+        self.show_entries([])
 
     def on_resize(self, event: Resize) -> None:
-        """Give names the room that there is."""
+        """Adapt the column of names to the width."""
         width = WIDE if event.size.width >= 110 else NARROW
         if width != self._name_width:
             self._name_width = width
             table = self.query_one(DataTable)
             next(column for key, column in table.columns.items() if key == "name").width = width
             entries, self._entries = self._entries, []
-            self.take(entries)
+            self.show_entries(entries)
 
-    def take(self, entries: list[LibraryEntry]) -> None:
-        """Show these entries."""
+    def show_entries(self, entries: list[LibraryEntry]) -> None:
+        """Show these recordings."""
         same = [entry.path for entry in entries] == [entry.path for entry in self._entries]
         self._entries = entries
         self._marks = {
@@ -128,39 +130,41 @@ class RecordingsPane(Vertical, Backdrop):
         width = self._name_width
         if len(name) > width:
             name = f"{name[: width - 16]}…{name[-15:]}"
-        gaps = Text(count(entry.gaps), justify="right")
+        gaps = Text(format_count(entry.gaps), justify="right")
         if entry.gaps:
             gaps.stylize(f"bold {colours['warning']}")
-        status = ended_look(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
+        status = (
+            outcome_label(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
+        )
         return [
             Text(mark, style=f"bold {colours['accent']}"),
             Text(name),
             status,
             Text(entry.rig or "–"),
-            Text(duration(entry.duration), justify="right"),
-            Text(count(entry.samples), justify="right"),
+            Text(format_duration(entry.duration), justify="right"),
+            Text(format_count(entry.samples), justify="right"),
             gaps,
-            Text(size(entry.size), justify="right"),
+            Text(format_size(entry.size), justify="right"),
             Text(entry.when, style=colours["muted"]),
             Text(entry.fault or entry.reason, style=colours["muted"]),
         ]
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
-        """Another recording was chosen."""
+        """Show details of the chosen recording."""
         self._show_detail()
 
     def on_data_table_row_selected(self, event: DataTable.RowSelected) -> None:
-        """Enter opens it."""
+        """Open the chosen recording."""
         event.stop()
         self.action_open()
 
     def _show_detail(self) -> None:
-        """Show what the narrow table has no room for, and what the keys would use."""
+        """Show what a narrow table has no room for, and the input of a study."""
         entry, colours = self._chosen_entry(), self.app.theme_variables
         line = Text()
         if entry is not None:
             line.append(entry.path.name, style="bold")
-            line.append(f"  {size(entry.size)}, {entry.when}  ", style=colours["muted"])
+            line.append(f"  {format_size(entry.size)}, {entry.when}  ", style=colours["muted"])
             line.append(f"{entry.fault or entry.reason or entry.status}\n", style=colours["muted"])
             recordings, tests = self._study_inputs()
             what = ", ".join(path.name.removesuffix(".mcap") for path in recordings)
@@ -189,7 +193,7 @@ class RecordingsPane(Vertical, Backdrop):
         return recordings, tests
 
     def action_mark(self, mark: str) -> None:
-        """Mark the chosen recording, or take the mark away."""
+        """Mark the chosen recording, or remove the mark."""
         entry = self._chosen_entry()
         if entry is None:
             return
@@ -199,7 +203,7 @@ class RecordingsPane(Vertical, Backdrop):
         self._show_detail()
 
     def action_open(self) -> None:
-        """Look into the chosen recording."""
+        """Open the chosen recording."""
         entry = self._chosen_entry()
         if entry is not None:
             self.app.push_screen(RecordingScreen(entry.path))
@@ -217,28 +221,28 @@ class RecordingsPane(Vertical, Backdrop):
         if first is None:
             return
 
-        def go(task: Task | None) -> None:
+        def on_answer(task: Task | None) -> None:
             if task is not None:
                 self.post_message(StudyRequested(task))
 
         others = [
             entry.path for entry in self._entries if entry.path not in recordings and entry.rig == first.rig
         ]
-        self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), go)
+        self.app.push_screen(AnalysisDialog(Task("fit", recordings, tests), first.rig, others), on_answer)
 
     def action_verify(self) -> None:
-        """Hold the chosen recording against a model that is chosen now."""
+        """Verify a model on the chosen recording."""
         entry = self._chosen_entry()
-        choices = models(self._folder)
+        choices = list_models(self._folder)
         if entry is None:
             return
         if not choices:
             self.notify("There is no fit or diagnosis in this folder yet: f makes one.", severity="warning")
             return
 
-        def go(choice: str | None) -> None:
+        def on_answer(choice: str | None) -> None:
             if choice is not None:
                 self.post_message(StudyRequested(Task("verify", (entry.path,), (), Path(choice))))
 
         names = [(str(result.path), result.path.name) for result in choices]
-        self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), go)
+        self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), on_answer)

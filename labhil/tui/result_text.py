@@ -1,4 +1,4 @@
-"""A fit or a diagnosis as text: the answer first, then what it rests on."""
+"""A fit or a diagnosis as text on the screen: the answer first, then its evidence."""
 
 from __future__ import annotations
 
@@ -21,10 +21,17 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed, listed
-from labhil.report.absent import group_undecided, joints_table, limits_by_joint
-from labhil.report.html.quantity import chance, interval, multiple, p_value, percent, quantity
+from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
+from labhil.report.formatting import (
+    format_interval,
+    format_multiple,
+    format_p_value,
+    format_percent,
+    format_probability,
+    format_quantity,
+)
 from labhil.report.parameter_columns import COLUMNS
-from labhil.tui.words import PlainTable
+from labhil.tui.formatting import PlainTable
 
 Colours = dict[str, str]
 
@@ -33,7 +40,7 @@ WIDEST = 1000
 
 ENDED_EARLY = "▲ It was ended early: this is the best so far."
 
-VERDICT_LOOKS = {
+VERDICT_LABELS = {
     "no_mismatch": ("✓", "success"),
     "parameter_change": ("≠", "warning"),
     "missing_physics": ("◆", "accent"),
@@ -44,23 +51,23 @@ VERDICT_LOOKS = {
 
 
 def result_renderable(part: FitPart | DiagnosisPart, colours: Colours) -> RenderableType:
-    """The whole of a result as text."""
+    """Return a result as text."""
     return diagnosis_text(part, colours) if isinstance(part, DiagnosisPart) else fit_text(part, colours)
 
 
 def headline(part: FitPart | DiagnosisPart) -> str:
-    """A result in a few words, for a list."""
+    """Return a result in a few words, for a list."""
     if isinstance(part, FitPart):
         score = part.test or part.train
         data = "on test data" if part.test is not None else "on what it was fitted to"
-        summary = f"R² {percent(score.r2)} {data}, {len(part.parameters)} parameters"
+        summary = f"R² {format_percent(score.r2)} {data}, {len(part.parameters)} parameters"
         return summary if part.verdict in (None, "explained") else f"{FIT_VERDICTS[part.verdict]}; {summary}"
     missing = ", ".join(keyed(item.term, item.joint) for item in part.missing)
     return missing or VERDICTS[part.verdict].rstrip(".")
 
 
 def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
-    """A fit: how good, the parameters, and what the data cannot know."""
+    """Return a fit: its quality, the parameters, and what is not identifiable."""
     score = fit.test or fit.train
     data = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
@@ -71,39 +78,44 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
     for doubt in fit.doubts:
         head.append(f"▲ {doubt}\n", style=colours["warning"])
-    head.append(f"R² {percent(score.r2)}", style=f"bold {colours['success']}")
+    head.append(f"R² {format_percent(score.r2)}", style=f"bold {colours['success']}")
     head.append(f" on {data}\n")
-    head.append(
-        f"RMSE {quantity(score.rmse, score.unit)}, noise floor {quantity(score.noise_floor, score.unit)}"
-    )
-    head.append(f" ({multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
+    head.append(f"RMSE {format_quantity(score.rmse, score.unit)}, ")
+    head.append(f"noise floor {format_quantity(score.noise_floor, score.unit)}")
+    head.append(f" ({format_multiple(score.rmse, score.noise_floor)})", style=colours["muted"])
     parts: list[RenderableType] = [
         head,
-        _title("Parameters", colours),
-        ParameterTable(fit.judged_rows, colours),
+        section_title("Parameters", colours),
+        ParameterTableView(fit.judged_rows, colours),
     ]
     if fit.identifiability.rank < fit.identifiability.of:
         parts.append(_identifiability(fit, colours))
-    parts += [_title("Errors", colours), _scores(fit), _title("How", colours), _method(fit, colours)]
+    parts += [
+        section_title("Errors", colours),
+        _scores(fit),
+        section_title("How", colours),
+        _method(fit, colours),
+    ]
     return Group(*parts)
 
 
-def _title(text: str, colours: Colours) -> Text:
+def section_title(text: str, colours: Colours) -> Text:
+    """Return a heading after a blank line."""
     return Text(f"\n{text}", style=f"bold {colours['primary']}")
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterTable:
-    """One row per parameter; a word marks those that are not reliable.
+class ParameterTableView:
+    """Show one row per parameter, with a remark on those that are not reliable.
 
-    Where room is short, names and remarks take lines of their own rather than being cut.
+    In a narrow area, names and remarks take lines of their own instead of being cut.
     """
 
     rows: Sequence[Parameter]
     colours: Colours
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Draw it in the room that there is: in as few lines as that allows."""
+        """Draw the table in as few lines as the width allows."""
         wide = options.update(max_width=WIDEST)
         for name, cells in (
             ("", self._remark_beside),
@@ -171,9 +183,9 @@ def _scores(fit: FitPart) -> PlainTable:
             table.add_row(
                 name,
                 keyed(row.channel, row.joint),
-                quantity(row.rmse, row.unit),
-                quantity(row.noise_floor, row.unit),
-                percent(row.r2),
+                format_quantity(row.rmse, row.unit),
+                format_quantity(row.noise_floor, row.unit),
+                format_percent(row.r2),
             )
     return table
 
@@ -182,11 +194,11 @@ def _rows_of(score: Score | None) -> Sequence[ChannelErrors]:
     return () if score is None else score.per_channel
 
 
-def _plain_table(words: Sequence[str], numbers: Sequence[str]) -> PlainTable:
+def _plain_table(text_columns: Sequence[str], number_columns: Sequence[str]) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for name in words:
+    for name in text_columns:
         table.add_column(name, no_wrap=True)
-    for name in numbers:
+    for name in number_columns:
         table.add_column(name, justify="right", no_wrap=True)
     return table
 
@@ -195,9 +207,9 @@ def _method(fit: FitPart, colours: Colours) -> Text:
     text = Text(style=colours["muted"])
     text.append(f"terms: {', '.join(listed(fit.terms))}\n")
     text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
-    text.append(f", {quantity(fit.seconds, 's', 3)}\n")
-    text.append(f"residuals white with p {p_value(fit.residuals.ljung_box_p)}, ")
-    text.append(f"free of the input with p {p_value(fit.residuals.input_crosscorrelation_p)}\n")
+    text.append(f", {format_quantity(fit.seconds, 's', 3)}\n")
+    text.append(f"residuals white with p {format_p_value(fit.residuals.ljung_box_p)}, ")
+    text.append(f"free of the input with p {format_p_value(fit.residuals.input_crosscorrelation_p)}\n")
     text.append(_sources(fit))
     return text
 
@@ -210,12 +222,14 @@ def _sources(part: FitPart | DiagnosisPart) -> str:
 
 
 def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType:
-    """A diagnosis: the verdict, what is missing, how much better, rivals, and what could still hide."""
-    sign, colour = VERDICT_LOOKS[diagnosis.verdict]
+    """Return a diagnosis: verdict, missing terms, improvement, rivals, exclusions."""
+    sign, colour = VERDICT_LABELS[diagnosis.verdict]
     head = Text()
     head.append(f"{sign} {VERDICTS[diagnosis.verdict]}\n", style=f"bold {colours[colour]}")
     head.append(f"baseline {', '.join(listed(diagnosis.baseline.terms))}; ", style=colours["muted"])
-    suffices = f"p {p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
+    suffices = (
+        f"p {format_p_value(diagnosis.p_value)} that it suffices" if diagnosis.asks_baseline else NOT_TESTED
+    )
     head.append(f"{suffices}\n", style=colours["muted"])
     if not diagnosis.complete:
         head.append(f"{ENDED_EARLY}\n", style=colours["warning"])
@@ -228,15 +242,15 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
     head.rstrip()
     parts: list[RenderableType] = [head]
     if diagnosis.missing:
-        parts.append(_title("What is missing", colours))
+        parts.append(section_title("What is missing", colours))
     for number, item in enumerate(diagnosis.missing):
         parts += [Text()] if number else []
         parts.append(_missing_effect(item, diagnosis.rivals, colours))
     if diagnosis.changed:
-        parts += [_title("What has changed", colours), _changes(diagnosis)]
+        parts += [section_title("What has changed", colours), _changes(diagnosis)]
     if diagnosis.improvement is not None:
-        parts += [_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
-    parts += [_title("Final model", colours), ParameterTable(diagnosis.judged_rows, colours)]
+        parts += [section_title("How much better", colours), _improvement(diagnosis.improvement, colours)]
+    parts += [section_title("Final model", colours), ParameterTableView(diagnosis.judged_rows, colours)]
     parts += [Text(line) for line in [disagreement(diagnosis.scale_factor)] if line]
     return Group(
         *parts, *_exclusions_and_sources(diagnosis, colours), *next_steps_lines(diagnosis.next_steps, colours)
@@ -244,23 +258,23 @@ def diagnosis_text(diagnosis: DiagnosisPart, colours: Colours) -> RenderableType
 
 
 def next_steps_lines(steps: Sequence[str], colours: Colours) -> Iterator[RenderableType]:
-    """What to do next, a line each, under its heading; nothing where there is none."""
+    """Yield what to do next, a line each, under a heading; nothing for no steps."""
     if steps:
-        yield _title("What to do next", colours)
+        yield section_title("What to do next", colours)
         yield from (Text(f"· {step}") for step in steps)
 
 
 def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colours) -> RenderableType:
     text = Text()
     text.append(f"◆ {keyed(item.term, item.joint)}", style=f"bold {colours['accent']}")
-    text.append(f"  probability {chance(item.probability)}\n")
+    text.append(f"  probability {format_probability(item.probability)}\n")
     text.append(f"{item.statement}\n")
     if item.equation:
         text.append(f"{item.equation}\n", style="italic")
     evidence = item.evidence
     text.append(
-        f"ΔBIC {quantity(evidence.delta_bic, digits=3)}, held-out gain "
-        f"{quantity(evidence.heldout_loglik_gain, 'nats', 3)}\n",
+        f"ΔBIC {format_quantity(evidence.delta_bic, digits=3)}, held-out gain "
+        f"{format_quantity(evidence.heldout_loglik_gain, 'nats', 3)}\n",
         style=colours["muted"],
     )
     for rival in rivals:
@@ -268,7 +282,7 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colou
             distinction = (
                 "can be told apart by" if rival.distinguishable else "cannot be told apart here; try"
             )
-            text.append(f"  or {keyed(rival.term, rival.joint)} ({chance(rival.probability)}), ")
+            text.append(f"  or {keyed(rival.term, rival.joint)} ({format_probability(rival.probability)}), ")
             text.append(f"{distinction} {rival.experiment}\n", style=colours["muted"])
     text.rstrip()
     return text
@@ -279,31 +293,38 @@ def _changes(diagnosis: DiagnosisPart) -> PlainTable:
     for change in diagnosis.changed:
         table.add_row(
             keyed(change.name, change.joint, change.recording),
-            quantity(change.before, change.unit),
-            quantity(change.after, change.unit),
-            interval(change.ci99),
-            p_value(change.p_value),
+            format_quantity(change.before, change.unit),
+            format_quantity(change.after, change.unit),
+            format_interval(change.ci99),
+            format_p_value(change.p_value),
         )
     return table
 
 
 def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
     data = "the test recording" if improvement.data == "test" else "held-out data"
-    horizon = "" if improvement.horizon is None else f", windows of {quantity(improvement.horizon, 's')}"
+    horizon = (
+        "" if improvement.horizon is None else f", windows of {format_quantity(improvement.horizon, 's')}"
+    )
     where = Text(f"on {data}{horizon}", style=colours["muted"])
     table = _plain_table(("",), ("before", "after", "noise floor"))
     table.add_row(
         "RMSE",
-        quantity(improvement.rmse_before, improvement.unit),
-        Text(quantity(improvement.rmse_after, improvement.unit), style="bold"),
-        quantity(improvement.noise_floor, improvement.unit),
+        format_quantity(improvement.rmse_before, improvement.unit),
+        Text(format_quantity(improvement.rmse_after, improvement.unit), style="bold"),
+        format_quantity(improvement.noise_floor, improvement.unit),
     )
-    table.add_row("R²", percent(improvement.r2_before), Text(percent(improvement.r2_after), style="bold"), "")
+    table.add_row(
+        "R²",
+        format_percent(improvement.r2_before),
+        Text(format_percent(improvement.r2_after), style="bold"),
+        "",
+    )
     return Group(where, table, _bars(improvement, colours))
 
 
 def _bars(improvement: Improvement, colours: Colours) -> Text:
-    """Errors as lengths, in multiples of the noise floor, on a scale of powers of ten."""
+    """Errors as bars, in multiples of the noise floor, on a logarithmic scale."""
     import math
 
     text = Text()
@@ -320,17 +341,18 @@ def _bars(improvement: Improvement, colours: Colours) -> Text:
         length = round(min(40.0, max(1.0, 4.0 + 12.0 * math.log10(ratio))))
         text.append(f"{name:<7}", style=colours["muted"])
         text.append("█" * length, style=colours[colour])
-        text.append(f" {multiple(value, floor)}\n")
+        text.append(f" {format_multiple(value, floor)}\n")
     text.rstrip()
     return text
 
 
 def _exclusions_and_sources(diagnosis: DiagnosisPart, colours: Colours) -> Iterator[RenderableType]:
-    """What could still hide, what the data cannot decide, and the recordings that were read."""
+    """Excluded and undecided terms, and the recordings of the result."""
     muted = colours["muted"]
     without_joint = [e for e in diagnosis.excluded if e.joint is None]
     limits = [
-        f"{keyed(e.term, None, e.recording)} {quantity(e.largest_hidden, e.unit, 2)}" for e in without_joint
+        f"{keyed(e.term, None, e.recording)} {format_quantity(e.largest_hidden, e.unit, 2)}"
+        for e in without_joint
     ]
     if limits:
         yield Text(f"\nNot there, or smaller than: {', '.join(limits)}.", style=muted)

@@ -1,4 +1,4 @@
-"""Fits and diagnoses: those at work with their progress, and those that are done, as text and as charts."""
+"""The tab of results: studies at work with their progress, and finished ones as text and charts."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from textual.widgets.data_table import CellDoesNotExist
 from labhil.campaign.studies.curves import read_curves
 from labhil.campaign.studies.jobs import Job, Jobs
 from labhil.campaign.studies.study import Task
+from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
-from labhil.tui.pages import Backdrop
+from labhil.tui.panes import Pane
 from labhil.tui.plot import Chart
-from labhil.tui.recording_library import ResultFile, results
+from labhil.tui.recording_library import ResultFile, list_results
 from labhil.tui.result_files import (
     NO_CURVES,
     ResultPart,
@@ -34,24 +35,24 @@ from labhil.tui.result_files import (
     shorten,
 )
 from labhil.tui.studies import has_result
-from labhil.tui.words import duration
 
 EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
 
   [b $accent]4[/] then [b $accent]f[/]   fits the chosen recording
   [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
 
-OF_WIDTH = 25
+NAME_WIDTH = 25
 ENDS_EARLY = ("fit", "diagnose")
-"""Kinds of work that have a best so far."""
+"""Kinds of studies that have a best result so far."""
 MOST_COMPARED = 8
 KINDS = {"comparison": "compared", "verification": "verified"}
 SIGNS = {"at work": "…", "done": "✓", "failed": "✕", "cancelled": "■"}
 
 
-class ResultsPane(Vertical, Backdrop):
-    """The list of results above, the chosen one below."""
+class ResultsPane(Vertical, Pane):
+    """Show the list of results, and the chosen one below."""
 
+    MAIN_WIDGET = "#results-table"
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             "g",
@@ -97,7 +98,7 @@ class ResultsPane(Vertical, Backdrop):
         self._marks: set[Path] = set()
 
     def compose(self) -> ComposeResult:
-        """The list, the text and the charts."""
+        """Lay out the list, the text and the charts."""
         yield Static(EMPTY, id="results-empty")
         yield LabTable(id="results-table", cursor_type="row", cursor_foreground_priority="renderable")
         with Container(id="result-split"):
@@ -108,13 +109,13 @@ class ResultsPane(Vertical, Backdrop):
     def on_mount(self) -> None:
         """Make the columns."""
         table = self.query_one(DataTable)
-        for key, width in (("", 2), ("kind", 9), ("of", OF_WIDTH), ("result", None)):
+        for key, width in (("", 2), ("kind", 9), ("of", NAME_WIDTH), ("result", None)):
             table.add_column(key, key=key or "sign", width=width)
         self.refresh_list()
 
     def refresh_list(self) -> None:
-        """Look for results anew, and show what the jobs are doing."""
-        self._files = results(self._folder)
+        """List the results again, and show the progress of the jobs."""
+        self._files = list_results(self._folder)
         for file in self._files:
             key = (file.path, file.modified)
             if key not in self._parts:
@@ -122,7 +123,7 @@ class ResultsPane(Vertical, Backdrop):
         self.refresh_view()
 
     def refresh_view(self) -> None:
-        """Show how far the work is."""
+        """Show the progress of the jobs."""
         rows = dict(self._rows())
         self.query_one("#results-empty").display = not rows
         self.query_one("#result-split").display = bool(rows)
@@ -160,7 +161,7 @@ class ResultsPane(Vertical, Backdrop):
                 (
                     Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                     Text(job.task.kind),
-                    Text(shorten(names, OF_WIDTH)),
+                    Text(shorten(names, NAME_WIDTH)),
                     Text(self._job_line(job), style=colours[colour]),
                 ),
             )
@@ -176,7 +177,7 @@ class ResultsPane(Vertical, Backdrop):
                     Text(KINDS.get(file.kind, file.kind)),
                     Text(
                         shorten(
-                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), OF_WIDTH
+                            file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), NAME_WIDTH
                         )
                     ),
                     Text(part if isinstance(part, str) else in_a_line(part)),
@@ -186,8 +187,10 @@ class ResultsPane(Vertical, Backdrop):
     def _job_line(self, job: Job) -> str:
         if job.state == "at work":
             elapsed, limit = time.monotonic() - job.started, job.task.seconds
-            remaining = "" if limit is None else f", at most {duration(max(limit - elapsed, 0.0))} left"
-            return f"{duration(elapsed)}{remaining}: {job.said}"
+            remaining = (
+                "" if limit is None else f", at most {format_duration(max(limit - elapsed, 0.0))} left"
+            )
+            return f"{format_duration(elapsed)}{remaining}: {job.said}"
         return str(job.said).splitlines()[0] if job.said else job.state
 
     def _chosen_key(self) -> str | None:
@@ -208,7 +211,7 @@ class ResultsPane(Vertical, Backdrop):
                 self.query_one(DataTable).move_cursor(row=index)
 
     async def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
-        """Show the chosen one."""
+        """Show the chosen result."""
         await self.show_chosen()
 
     async def show_chosen(self) -> None:
@@ -266,7 +269,7 @@ class ResultsPane(Vertical, Backdrop):
             await area.mount_all(charts or [Static(NO_CURVES, classes="result-note")])
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Only what is at work can be cancelled."""
+        """Enable only the keys that apply to the chosen row and the marks."""
         if action == "charts":
             is_model = self.is_mounted and self._chosen_file() is not None
             return is_model and self.screen.has_class("-narrow")
@@ -282,7 +285,7 @@ class ResultsPane(Vertical, Backdrop):
         return True
 
     def _chosen_file(self) -> Path | None:
-        """The chosen result, where it holds a model."""
+        """The chosen result, where it has a model."""
         key = self._chosen_key()
         for file in self._files:
             if key == f"file {file.path} {file.modified}":
@@ -290,11 +293,11 @@ class ResultsPane(Vertical, Backdrop):
         return None
 
     def _marked_files(self) -> Sequence[Path]:
-        """The marked results that are still there, in the order of the list."""
+        """The marked results that still exist, in the order of the list."""
         return [file.path for file in self._files if file.path in self._marks]
 
     def action_mark(self) -> None:
-        """Mark the chosen model, or take its mark away."""
+        """Mark the chosen model, or remove its mark."""
         path = self._chosen_file()
         if path is not None:
             self._marks ^= {path}
@@ -302,7 +305,7 @@ class ResultsPane(Vertical, Backdrop):
             self.refresh_bindings()
 
     def action_compare(self) -> None:
-        """Compare the marked models over the recording that the first was judged on."""
+        """Compare the marked models on the recording that the first was tested on."""
         paths = self._marked_files()
         if len(paths) > 1 and not self._refuse_excess(paths):
             self.post_message(StudyRequested(Task("compare", tuple(paths))))
@@ -315,7 +318,7 @@ class ResultsPane(Vertical, Backdrop):
         return len(paths) > MOST_COMPARED
 
     def action_overlay(self) -> None:
-        """Show measurement and the marked models, or the chosen one with each of its terms, on and off."""
+        """Show the marked models over the measurement, or the terms of the chosen one."""
         path, marked = self._chosen_file(), self._marked_files()
         if len(marked) > 1:
             if not self._refuse_excess(marked):
@@ -324,18 +327,18 @@ class ResultsPane(Vertical, Backdrop):
             self.app.push_screen(OverlayScreen(path))
 
     def action_charts(self) -> None:
-        """Show the charts in the place of the text, or the text again."""
+        """Change between text and charts where there is no room for both."""
         self.toggle_class("charts-first")
 
     def action_end(self) -> None:
-        """End the chosen work with the best so far."""
+        """End the chosen job with its best result so far."""
         job = self._job(self._chosen_key())
         if job is not None:
             self._jobs.end(job)
             self.refresh_view()
 
     def action_cancel(self) -> None:
-        """End the chosen work."""
+        """Cancel the chosen job."""
         job = self._job(self._chosen_key())
         if job is not None:
             self._jobs.cancel(job)

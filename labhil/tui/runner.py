@@ -1,4 +1,4 @@
-"""The run of this screen, if there is one: started, controlled and followed."""
+"""The run of this screen: started, controlled and followed."""
 
 from __future__ import annotations
 
@@ -8,13 +8,17 @@ from typing import Any
 
 from labhil.campaign.studies.process import Helper
 
-OVER = ("idle", "finished", "failed")
+FINAL_STATES = ("idle", "finished", "failed")
 
 
 class Runner:
-    """Holds at most one run process; ``on_line`` gets its lines in a thread of its own.
+    """Control at most one run process.
 
-    The lines come back through :meth:`take`, in the thread of the screen, which owns all state here.
+    Its lines come back through :meth:`handle_line`, in the thread of the screen, which owns all state here.
+
+    Args:
+        folder: Where recordings go.
+        on_line: Gets the lines of the process, in a thread of its own.
     """
 
     def __init__(self, folder: Path, on_line: Callable[[dict[str, Any]], object]) -> None:
@@ -28,12 +32,17 @@ class Runner:
         self.name = ""
 
     @property
-    def active(self) -> bool:
-        """Whether a run is on, or is still being ended."""
-        return self._helper is not None and self._helper.running and self.state not in OVER
+    def is_active(self) -> bool:
+        """Whether a run is under way, or is still being ended."""
+        return self._helper is not None and self._helper.running and self.state not in FINAL_STATES
 
     def start(self, experiment: Path, name: str) -> None:
-        """Start a run; the one before must be over."""
+        """Start a run; the one before must have ended.
+
+        Args:
+            experiment: The experiment file.
+            name: Name of the run on the screen.
+        """
         if self._helper is not None:
             self._helper.close()
         self.state, self.reason, self.elapsed, self.duration, self.name = "starting", "", 0.0, 0.0, name
@@ -41,26 +50,36 @@ class Runner:
         self._number += 1
         number, on_line = self._number, self._on_line
         self._helper = Helper(
-            "the run", "labhil.tui.running", request, lambda line: on_line({**line, "number": number})
+            "the run", "labhil.tui.run_process", request, lambda line: on_line({**line, "number": number})
         )
 
-    def ask(self, what: str, reason: str = "") -> None:
-        """Request ``pause``, ``resume``, ``stop`` or ``abort``."""
+    def request(self, what: str, reason: str = "") -> None:
+        """Request a change of the state of the run.
+
+        Args:
+            what: ``pause``, ``resume``, ``stop`` or ``abort``.
+            reason: Reason in the recording.
+        """
         if self._helper is not None:
             self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
-    def end_unseen(self, failure: str) -> None:
-        """End the run where the screen no longer sees what its devices do; ``failure`` is why, or empty."""
-        if failure and self.active and self.state != "aborting":
-            self.ask("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
+    def abort_if_unseen(self, failure: str) -> None:
+        """Abort the run where the view of its devices has failed (``failure``, or empty)."""
+        if failure and self.is_active and self.state != "aborting":
+            self.request("abort", f"the terminal UI no longer sees the devices: {failure}"[:200])
 
     def mark(self, text: str, at_ns: int) -> None:
-        """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
+        """Put a marker into the recording of the run.
+
+        Args:
+            text: Text of the marker.
+            at_ns: Its time by the steady clock of the machine.
+        """
         if self._helper is not None:
             self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
 
-    def take(self, line: dict[str, Any]) -> None:
-        """Take a line of the run process; lines of an earlier run are ignored."""
+    def handle_line(self, line: dict[str, Any]) -> None:
+        """Follow a line of the run process; lines of an earlier run are ignored."""
         if line["number"] != self._number:
             return
         if "state" in line:
@@ -69,13 +88,13 @@ class Runner:
         elif "refused" in line:
             self.reason = line["refused"]
         elif "result" in line:
-            if self.state not in OVER:  # it failed before there was a run
+            if self.state not in FINAL_STATES:  # it failed before there was a run
                 self.state = "failed"
             self.reason = line["error"] or (line["result"] or {}).get("reason", "")
-        elif "ended" in line and self.state not in OVER:
+        elif "ended" in line and self.state not in FINAL_STATES:
             self.state, self.reason = "failed", line["complaint"] or "the run process died"
 
     def close(self) -> None:
-        """End a run that is on, in order, and wait for it."""
+        """End a run in order, and wait for it."""
         if self._helper is not None:
             self._helper.close()

@@ -1,4 +1,7 @@
-"""The live shadow: an accepted model beside a device, its residual against its band."""
+"""The live shadow: an accepted model simulated beside a device, with its residual and band.
+
+``shadow_process.py`` simulates, ``shadow_state.py`` holds the state.
+"""
 
 from __future__ import annotations
 
@@ -14,34 +17,34 @@ from textual.message import Message
 from textual.widgets import Static
 
 from labhil.campaign.studies.process import Helper
-from labhil.tui import lab as labs
+from labhil.tui import clock
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import Curve, Pen
-from labhil.tui.lab import Place
+from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.plot import Chart
-from labhil.tui.shadow_state import Output, ShadowState
+from labhil.tui.session import SignalSource
+from labhil.tui.shadow_state import ShadowedOutput, ShadowState
 
-MODULE = "labhil.tui.shadowing"
+MODULE = "labhil.tui.shadow_process"
 ROOM_FOR_ORIGIN = 100
-"""Columns from which on there is room for the origin of the band."""
+"""Columns that the origin of the band needs."""
 
 PATIENCE = 0.2
-"""How long its process may take to end by itself, s."""
+"""Time for the process to end by itself, s."""
 
 MOST_SHOWN = 6
-"""Outputs that have a line; a chart shows the residual of the one that is farthest beyond."""
+"""Outputs that have a line; the chart shows the residual that is farthest beyond its band."""
 
 
 @dataclass
 class ShadowLine(Message):
-    """A line of the process of shadow ``number``."""
+    """Carry a line of the process of shadow ``number``."""
 
     number: int
     line: dict[str, Any]
 
 
 class ShadowView(Vertical):
-    """Lines that show whether the model agrees, and a chart of the residual with its band."""
+    """Show whether the model agrees, and a chart of the residual with its band."""
 
     def __init__(self) -> None:
         super().__init__(id="live-shadow")
@@ -52,29 +55,34 @@ class ShadowView(Vertical):
         """State of the shadow; None where there is none."""
 
     def compose(self) -> ComposeResult:
-        """The lines, and the chart."""
+        """Lay out the lines and the chart."""
         yield Static(id="shadow-lines")
         yield Chart(id="shadow-chart")
 
     def on_mount(self) -> None:
-        """There is nothing to show yet."""
+        """Hide the view until there is a shadow."""
         self.display = False
 
     def on_unmount(self) -> None:
-        """End its process."""
+        """End the process."""
         if self._helper is not None:
             self._helper.close(PATIENCE)
 
-    def begin(self, place: Place, model: Path) -> None:
-        """Simulate this model along the stream of a signal, instead of what was simulated before."""
-        self.end()
+    def start(self, source: SignalSource, model: Path) -> None:
+        """Simulate a model along the stream of a signal, instead of any earlier one.
+
+        Args:
+            source: A signal of the stream.
+            model: File of the model.
+        """
+        self.stop()
         self._number += 1
         number = self._number
-        self.state = ShadowState(place.device, model.name)
+        self.state = ShadowState(source.device, model.name)
         request = {
-            "endpoint": place.endpoint,
-            "device": place.device,
-            "stream": place.stream,
+            "endpoint": source.endpoint,
+            "device": source.device,
+            "stream": source.stream,
             "model": str(model.absolute()),
         }
         self._helper = Helper(
@@ -83,8 +91,8 @@ class ShadowView(Vertical):
         self.display = True
         self.draw(1.0)
 
-    def end(self) -> None:
-        """End it, and take it from the screen; its process may take a moment, which no key waits for."""
+    def stop(self) -> None:
+        """End the shadow and hide it; a thread waits for the process, so that no key does."""
         helper, self._helper = self._helper, None
         if helper is not None:
             work_in_background(self, lambda: helper.close(PATIENCE), "ending the shadow", "shadow")
@@ -92,17 +100,17 @@ class ShadowView(Vertical):
         self.display = False
 
     def on_shadow_line(self, message: ShadowLine) -> None:
-        """Take a line of the process; lines of an earlier shadow are ignored."""
+        """Update the state; lines of an earlier shadow are ignored."""
         message.stop()
         if self.state is not None and message.number == self._number:
-            self.state.take(message.line)
+            self.state.handle_line(message.line)
 
     def draw(self, window: float) -> None:
-        """Show the newest state, and so many s of residuals."""
+        """Show the newest state, and the residuals of the last ``window`` s."""
         state = self.state
         if state is None or not self.is_attached:
             return
-        colours, now_ns = self.app.theme_variables, labs.clock_ns() + state.ahead_ns
+        colours, now_ns = self.app.theme_variables, clock.clock_ns() + state.ahead_ns
         rows = state.rows(colours, now_ns, wide=self._is_wide)[:MOST_SHOWN]
         line_end = Text("\n", no_wrap=True, overflow="ellipsis")
         lines = line_end.join([state.title(colours, now_ns), *rows])
@@ -120,7 +128,7 @@ class ShadowView(Vertical):
     def _is_wide(self) -> bool:
         return self.size.width >= ROOM_FOR_ORIGIN
 
-    def _draw_residual(self, chart: Chart, output: Output, window: float, now_ns: int) -> None:
+    def _draw_residual(self, chart: Chart, output: ShadowedOutput, window: float, now_ns: int) -> None:
         colours = self.app.theme_variables
         ago, residual = output.residual(now_ns)
         shown = ago >= -window
@@ -129,10 +137,10 @@ class ShadowView(Vertical):
         limits = (min(-1.3 * output.band, 1.1 * low), max(1.3 * output.band, 1.1 * high))
         colour = "curve-1" if output.left_at is None else "curve-4"
         edges = [
-            Curve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
+            PlotCurve(np.array([-window, 0.0]), np.full(2, side * output.band), "muted", Pen.DASHED)
             for side in (1.0, -1.0)
         ]
-        curve = Curve(ago, residual, colour)
+        curve = PlotCurve(ago, residual, colour)
         title = Text(no_wrap=True, overflow="ellipsis")
         title.append(f"residual of {output.name}", style=f"bold {colours[colour]}")
         title.append(", noise levels   ╍╍ band", style=colours["muted"])

@@ -1,4 +1,4 @@
-"""The state of a shadow, and its text on the screen."""
+"""The state of a live shadow, and its text on the screen."""
 
 from __future__ import annotations
 
@@ -11,21 +11,32 @@ import numpy as np
 from rich.text import Text
 
 from labhil.signals import FloatArray
-from labhil.tui.words import duration
+from labhil.tui.formatting import format_duration
 
-KEPT_STRETCHES = 400
-"""Stretches kept of each output: some minutes, more than any chart shows."""
+MOST_STRETCHES = 400
+"""Stored stretches of each output: some minutes, more than any chart shows."""
 
-SILENT = 3.0
-"""Lengths of a stretch without a new one after which the samples count as stopped."""
+SILENT_STRETCHES = 3.0
+"""Time without a stretch after which the samples have stopped, in lengths of a stretch."""
 
 SHORTEST_SILENCE = 2.0
-"""Shortest time after which they do, s."""
+"""Shortest such time, s."""
 
 
 @dataclass(slots=True)
-class Output:
-    """One output: its residual in noise levels, and whether the model agrees."""
+class ShadowedOutput:
+    """Hold one output: its residual, and whether the model agrees.
+
+    Attributes:
+        name: Name of the output.
+        unit: SI unit.
+        noise: Standard deviation of its noise, in ``unit``.
+        band: Bound of the residual, in noise levels.
+        left_at: Time at which the residual left its band, s; None while the model agrees.
+        left_ns: The same as Unix time, ns.
+        beyond: Distance of the residual from its band, in noise levels.
+        stretches: Unix time, times (n,) and residuals (n,) of each simulated stretch.
+    """
 
     name: str
     unit: str
@@ -35,11 +46,18 @@ class Output:
     left_ns: int | None
     beyond: float
     stretches: deque[tuple[int, FloatArray, FloatArray]] = field(
-        default_factory=lambda: deque(maxlen=KEPT_STRETCHES)
+        default_factory=lambda: deque(maxlen=MOST_STRETCHES)
     )
 
     def residual(self, now_ns: int) -> tuple[FloatArray, FloatArray]:
-        """Times, s before ``now_ns`` and negative, and residuals; NaN between two stretches."""
+        """Return the residual for a plot.
+
+        Args:
+            now_ns: Unix time, ns.
+
+        Returns:
+            Times (n,), s before now and negative, and residuals (n,); NaN between two stretches.
+        """
         if not self.stretches:
             return np.empty(0), np.empty(0)
         t, y = [], []
@@ -52,7 +70,7 @@ class Output:
 
 @dataclass(slots=True)
 class ShadowState:
-    """State that the process of a shadow reports, with its ``device`` and the file name of its ``model``."""
+    """Hold what the process of a shadow reports of ``device`` and of the file of its ``model``."""
 
     device: str
     model: str
@@ -63,10 +81,10 @@ class ShadowState:
     dropped: float = 0.0
     gaps: int = 0
     ahead_ns: int = 0
-    outputs: dict[str, Output] = field(default_factory=dict)
+    outputs: dict[str, ShadowedOutput] = field(default_factory=dict)
 
-    def take(self, line: Mapping[str, Any]) -> None:
-        """Take a line of the process."""
+    def handle_line(self, line: Mapping[str, Any]) -> None:
+        """Update the state by a line of the process."""
         if "failed" in line:
             self.failed = str(line["failed"])
         elif "ended" in line:
@@ -80,11 +98,11 @@ class ShadowState:
             self.until, self.dropped = float(line["until"]), float(line["dropped"])
             self.gaps, self.ahead_ns = int(line["gaps"]), int(line["ahead_ns"])
             for output in line["outputs"]:
-                self._take_output(output, int(line["base_ns"]))
+                self._update_output(output, int(line["base_ns"]))
 
-    def _take_output(self, fields: Mapping[str, Any], base_ns: int) -> None:
+    def _update_output(self, fields: Mapping[str, Any], base_ns: int) -> None:
         keys = ("name", "unit", "noise", "band", "left_at", "left_ns", "beyond")
-        output = Output(**{key: fields[key] for key in keys})
+        output = ShadowedOutput(**{key: fields[key] for key in keys})
         before = self.outputs.get(output.name)
         if before is not None:
             output.stretches = before.stretches
@@ -98,16 +116,16 @@ class ShadowState:
         return all(output.left_at is None for output in self.outputs.values())
 
     def silence(self, now_ns: int) -> float | None:
-        """Time since the last stretch, s, where that is longer than it should be."""
+        """Return the time since the last stretch, s, where that is too long; else None."""
         newest = [output.stretches[-1] for output in self.outputs.values() if output.stretches]
         if not newest:
             return None
         base_ns, t, _ = newest[0]
         age = (now_ns - base_ns) * 1e-9 - float(t[-1])
-        return age if age > max(SHORTEST_SILENCE, SILENT * float(t[-1] - t[0])) else None
+        return age if age > max(SHORTEST_SILENCE, SILENT_STRETCHES * float(t[-1] - t[0])) else None
 
     def title(self, colours: Mapping[str, str], now_ns: int) -> Text:
-        """The line with the name of the model, and how the work goes."""
+        """Return the line with the name of the model and its agreement."""
         line = Text(no_wrap=True, overflow="ellipsis")
         if self.failed:
             line.append(f"✕ {self.failed}", style=f"bold {colours['error']}")
@@ -126,24 +144,24 @@ class ShadowState:
         if self.unjudged:
             line.append(f"  – not judged: {self.unjudged}", style=colours["warning"])
         elif silence is not None:
-            line.append(f"  ◌ no samples for {duration(silence)}", style=f"bold {colours['warning']}")
+            line.append(f"  ◌ no samples for {format_duration(silence)}", style=f"bold {colours['warning']}")
         if self.dropped >= 0.1:
             line.append(f"  ! {self.dropped:.1f} s not simulated", style=f"bold {colours['warning']}")
         return line
 
     def rows(self, colours: Mapping[str, str], now_ns: int, *, wide: bool = True) -> list[Text]:
-        """A line for each output: it agrees, or since when it does not and by how much."""
+        """Return a line for each output: whether it agrees, or since when and by how much it does not."""
         return [_row(output, colours, now_ns, wide=wide) for output in self.outputs.values()]
 
     def about(self) -> str:
-        """What the band is made of."""
+        """Return the origin of the band."""
         if self.validated is None:
             return ""
         return f"99.9 % of its errors on {self.validated}" if self.validated else "99.9 % of noise"
 
 
-def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
-    """One output; its band is left out where there is no room for it."""
+def _row(output: ShadowedOutput, colours: Mapping[str, str], now_ns: int, *, wide: bool) -> Text:
+    """The line of one output; its band is left out where there is no room for it."""
     line = Text(no_wrap=True, overflow="ellipsis")
     line.append(f"  {output.name} ", style="bold")
     if output.left_at is None:
@@ -151,7 +169,7 @@ def _row(output: Output, colours: Mapping[str, str], now_ns: int, *, wide: bool)
     else:
         line.append(f"left at {output.left_at:.1f} s", style=f"bold {colours['error']}")
         if output.left_ns is not None:
-            line.append(f", {duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
+            line.append(f", {format_duration(max(0.0, (now_ns - output.left_ns) * 1e-9))} ago")
         line.append(f": × {output.beyond:.1f} noise levels beyond" if output.beyond else ": back within")
     if wide or output.left_at is None:
         line.append(f"  ± {output.band:.1f} × {output.noise:.2g} {output.unit}", style=colours["muted"])

@@ -1,4 +1,4 @@
-"""Fits, diagnoses, verifications and exports that the terminal UI starts, and how it announces their ends."""
+"""Fits, diagnoses, verifications and exports that the screen starts, and their announcements."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from labhil.tui.dialogs import Notice
 from labhil.tui.messages import StudyLine, StudyRequested
 
 WITHOUT_RESULT_FILE = ("export", "verify")
-"""Kinds of work whose answer is no file in the list of results."""
+"""Kinds of studies whose answer is no file in the list of results."""
 
 
 def has_result(job: Job) -> bool:
-    """Whether the work has ended with a file that the list of results shows."""
+    """Return whether a job has ended with a file that the list of results shows."""
     return job.state == "done" and job.task.kind not in WITHOUT_RESULT_FILE
 
 
 class Studies:
-    """Starts analyses in processes of their own, follows them, and announces how they end.
+    """Start studies in processes of their own, follow them, and announce their ends.
 
     Args:
         app: Gets each line of a process as :class:`StudyLine`, and shows notes and dialogs.
@@ -32,23 +32,23 @@ class Studies:
 
     @property
     def at_work(self) -> list[Job]:
-        """The analyses that have not ended."""
+        """The studies that have not ended."""
         return list(self.jobs.at_work)
 
     def start(self, message: StudyRequested) -> bool:
-        """Start the work, and return whether its place is the list of results."""
+        """Start a study; return whether it is shown in the list of results."""
         job = self.jobs.start(message.task)
         self._app.notify(f"{job.title}: at work", timeout=2)
         return job.task.kind not in WITHOUT_RESULT_FILE
 
     def follow(self, message: StudyLine) -> tuple[Job, bool]:
-        """Take in a line of a process; return its job, and whether its state has changed."""
+        """Handle a line of a process; return its job, and whether its state has changed."""
         before = self.jobs.all[message.number].state
         job = self.jobs.take(message.number, message.line)
         return job, job.state != before
 
     def announce(self, job: Job) -> None:
-        """Announce how the work has ended: a failure with its reason, a verification with its answer."""
+        """Announce the end of a job: a failure with its reason, a verification with its answer."""
         if job.state == "failed":
             self._app.notify(job.said, title=job.title, severity="error", timeout=10)
         elif job.task.kind == "verify":

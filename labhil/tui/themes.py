@@ -1,4 +1,4 @@
-"""Two themes, one for dark rooms and one for bright ones, and the colours of curves in both."""
+"""Two themes, for dark and for bright rooms, and the colours of curves in both."""
 
 from __future__ import annotations
 

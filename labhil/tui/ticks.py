@@ -12,8 +12,17 @@ from labhil.signals import FloatArray
 Limits = tuple[float, float]
 
 
-def ticks(low: float, high: float, most: int = 4) -> list[float]:
-    """Return about ``most`` round numbers from ``low`` to ``high``, at least two where these differ."""
+def round_ticks(low: float, high: float, most: int = 4) -> list[float]:
+    """Choose ticks at round numbers.
+
+    Args:
+        low: Lower limit of the axis.
+        high: Upper limit of the axis.
+        most: About how many ticks.
+
+    Returns:
+        The ticks, at least two where the limits differ.
+    """
     if not (math.isfinite(high - low) and high > low):
         return []
     step = round_step((high - low) / max(1, most))
@@ -25,8 +34,8 @@ def ticks(low: float, high: float, most: int = 4) -> list[float]:
     return values
 
 
-def labels(values: Sequence[float]) -> list[str]:
-    """Return the labels of these ticks."""
+def tick_labels(values: Sequence[float]) -> list[str]:
+    """Return the labels of ticks, with as many decimals as their step needs."""
     if not values:
         return []
     step = values[1] - values[0] if len(values) > 1 else abs(values[0]) or 1.0
@@ -43,17 +52,23 @@ def _multiples(step: float, low: float, high: float) -> list[float]:
 
 
 def round_step(step: float) -> float:
-    """The smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
+    """Return the smallest of 1, 2, 5 times a power of ten that is not smaller than ``step``."""
     if not step > 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(step))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= step * (1 - 1e-9))
 
 
-def limits_of(values: Sequence[FloatArray]) -> Limits:
-    """Round limits around all finite values, with a little room; (−1, 1) where there are none.
+def axis_limits(values: Sequence[FloatArray]) -> Limits:
+    """Return round limits around all finite values, with a margin.
 
-    A constant stands in the middle of an axis as wide as itself: there is no scale for a small change.
+    A constant is in the middle of an axis as wide as itself: there is no scale for a small change.
+
+    Args:
+        values: Arrays of values.
+
+    Returns:
+        The limits; (−1, 1) where no value is finite.
     """
     finite = [v[np.isfinite(v)] for v in values]
     finite = [v for v in finite if len(v)]

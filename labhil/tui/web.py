@@ -1,6 +1,6 @@
-"""The terminal UI in a browser: each page that is opened has a process of its own, ``labhil tui``.
+"""The terminal UI in a browser: each opened page has a process of its own, ``labhil tui``.
 
-Who may open one stands in ``web_gate.py``; the page itself in ``web.html``. The terminal in the page and its
+``web_gate.py`` decides who may open a page; the page itself is ``web.html``. The terminal in the page and its
 protocol are those of textual-serve.
 """
 
@@ -23,28 +23,31 @@ from textual_serve.download_manager import DownloadManager
 
 from labhil.errors import UsageError
 from labhil.terminal import complain, show
-from labhil.tui.endings import SERVER
+from labhil.tui.shutdown import SERVER
 from labhil.tui.web_gate import Gate, is_loopback
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 CELLS = range(1, 1001)
-"""How many columns, or rows, a page can have."""
+"""Possible numbers of columns, and of rows, of a page."""
 
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, port: int) -> int:
-    """Serve the terminal UI until SIGINT, SIGTERM or SIGHUP; returns 0.
+    """Serve the terminal UI until SIGINT, SIGTERM or SIGHUP.
 
     The first line of the output is the address to open. Beyond the loopback, and where the system does not
-    name the user of a connection, it holds a token without which nobody is let in.
+    identify the user of a connection, it holds a token without which nobody is admitted.
 
     Args:
-        folder: Where recordings and results are.
+        folder: Folder of recordings and results.
         connect: Buses to watch.
         light: Whether the screen is dark on light.
         host: The address to listen at; only the loopback needs no token.
-        port: The port; 0 for one that is free.
+        port: The port; 0 for a free one.
+
+    Returns:
+        0, the exit status.
 
     Raises:
         UsageError: There is no such folder, or nobody can listen at that address.
@@ -55,15 +58,20 @@ def serve_web(folder: Path, connect: Sequence[str], *, light: bool, host: str, p
     options = ["--folder", str(folder), *(part for endpoint in connect for part in ("--connect", endpoint))]
     command = [sys.executable, "-P", "-m", "labhil", "tui", *options, *(["--light"] if light else [])]
     os.environ[SERVER] = str(os.getpid())
-    # without exec a shell would stand between the page's process and this one, and outlive it
-    pages = Pages("exec " + shlex.join(command), Gate.at(host))
+    # without exec a shell would be the parent of the process of the page, and outlive it
+    pages = WebServer("exec " + shlex.join(command), Gate.at(host))
     with listener:
         asyncio.run(_serve(pages, listener, _display_host(host)))
     return 0
 
 
-class Pages:
-    """The responses to a browser. ``command`` runs for each page, in a shell."""
+class WebServer:
+    """Answer the requests of browsers.
+
+    Args:
+        command: Command of the process of a page, which a shell runs.
+        gate: Decides who is admitted.
+    """
 
     def __init__(self, command: str, gate: Gate) -> None:
         self._command, self.gate = command, gate
@@ -71,14 +79,14 @@ class Pages:
         self._services: set[AppService] = set()
 
     def app(self) -> web.Application:
-        """The routes, all of them behind the gate."""
+        """Return the application with all routes behind the gate."""
         app = web.Application(middlewares=[self._admit])
         app.add_routes([web.get("/", self._page), web.get("/ws", self._terminal)])
         app.add_routes([web.static("/static", Path(str(files("textual_serve"))) / "static")])
         return app
 
     async def close(self) -> None:
-        """End every page's process, and with it, in order, the run that it started."""
+        """End the process of every page, and with it, in order, the run that it started."""
         await asyncio.gather(*(service.stop() for service in self._services.copy()))
 
     @web.middleware
@@ -181,13 +189,13 @@ def _listen(host: str, port: int) -> socket.socket:
 
 
 def _display_host(host: str) -> str:
-    """The host for a browser: an address for "every interface" is none that can be opened."""
+    """The host for a browser: an address for "every interface" cannot be opened."""
     if host in ("", "0.0.0.0", "::"):
         return socket.gethostname()
     return f"[{host}]" if ":" in host else host
 
 
-async def _serve(pages: Pages, listener: socket.socket, host: str) -> None:
+async def _serve(pages: WebServer, listener: socket.socket, host: str) -> None:
     ended = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in ENDINGS:
@@ -202,7 +210,7 @@ async def _serve(pages: Pages, listener: socket.socket, host: str) -> None:
                 "reachable from other machines, and not encrypted: whoever has the address above is let in"
             )
         await ended.wait()
-        with contextlib.suppress(TimeoutError):  # what is still at work then sees the end of this process
+        with contextlib.suppress(TimeoutError):  # a process that is still at work sees the end of this one
             await asyncio.wait_for(pages.close(), timeout=40.0)
     finally:
         await runner.cleanup()

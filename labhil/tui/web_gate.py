@@ -1,7 +1,7 @@
-"""Who may open the terminal UI in a browser: it moves devices, so nobody but its user.
+"""Admission to the terminal UI in a browser: it moves devices, so only its user is admitted.
 
-On the loopback that is whoever connects as the same user of this machine (Linux says so); everywhere else who
-knows the token, which a browser keeps in a cookie. A page of another site is refused in either case.
+On the loopback that is the same user of this machine, by Linux's list of connections; everywhere else whoever
+has the token, which a browser keeps in a cookie. A page of another site is refused in either case.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ESTABLISHED = "01"
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches an address.
+    """Return whether only this machine reaches an address.
 
     Example:
         >>> is_loopback("localhost"), is_loopback("127.0.0.1"), is_loopback("0.0.0.0")
@@ -40,13 +40,13 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Lets in who has the ``token``; with None, who is the same user of this machine."""
+    """Admit whoever has the ``token``; with None, the same user of this machine."""
 
     token: str | None
 
     @classmethod
     def at(cls, host: str) -> Gate:
-        """The gate that an address needs."""
+        """Make the gate that an address needs."""
         users_are_known = CONNECTIONS[0].exists()
         return cls(None if is_loopback(host) and users_are_known else secrets.token_urlsafe(32))
 
@@ -86,12 +86,12 @@ class Gate:
 
 
 def _cookie(request: web.Request) -> str:
-    """Ports share their host's cookies, so a cookie's name holds the port."""
+    """Name of the cookie; it holds the port, since ports share their host's cookies."""
     return f"labhil-{urlsplit(f'//{request.host}').port or 80}"
 
 
 def _user_behind(request: web.Request) -> int | None:
-    """The user at the other end of the connection that a request came by."""
+    """The user at the other end of the connection of a request."""
     if request.transport is None:
         return None
     theirs, ours = (request.transport.get_extra_info(name) for name in ("peername", "sockname"))
@@ -99,11 +99,14 @@ def _user_behind(request: web.Request) -> int | None:
 
 
 def user_of(theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
-    """The user whose process holds one end of a connection; None where the system does not say.
+    """Return the user whose process holds one end of a connection.
 
     Args:
         theirs: Address and port of that end.
         ours: Address and port of the other end.
+
+    Returns:
+        The user; None where the system does not list the connection.
     """
     for path in CONNECTIONS:
         if path.exists():
@@ -114,10 +117,15 @@ def user_of(theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
 
 
 def user_in_listing(listing: str, theirs: tuple[str, int], ours: tuple[str, int]) -> int | None:
-    """The user of one established connection in a listing such as /proc/net/tcp.
+    """Return the user of one established connection in a listing such as /proc/net/tcp.
 
-    A port by itself names no user: ports are drawn again as soon as the far end differs, and a closed
-    connection stands in the list for a minute more, under user 0 whoever it was.
+    A port alone identifies no user: ports are reused as soon as the far end differs, and a closed connection
+    stays in the list for a minute, under user 0.
+
+    Args:
+        listing: The listing.
+        theirs: Address and port of one end.
+        ours: Address and port of the other end.
     """
     wanted = {(_listing_address(*theirs), _listing_address(*ours))}
     if ":" not in theirs[0]:

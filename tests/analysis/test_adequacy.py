@@ -20,7 +20,7 @@ from labhil.analysis.verdicts import fit_verdict
 from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults
 from labhil.identify.adequacy import MAX_EXPLAINED_RATIO, FitVerdict, adequacy_of
 from labhil.identify.fit import Fit, Options, fit
-from labhil.report.text import show_fit
+from labhil.report.text import fit_text
 
 TERMS = ["viscous_friction", "coulomb_friction"]
 FAST = Options(estimator="nlse")
@@ -35,7 +35,7 @@ def motor() -> Replay:
 def shown(found: Fit) -> str:
     text = StringIO()
     data = fit_json(found, [], "dc_motor", "nlse", 0, 0.0)
-    show_fit(validate(FitPart, data, "the fit"), Console(width=140, file=text))
+    Console(width=140, file=text).print(fit_text(validate(FitPart, data, "the fit")))
     return text.getvalue()
 
 

@@ -28,7 +28,8 @@ from labhil.kinds import JOINTS
 from labhil.physics.arm import ArmModel
 from labhil.physics.extra_force import CurveArgument, ExtraForce
 from labhil.physics.model import Record, Windows, terms_named
-from labhil.report.plots import diagnosis_plot
+from labhil.report.figure import save
+from labhil.report.plots import diagnosis_figure
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray
 from labhil_benchmarks.statistics import arm
@@ -168,7 +169,7 @@ def test_a_diagnosis_states_the_torque(tmp_path: Path) -> None:
     stated = diagnosis_json(found, [])
     assert (stated["curve"]["joint"], stated["curve"]["depends_on"]) == (5, ["actual_q_5"])
     assert stated["further_curves"] == []
-    diagnosis_plot(found, tmp_path / "d.png")
+    save(diagnosis_figure(found), tmp_path / "d.png")
     assert (tmp_path / "d.png").stat().st_size > 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil_benchmarks.key_walks import fill, walk
 
 ROOT = Path(__file__).parents[2]

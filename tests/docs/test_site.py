@@ -14,7 +14,7 @@ from typer.main import get_command
 
 import labhil
 from labhil.cli import app
-from labhil.commands.pages import GUIDES
+from labhil.commands.help_pages import GUIDES
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -26,12 +26,12 @@ from labhil.diagnose.collapsed import Collapsed
 from labhil.identify.statistics import estimates_from_errors
 from labhil.physics.terms import Parameter
 from labhil.recording.writer import RecordingWriter
+from labhil.report.formatting import format_interval, format_percent, format_probability, format_quantity
 from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import chance, interval, percent, quantity
-from labhil.report.html.signals import STRETCHES, envelope
+from labhil.report.html.signals import INTERVALS, envelope
 from labhil.report.text import diagnosis_text
 from labhil.signals import Batch, Direction, Signal, Stream
 from labhil.tui.result_text import result_renderable
@@ -347,7 +347,7 @@ def test_an_envelope_keeps_every_extreme_and_breaks_at_gaps():
     values[[12_345, 299_999]] = 1.0, -2.0
     seq = np.arange(n) + (np.arange(n) > 150_000)
     drawn_t, drawn = envelope(t, values, seq)
-    assert len(drawn) < 2 * STRETCHES + 5
+    assert len(drawn) < 2 * INTERVALS + 5
     assert (np.nanmax(drawn), np.nanmin(drawn), np.isnan(drawn).sum()) == (1.0, -2.0, 1)
     assert np.all(np.diff(drawn_t) >= 0)
     assert drawn_t[np.nanargmax(drawn)] == pytest.approx(12.345)
@@ -399,11 +399,11 @@ def test_paths_that_cannot_be_are_told(labhil, shipped, tmp_path):
 
 def test_numbers_are_written_as_people_write_them():
     space = "\N{NO-BREAK SPACE}"
-    assert quantity(-0.0123456, "N") == f"−0.01235{space}N"
-    assert quantity(1.8745e-7, "m²") == f"1.875·10⁻⁷{space}m²" or "1.874" in quantity(1.8745e-7)
-    assert quantity(-17321.4) == "−17\N{NARROW NO-BREAK SPACE}320"
-    assert quantity(2.0, "1") == "2"
-    assert (quantity(None, "N"), quantity(float("nan"))) == ("–", "–")
-    assert interval((None, 2.0), "N") == f"– to 2{space}N"
-    assert (percent(0.99995321), percent(1.0)) == (f"99.9953{space}%", f"100.00{space}%")
-    assert (chance(1.0), chance(0.5)) == (f">{space}99{space}%", f"50{space}%")
+    assert format_quantity(-0.0123456, "N") == f"−0.01235{space}N"
+    assert format_quantity(1.8745e-7, "m²") == f"1.875·10⁻⁷{space}m²" or "1.874" in format_quantity(1.8745e-7)
+    assert format_quantity(-17321.4) == "−17\N{NARROW NO-BREAK SPACE}320"
+    assert format_quantity(2.0, "1") == "2"
+    assert (format_quantity(None, "N"), format_quantity(float("nan"))) == ("–", "–")
+    assert format_interval((None, 2.0), "N") == f"– to 2{space}N"
+    assert (format_percent(0.99995321), format_percent(1.0)) == (f"99.9953{space}%", f"100.00{space}%")
+    assert (format_probability(1.0), format_probability(0.5)) == (f">{space}99{space}%", f"50{space}%")

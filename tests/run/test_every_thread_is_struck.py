@@ -43,14 +43,14 @@ STRUCK = {
     ),
     "labhil/service/replay.py Replay": (SCREEN, "test_a_replay_says_what_ended_it"),
     "labhil/tui/background.py work_in_background": BACKGROUND,
-    "labhil/tui/endings.py end_in_order": (SCREEN, "test_a_page_ends_where_its_server_is_watched_no_more"),
-    "labhil/tui/lab.py Session": (SCREEN, "test_a_view_that_is_out_of_date_says_so"),
+    "labhil/tui/shutdown.py end_in_order": (SCREEN, "test_a_page_ends_where_its_server_is_watched_no_more"),
+    "labhil/tui/session.py Session": (SCREEN, "test_a_view_that_is_out_of_date_says_so"),
     "labhil/tui/live.py LivePane": BACKGROUND,
     "labhil/tui/recording.py RecordingScreen": BACKGROUND,
     "labhil/tui/shadow.py ShadowView": BACKGROUND,
-    "labhil/tui/shelf_reader.py ShelfReader": BACKGROUND,
-    "labhil/tui/stop.py EmergencyStop": (SCREEN, "test_an_emergency_stop_that_fails_says_so"),
-    "labhil/tui/watch.py Watch": (SCREEN, "test_a_view_that_is_out_of_date_says_so"),
+    "labhil/tui/library_reader.py LibraryReader": BACKGROUND,
+    "labhil/tui/emergency_stop.py EmergencyStop": (SCREEN, "test_an_emergency_stop_that_fails_says_so"),
+    "labhil/tui/bus_watch.py BusWatch": (SCREEN, "test_a_view_that_is_out_of_date_says_so"),
 }
 
 BEST_EFFORT = {

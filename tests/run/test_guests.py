@@ -26,7 +26,7 @@ from labhil.errors import BusError, CommandRefusedError, LabhilError
 from labhil.host_clock import unix_ns
 from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.messages import Setpoint
-from labhil.tui.watch import Watch
+from labhil.tui.bus_watch import BusWatch
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
 from open_lab import PEOPLE, REVOKED, OpenLab, free_port, labhil, make_people, open_lab, wait_for
@@ -149,7 +149,7 @@ def test_a_viewer_sees_everything_and_commands_nothing(lab: OpenLab) -> None:
     with (
         open_bus(lab.folder("vera")) as bus,
         subscribe(bus, ALL_STREAMS, lambda key, _: heard.append(key)),
-        Watch(bus) as watch,
+        BusWatch(bus) as watch,
     ):
         wait_for(lambda: stream_key(BENCH, "state") in heard, "samples")
         wait_for(lambda: any(view.state == "idle" and view.stream for view in watch.devices()), "the bench")

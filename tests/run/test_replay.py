@@ -32,9 +32,9 @@ from labhil.service.emergency import press_everywhere, release_everywhere
 from labhil.service.replay import Replay
 from labhil.signals import Batch
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
 from labhil.tui.live import LivePane
-from labhil.tui.replaying import next_speed
+from labhil.tui.replay_control import next_speed
+from labhil.tui.session import Session
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "recordings" / "ball_beam_identify.mcap"
@@ -257,7 +257,7 @@ def test_the_live_page_draws_it_says_so_and_steers_it(recording: Recording, tmp_
                 await pilot.press("j", "k")
                 await come(pilot, lambda: not replay.status.paused)
                 assert replay.status.position < at + PATIENCE
-                places = lab.places()
+                places = lab.signal_sources()
                 assert {place.device.split("/")[0] for place in places} == {"replay"}
 
     asyncio.run(go())

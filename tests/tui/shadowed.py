@@ -19,7 +19,7 @@ class StillHelper:
     ) -> None:
         self.running = True
         self.told = dict(told)
-        assert module == "labhil.tui.shadowing"
+        assert module == "labhil.tui.shadow_process"
         on_line({"validated": "ball_beam_test.mcap"})
         for stretch in range(10):
             on_line(stretch_line(stretch, left=stretch >= 7))

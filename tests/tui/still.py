@@ -8,9 +8,9 @@ from labhil.bus.incoming import ReplayMessage
 from labhil.bus.latch import Latch
 from labhil.service.emergency import Outcome
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
-from labhil.tui.lab import Place
+from labhil.tui.bus_watch import Announcement, DeviceView
+from labhil.tui.session import SignalSource
 from labhil.tui.stream_watch import StreamHealth, StreamWatch
-from labhil.tui.watch import Announcement, DeviceView
 
 NOW_NS = 1_790_000_000_000_000_000
 ENDPOINT = "tcp/127.0.0.1:40123"
@@ -65,10 +65,14 @@ class StillLab:
             (ENDPOINT, DeviceView("old", "gone", "", None, None, None, 1.0, {}, (), None)),
         ]
 
-    def places(self) -> list[Place]:
-        return [] if self._empty else [Place(ENDPOINT, "bench", "state", signal) for signal in STATE.signals]
+    def signal_sources(self) -> list[SignalSource]:
+        return (
+            []
+            if self._empty
+            else [SignalSource(ENDPOINT, "bench", "state", signal) for signal in STATE.signals]
+        )
 
-    def stream(self, _place: Place) -> StreamWatch:
+    def stream(self, _place: SignalSource) -> StreamWatch:
         return self._bench
 
     def replays(self) -> list[tuple[str, ReplayMessage]]:

@@ -17,7 +17,7 @@ from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 PATIENCE = 100.0
 pytestmark = pytest.mark.timeout(300)

@@ -19,12 +19,12 @@ from labhil.bus.session import open_bus
 from labhil.campaign.studies.process import Helper, on_further_lines
 from labhil.recording.reader import read_recording
 from labhil.service.replay import Replay
-from labhil.tui import endings
+from labhil.tui import shutdown
 from labhil.tui.app import LabApp
 from labhil.tui.background import OUT_OF_DATE, work_in_background
-from labhil.tui.lab import Session
-from labhil.tui.stop import EmergencyStop
-from labhil.tui.watch import Watch
+from labhil.tui.bus_watch import BusWatch
+from labhil.tui.emergency_stop import EmergencyStop
+from labhil.tui.session import Session
 
 PATIENCE = 60.0
 FILE = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
@@ -58,7 +58,7 @@ def test_a_process_that_is_not_heard_is_ended(tmp_path: Path) -> None:
             dies()
 
     request = {"experiment": str(tmp_path / "not there.toml"), "out": str(tmp_path)}
-    helper = Helper("the run", "labhil.tui.running", request, hear)
+    helper = Helper("the run", "labhil.tui.run_process", request, hear)
     try:
         wait_until(lambda: not helper.running)
         assert lines[-1]["ended"] is None
@@ -75,7 +75,7 @@ def test_a_process_that_hears_nothing_ends(monkeypatch: pytest.MonkeyPatch) -> N
     assert ended.wait(PATIENCE)
 
 
-@pytest.mark.parametrize(("owner", "method"), [(Session, "_discover"), (Watch, "_ask_once")])
+@pytest.mark.parametrize(("owner", "method"), [(Session, "_discover"), (BusWatch, "_poll_once")])
 def test_a_view_that_is_out_of_date_says_so(
     owner: type, method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -91,8 +91,8 @@ def test_a_view_that_is_out_of_date_says_so(
             assert "SystemExit('struck')" in lab.failure()
             assert "SystemExit('struck')" in lab.fault
 
-    if owner is Watch:
-        monkeypatch.setattr(Watch, method, dies)
+    if owner is BusWatch:
+        monkeypatch.setattr(BusWatch, method, dies)
     with open_bus() as bus:
         asyncio.run(look(bus.endpoint))
 
@@ -130,8 +130,8 @@ def test_an_emergency_stop_that_fails_says_so(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_page_ends_where_its_server_is_watched_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(endings, "_end_with", dies)
-    monkeypatch.setenv(endings.SERVER, "1")
+    monkeypatch.setattr(shutdown, "_end_with", dies)
+    monkeypatch.setenv(shutdown.SERVER, "1")
     requested: list[str] = []
 
     class Page(App[None]):
@@ -142,8 +142,8 @@ def test_a_page_ends_where_its_server_is_watched_no_more(monkeypatch: pytest.Mon
     async def show() -> int | None:
         app = Page()
         async with app.run_test() as pilot:
-            runner = SimpleNamespace(ask=lambda what, reason="": requested.append(f"{what}: {reason}"))
-            endings.end_in_order(app, runner)
+            runner = SimpleNamespace(request=lambda what, reason="": requested.append(f"{what}: {reason}"))
+            shutdown.end_in_order(app, runner)
             deadline = time.monotonic() + PATIENCE
             while not requested:
                 assert time.monotonic() < deadline, "the page goes on"

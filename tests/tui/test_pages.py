@@ -14,7 +14,7 @@ from textual.widgets import HelpPanel
 
 from labhil.tui.app import LabApp
 from labhil.tui.footer import KeyFooter
-from labhil.tui.pages import Pages
+from labhil.tui.panes import TabbedPanes
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -50,7 +50,7 @@ def test_a_click_on_a_tab_brings_its_pane_to_the_front(folder: Path) -> None:
     async def way(pilot: Pilot[None], app: LabApp) -> None:
         await pilot.click("Tab#recordings")
         await pilot.pause()
-        panes = app.base.query_one(Pages).panes
+        panes = app.base.query_one(TabbedPanes).panes
         shown = [name for name, pane in panes.items() if pane.display]
         assert (app.tab, shown) == ("recordings", ["recordings"])
 

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labhil.report.html.page import Page as Written
-from labhil.report.html.page import Section, write_page
+from labhil.report.html.page import PageSection, write_page
 from labhil.report.html.picture import Album
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -56,7 +56,9 @@ def figure() -> Figure:
 
 
 def looked_at(tmp_path: Path, drive: Callable[[Page], Awaitable[None]]) -> None:
-    page = Written("Fit", EVIL, EVIL, "plain", (), (Section(EVIL, (Album().picture(EVIL, figure),)),), EVIL)
+    page = Written(
+        "Fit", EVIL, EVIL, "plain", (), (PageSection(EVIL, (Album().picture(EVIL, figure),)),), EVIL
+    )
     write_page(page, tmp_path / "page.html")
 
     async def look() -> None:

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from labhil.analysis.schema import FitPart
-from labhil.tui.result_text import ParameterTable
+from labhil.tui.result_text import ParameterTableView
 
 FIT = Path(__file__).parents[2] / "examples" / "fit.json"
 REMARKS = ("not identifiable", "at its bound", "may be zero")
@@ -24,7 +24,7 @@ def drawn(width: int) -> str:
     ]
     console = Console(width=width, no_color=True, force_terminal=False)
     with console.capture() as said:
-        console.print(ParameterTable(rows, defaultdict(lambda: "#ffffff")))
+        console.print(ParameterTableView(rows, defaultdict(lambda: "#ffffff")))
     return said.get()
 
 

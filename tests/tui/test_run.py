@@ -22,8 +22,8 @@ from labhil.bus.register import registered_processes
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 from labhil.tui.app import LabApp
-from labhil.tui.dialogs import Confirm, Write
-from labhil.tui.lab import Session
+from labhil.tui.dialogs import Confirm, TextPrompt
+from labhil.tui.session import Session
 
 PATIENCE = 100.0
 MOVING = 16_384
@@ -124,12 +124,12 @@ def test_two_keys_start_the_first_experiment_which_can_be_paused_resumed_and_sto
                 await in_state(pilot, app, "running")
                 await until(pilot, lambda: [view.holder for _, view in lab.devices()] == ["run pilot"])
                 await pilot.press("m")
-                await until(pilot, lambda: isinstance(app.screen, Write))
+                await until(pilot, lambda: isinstance(app.screen, TextPrompt))
                 await pilot.press(*"oil [red]", "enter")
                 await pilot.press("p")
                 await in_state(pilot, app, "paused")
                 await pilot.press("m")
-                await until(pilot, lambda: isinstance(app.screen, Write))
+                await until(pilot, lambda: isinstance(app.screen, TextPrompt))
                 await pilot.press("x", "escape")
                 await pilot.press("r")
                 await in_state(pilot, app, "running")
@@ -197,7 +197,7 @@ def test_quitting_asks_while_a_run_is_on_and_ends_it_in_order(bench: Path) -> No
                 await pilot.press("q")
                 await until(pilot, lambda: isinstance(app.screen, Confirm))
                 await pilot.press("y")
-                await until(pilot, lambda: not app.runner.active)
+                await until(pilot, lambda: not app.runner.is_active)
 
     asyncio.run(drive())
     recording = only_recording(bench)

@@ -19,8 +19,7 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from labhil.bus.incoming import ReplayMessage
-from labhil.tui import lab as labs
-from labhil.tui import shadow
+from labhil.tui import clock, shadow
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.app import LabApp
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
@@ -67,7 +66,7 @@ async def release(pilot: Pilot[None], app: LabApp) -> None:
 
 
 async def replayed(pilot: Pilot[None], app: LabApp) -> None:
-    app.lab.replay = ReplayMessage(  # type: ignore[attr-defined]
+    app.session.replay = ReplayMessage(  # type: ignore[attr-defined]
         path="ball_beam_identify.mcap", position=23.4, duration=60.0, speed=2.0, paused=False, ended=False
     )
     await keys("2")(pilot, app)
@@ -220,7 +219,7 @@ def check(name: str, found: str, tmp_path: Path) -> None:
 
 @pytest.fixture(autouse=True)
 def clocks_stand_still(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+    monkeypatch.setattr(clock, "clock_ns", lambda: NOW_NS)
     monkeypatch.setattr(shadow, "Helper", StillHelper)
     monkeypatch.setattr(Input, "_toggle_cursor", lambda _input: None)  # it blinks
 

@@ -18,7 +18,7 @@ from textual.widgets import HelpPanel, OptionList
 from labhil.tui import shadow
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 from labhil.tui.shadow import ShadowView
 from labhil.tui.shadow_state import ShadowState
 from labhil.tui.themes import DARK
@@ -65,7 +65,7 @@ duration = 300.0
 def state_after(*lines: dict[str, Any]) -> ShadowState:
     state = ShadowState("bench", "fit.json")
     for line in lines:
-        state.take(line)
+        state.handle_line(line)
     return state
 
 
@@ -95,7 +95,7 @@ def test_each_state_is_said() -> None:
     assert "no samples" not in said(state_after(stretch_line(9, left=False)))
     resting = state_after(stretch_line(9, left=False), {"unjudged": "too little motion"})
     assert "– not judged: too little motion" in said(resting)
-    resting.take(stretch_line(9, left=False))
+    resting.handle_line(stretch_line(9, left=False))
     assert "not judged" not in said(resting)
     later = NOW_NS + 10_000_000_000
     assert "◌ no samples for 10" in said(state_after(stretch_line(9, left=False)), later)
@@ -194,7 +194,7 @@ def test_a_model_beside_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
                 await pilot.press("enter")
                 await until(pilot, lambda: app.runner.state == "running")
                 await pilot.press("2")
-                await until(pilot, lambda: bool(lab.places()))
+                await until(pilot, lambda: bool(lab.signal_sources()))
                 await pilot.pause(0.5)
                 await pilot.press("m")
                 await until(pilot, lambda: isinstance(app.screen, Choose))
@@ -211,8 +211,8 @@ def test_a_model_beside_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
                     assert 0.0 < output.left_at < 8.0
                     assert output.left_ns is not None
                     assert 0.0 <= (time.time_ns() - output.left_ns) * 1e-9 < PATIENCE
-                app.runner.ask("stop", "seen enough")
-                await until(pilot, lambda: not app.runner.active)
+                app.runner.request("stop", "seen enough")
+                await until(pilot, lambda: not app.runner.is_active)
 
     asyncio.run(go())
 

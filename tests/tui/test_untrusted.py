@@ -14,11 +14,11 @@ from textual.widgets import DataTable, HelpPanel
 
 from labhil.signals import Direction, Signal
 from labhil.tui.app import LabApp
-from labhil.tui.lab import Place
+from labhil.tui.bus_watch import Announcement, DeviceView
 from labhil.tui.live import LivePane
+from labhil.tui.session import SignalSource
 from labhil.tui.stream_watch import StreamWatch
-from labhil.tui.ticks import limits_of
-from labhil.tui.watch import Announcement, DeviceView
+from labhil.tui.ticks import axis_limits
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -41,9 +41,12 @@ class HostileLab(StillLab):
             for endpoint, view in super().devices()
         ]  # fmt: skip
 
-    def places(self) -> list[Place]:
+    def signal_sources(self) -> list[SignalSource]:
         signal = Signal("ball_position", "m", Direction.OUTPUT, description=HOSTILE)
-        return [Place(ENDPOINT, HOSTILE, "state", signal), Place(ENDPOINT, "b[/]", "state", STATE.signals[1])]
+        return [
+            SignalSource(ENDPOINT, HOSTILE, "state", signal),
+            SignalSource(ENDPOINT, "b[/]", "state", STATE.signals[1]),
+        ]
 
     def events(self) -> list[Announcement]:
         return [Announcement(NOW_NS, HOSTILE, HOSTILE, HOSTILE)]
@@ -87,12 +90,12 @@ class ComingAndGoing(StillLab):
         self.endpoint = ENDPOINT
         self.there = True
 
-    def places(self) -> list[Place]:
+    def signal_sources(self) -> list[SignalSource]:
         if not self.there:
             return []
-        return [Place(self.endpoint, "bench", "state", signal) for signal in STATE.signals]
+        return [SignalSource(self.endpoint, "bench", "state", signal) for signal in STATE.signals]
 
-    def stream(self, place: Place) -> StreamWatch | None:  # type: ignore[override]
+    def stream(self, place: SignalSource) -> StreamWatch | None:  # type: ignore[override]
         return super().stream(place) if place.endpoint == self.endpoint and self.there else None
 
 
@@ -107,7 +110,7 @@ def test_signals_may_come_go_and_come_again_under_the_live_plots(folder: Path) -
                 lab.endpoint = f"tcp/127.0.0.1:{40123 + turn}"
                 lab.there = turn % 3 != 2
                 pane = app.query_one(LivePane)
-                pane.refresh_list()
+                pane.refresh_view()
                 pane.draw()  # before the list has become charts
                 await pilot.pause(0.1)
                 pane.draw()
@@ -154,6 +157,6 @@ def test_the_key_that_opens_the_help_closes_it(folder: Path) -> None:
 
 @pytest.mark.parametrize("value", [0.0, 5.0, -1e-7])
 def test_a_constant_has_an_axis_as_wide_as_itself(value: float) -> None:
-    low, high = limits_of([np.full(10, value)])
+    low, high = axis_limits([np.full(10, value)])
     assert low < value < high
     assert high - low >= (abs(value) or 1.0)

@@ -18,8 +18,7 @@ import pytest
 
 from labhil.bus.incoming import ReplayMessage
 from labhil.campaign.studies import jobs
-from labhil.tui import analysis, overlay, runner, shadow
-from labhil.tui import lab as labs
+from labhil.tui import analysis, clock, overlay, runner, shadow
 from labhil.tui.app import LabApp
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -57,7 +56,7 @@ class QuietHelper:
 
 @pytest.fixture(autouse=True)
 def nothing_heavy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(labs, "clock_ns", lambda: NOW_NS)
+    monkeypatch.setattr(clock, "clock_ns", lambda: NOW_NS)
     for module in (jobs, analysis, overlay, runner, shadow):
         monkeypatch.setattr(module, "Helper", QuietHelper)
 

@@ -21,9 +21,9 @@ from labhil.bus.register import registered_processes
 from labhil.recording.reader import read_recording
 from labhil.tui.app import LabApp
 from labhil.tui.dialogs import Choose, Notice
-from labhil.tui.lab import Session
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.plot import Plot
+from labhil.tui.session import Session
 
 PATIENCE = 100.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
@@ -220,15 +220,15 @@ def test_connect_shows_a_bus_that_does_not_announce_itself_and_stops_its_devices
         assert registered_processes() == ()
 
         async def drive(pilot: Pilot[None], app: LabApp) -> None:
-            await until(pilot, lambda: [view.name for _, view in app.lab.devices()] == ["far"])
-            await until(pilot, lambda: app.lab.devices()[0][1].beat is not None)
+            await until(pilot, lambda: [view.name for _, view in app.session.devices()] == ["far"])
+            await until(pilot, lambda: app.session.devices()[0][1].health is not None)
             await pilot.press("2")
-            await until(pilot, lambda: len(app.lab.places()) > 0)
+            await until(pilot, lambda: len(app.session.signal_sources()) > 0)
             await pilot.press("f12")
             await until(
                 pilot, lambda: app.emergency.outcome is not None and "far" in app.emergency.outcome.answered
             )
-            await until(pilot, lambda: app.lab.devices()[0][1].state == "latched")
+            await until(pilot, lambda: app.session.devices()[0][1].state == "latched")
             await pilot.press("f9", "y")
             await until(pilot, lambda: app.emergency.latch is None)
 

@@ -1,4 +1,4 @@
-"""A comparison of models as a page: the verdict, the models over the measurement, their shared parameters."""
+"""The page of a comparison: the verdict, the models over the measurement, their shared parameters."""
 
 from __future__ import annotations
 
@@ -6,17 +6,23 @@ from collections.abc import Sequence
 
 from labhil.analysis.schema import ComparedChannel, ComparedModel, ComparisonPart, SharedParameter
 from labhil.report.comparison import comparison_basis
+from labhil.report.formatting import NOTHING, format_interval, format_p_value, format_percent, format_quantity
 from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.model import name_code, names, recordings_table, warning
-from labhil.report.html.page import Page, Section, present, section
-from labhil.report.html.quantity import NOTHING, interval, p_value, percent, quantity
+from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
 
 AGREE = {True: "agree", False: "disagree", None: "not known"}
 
 
 def comparison_page(comparison: ComparisonPart, foot: str, pictures: Sequence[Markup] = ()) -> Page:
-    """The page of a comparison; without ``pictures`` where there are no samples to draw."""
+    """Make the page of a comparison.
+
+    Args:
+        comparison: The result.
+        foot: Last line of the page: where it comes from.
+        pictures: Models over the measurement; none where there are no samples to draw.
+    """
     best = comparison.best_model
     n_best = sum(not model.worse_than_best for model in comparison.models)
     headline = (
@@ -30,7 +36,7 @@ def comparison_page(comparison: ComparisonPart, foot: str, pictures: Sequence[Ma
         headline=headline,
         tone="no_mismatch" if best.adequacy == "explained" else "missing_physics",
         lead=_lead(comparison),
-        sections=present(
+        sections=drop_empty(
             section(
                 "What to do next",
                 bullets(map(with_code, comparison.next_steps)) if comparison.next_steps else None,
@@ -48,8 +54,8 @@ def _lead(comparison: ComparisonPart) -> tuple[Content, ...]:
     best = comparison.best_model
     worst = max(comparison.models, key=lambda model: model.times_best or float("inf"))
     entries: list[tuple[str, Content, Content]] = [
-        ("Smallest error", quantity(best.rmse_over_noise, digits=3), "noise levels"),
-        ("Largest error", quantity(worst.rmse_over_noise, digits=3), f"noise levels, {worst.name}"),
+        ("Smallest error", format_quantity(best.rmse_over_noise, digits=3), "noise levels"),
+        ("Largest error", format_quantity(worst.rmse_over_noise, digits=3), f"noise levels, {worst.name}"),
         ("Model to take", comparison.preferred, "the simplest of those that are as good as the best"),
     ]
     statement = tag("p", comparison.statement, class_="lead")
@@ -73,13 +79,13 @@ def _model(model: ComparedModel, row: ComparedChannel, *, best: bool) -> Sequenc
     return (
         tag("strong", model.name) if best else model.name,
         name_code(row.channel, row.joint),
-        quantity(row.rmse, row.unit),
-        quantity(row.noise_floor, row.unit),
-        quantity(row.rmse_over_noise, digits=3),
-        percent(row.r2),
+        format_quantity(row.rmse, row.unit),
+        format_quantity(row.noise_floor, row.unit),
+        format_quantity(row.rmse_over_noise, digits=3),
+        format_percent(row.r2),
         model.n_parameters,
-        quantity(model.times_best, digits=3),
-        "best" if best else p_value(model.p_value),
+        format_quantity(model.times_best, digits=3),
+        "best" if best else format_p_value(model.p_value),
     )
 
 
@@ -94,7 +100,7 @@ def _terms(comparison: ComparisonPart) -> Markup:
     return facts(pairs)
 
 
-def _parameters(comparison: ComparisonPart) -> Section | None:
+def _parameters(comparison: ComparisonPart) -> PageSection | None:
     if not comparison.parameters:
         return None
     columns = (*text("Parameter"), *numbers(*(model.name for model in comparison.models)), *text("Values"))
@@ -110,7 +116,7 @@ def _parameters(comparison: ComparisonPart) -> Section | None:
 
 
 def _parameter(row: SharedParameter, models: Sequence[ComparedModel]) -> Sequence[Content]:
-    z = "" if row.z is None else f", z {quantity(row.z, digits=2)}"
+    z = "" if row.z is None else f", z {format_quantity(row.z, digits=2)}"
     verdict = f"{AGREE[row.agree]}{z}"
     return (
         join((name_code(row.name, row.joint), f", {row.unit}" if row.unit not in ("", "1") else "")),
@@ -128,20 +134,20 @@ def _value(row: SharedParameter, model: str) -> Content:
     elif not estimate.identifiable:
         remark = "not identifiable"
     else:
-        remark = interval(estimate.ci99)
-    return join((quantity(estimate.value), tag("br"), tag("span", remark, class_="remark")))
+        remark = format_interval(estimate.ci99)
+    return join((format_quantity(estimate.value), tag("br"), tag("span", remark, class_="remark")))
 
 
 def _facts(comparison: ComparisonPart) -> Markup:
     horizon = (
         "inverse dynamics"
         if comparison.horizon is None
-        else f"windows of {quantity(comparison.horizon, 's')}"
+        else f"windows of {format_quantity(comparison.horizon, 's')}"
     )
     return facts(
         (
             ("Metric", f"{comparison.metric.replace('_', ' ')}, {horizon}"),
-            ("False alarms", f"{quantity(comparison.alpha, digits=2)} of each question"),
-            ("Time taken", quantity(comparison.seconds, "s", digits=3)),
+            ("False alarms", f"{format_quantity(comparison.alpha, digits=2)} of each question"),
+            ("Time taken", format_quantity(comparison.seconds, "s", digits=3)),
         )
     )

@@ -1,4 +1,4 @@
-"""The estimated curve of a term that has no name, with its band."""
+"""The picture of a nonparametric curve with its band."""
 
 from __future__ import annotations
 
@@ -13,7 +13,15 @@ from labhil.signals import FloatArray
 
 
 def curve_picture(album: Album, curve: EstimatedCurve | None) -> Markup | None:
-    """The curve over its coordinate, or as coloured dots over two; None where there is nothing to draw."""
+    """Draw the curve over its coordinate, or as coloured dots over two coordinates.
+
+    Args:
+        album: The pictures of the page.
+        curve: The curve; None for none.
+
+    Returns:
+        The picture; None where there is nothing to draw.
+    """
     if curve is None:
         return None
     x, value = _coordinates(curve), np.array(curve.value, dtype=np.float64)
@@ -28,7 +36,7 @@ def curve_picture(album: Album, curve: EstimatedCurve | None) -> Markup | None:
 
 
 def _coordinates(curve: EstimatedCurve) -> FloatArray:
-    """Coordinates, one row each (k, n), whichever way round they stand in the file; empty if ragged."""
+    """Coordinates with one row each (k, n), from either orientation in the file; empty if ragged."""
     if len({len(row) for row in curve.x}) != 1:
         return np.empty((0, 0))
     x = np.array(curve.x, dtype=np.float64)

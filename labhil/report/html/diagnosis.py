@@ -1,4 +1,4 @@
-"""A diagnosis as a page: verdict, where, what is missing, how much better, what could still hide."""
+"""The page of a diagnosis: verdict, location, missing terms, improvement, exclusions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ from labhil.analysis.schema import (
 )
 from labhil.analysis.verdicts import NOT_TESTED, VERDICTS, disagreement
 from labhil.physics.terms import keyed
-from labhil.report.absent import JointLimits, group_undecided, joints_in, limits_by_joint
+from labhil.report.exclusions import TermLimits, group_undecided, joints_in, limits_by_joint
+from labhil.report.formatting import (
+    NOTHING,
+    format_interval,
+    format_multiple,
+    format_p_value,
+    format_percent,
+    format_probability,
+    format_quantity,
+)
 from labhil.report.html.curve import curve_picture
 from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.model import (
@@ -28,22 +37,28 @@ from labhil.report.html.model import (
     recordings_table,
     warning,
 )
-from labhil.report.html.page import Page, Section, present, section
+from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import NOTHING, chance, interval, multiple, p_value, percent, quantity
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
 
 P_VALUES = {
     "bootstrap": "It was counted in a bootstrap",
-    "tail_extrapolated": "It is extrapolated from the tail of a theoretical distribution, not counted: "
-    "read its order of magnitude, not its digits",
+    "tail_extrapolated": "It is extrapolated from the tail of a theoretical distribution: "
+    "only its order of magnitude is reliable",
 }
 
 
 def diagnosis_page(
     diagnosis: DiagnosisPart, foot: str, album: Album, pictures: Sequence[Markup] = ()
 ) -> Page:
-    """The page of a diagnosis; ``pictures`` are those that need the data, and stand under the scores."""
+    """Make the page of a diagnosis.
+
+    Args:
+        diagnosis: The result.
+        foot: Last line of the page: where it comes from.
+        album: The pictures of the page.
+        pictures: Pictures that need the samples; they are shown under the scores.
+    """
     rig = ", ".join(dict.fromkeys(source.rig for source in diagnosis.recordings))
     return Page(
         kind=f"Diagnosis of a model and a recording · {rig}"
@@ -53,10 +68,13 @@ def diagnosis_page(
         headline=VERDICTS[diagnosis.verdict],
         tone=diagnosis.verdict,
         lead=_lead(diagnosis),
-        sections=present(
+        sections=drop_empty(
             section("What to do next", bullets(map(with_code, diagnosis.next_steps))),
             section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
-            section("Sizes that gave way", *(tag("p", size.statement) for size in diagnosis.collapsed)),
+            section(
+                "Sizes that a fit took to absurd values",
+                *(tag("p", size.statement) for size in diagnosis.collapsed),
+            ),
             section(
                 "What is missing", *(_missing_effect(item, diagnosis.rivals) for item in diagnosis.missing)
             ),
@@ -79,7 +97,7 @@ def diagnosis_page(
 
 def _lead(diagnosis: DiagnosisPart) -> tuple[Content, ...]:
     missing = [keyed(item.term, item.joint) for item in diagnosis.missing]
-    effects = tag("p", "Found: ", names(missing), ".", class_="lead") if missing else None
+    effects = tag("p", "Missing: ", names(missing), ".", class_="lead") if missing else None
     location = diagnosis.location
     statement = tag("p", location.statement, class_="lead") if location else None
     remainder = diagnosis.remainder
@@ -90,7 +108,7 @@ def _lead(diagnosis: DiagnosisPart) -> tuple[Content, ...]:
 def _figures(diagnosis: DiagnosisPart) -> Markup:
     improvement = diagnosis.improvement
     entries: list[tuple[str, Content, Content]] = [
-        ("p that the baseline suffices", p_value(diagnosis.p_value), join(_p_value_method(diagnosis)))
+        ("p that the baseline suffices", format_p_value(diagnosis.p_value), join(_p_value_method(diagnosis)))
         if diagnosis.asks_baseline
         else ("The baseline", NOTHING, NOT_TESTED)
     ]
@@ -99,25 +117,25 @@ def _figures(diagnosis: DiagnosisPart) -> Markup:
         entries += [
             (
                 "RMSE before",
-                quantity(improvement.rmse_before, unit),
+                format_quantity(improvement.rmse_before, unit),
                 _floor_multiple(improvement.rmse_before, improvement),
             ),
             (
                 "RMSE after",
-                quantity(improvement.rmse_after, unit),
+                format_quantity(improvement.rmse_after, unit),
                 _floor_multiple(improvement.rmse_after, improvement),
             ),
             (
                 "R² after",
-                percent(improvement.r2_after),
-                f"{percent(improvement.r2_before)} before, {_test_data(improvement)}",
+                format_percent(improvement.r2_after),
+                f"{format_percent(improvement.r2_before)} before, {_test_data(improvement)}",
             ),
         ]
     return tiles(entries)
 
 
 def _floor_multiple(rmse: float | None, improvement: Improvement) -> str:
-    return f"{multiple(rmse, improvement.noise_floor)} the noise floor"
+    return f"{format_multiple(rmse, improvement.noise_floor)} the noise floor"
 
 
 def _test_data(improvement: Improvement) -> str:
@@ -135,9 +153,9 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
     evidence = item.evidence
     evidence_facts = facts(
         (
-            ("ΔBIC, with against without", quantity(evidence.delta_bic)),
-            ("Gain on held-out data", quantity(evidence.heldout_loglik_gain, "nats")),
-            ("p that it gains nothing", p_value(evidence.p_value)),
+            ("ΔBIC, with against without", format_quantity(evidence.delta_bic)),
+            ("Gain on held-out data", format_quantity(evidence.heldout_loglik_gain, "nats")),
+            ("p that it gains nothing", format_p_value(evidence.p_value)),
         ),
         "row",
     )
@@ -147,7 +165,7 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
         tag(
             "h3",
             keyed(item.term, item.joint),
-            tag("span", "probability ", chance(item.probability), class_="remark"),
+            tag("span", "probability ", format_probability(item.probability), class_="remark"),
         ),
         tag("p", item.statement),
         tag("p", item.equation, class_="equation") if item.equation else None,
@@ -161,20 +179,20 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival]) -> Markup:
 def _alternatives(rivals: Sequence[Rival]) -> Markup | None:
     if not rivals:
         return None
-    others = ", ".join(f"{keyed(r.term, r.joint)} ({chance(r.probability)})" for r in rivals)
+    others = ", ".join(f"{keyed(r.term, r.joint)} ({format_probability(r.probability)})" for r in rivals)
     return tag("p", f"It might be, instead: {others}.")
 
 
-def _changes(diagnosis: DiagnosisPart) -> Section | None:
+def _changes(diagnosis: DiagnosisPart) -> PageSection | None:
     if not diagnosis.changed:
         return None
     rows = [
         (
             name_code(change.name, change.joint, change.recording),
-            quantity(change.before, change.unit),
-            quantity(change.after, change.unit),
-            interval(change.ci99, change.unit),
-            p_value(change.p_value),
+            format_quantity(change.before, change.unit),
+            format_quantity(change.after, change.unit),
+            format_interval(change.ci99, change.unit),
+            format_p_value(change.p_value),
         )
         for change in diagnosis.changed
     ]
@@ -182,7 +200,7 @@ def _changes(diagnosis: DiagnosisPart) -> Section | None:
     return section("Parameters that have changed", table("Against the reference model", columns, rows))
 
 
-def _location(location: Location | None) -> Section | None:
+def _location(location: Location | None) -> PageSection | None:
     if location is None:
         return None
     times = ", ".join(_time(span, location.times_in[i : i + 1]) for i, span in enumerate(location.times))
@@ -197,23 +215,23 @@ def _location(location: Location | None) -> Section | None:
         (
             tag("code", keyed(r.term, r.joint)),
             tag("code", r.coordinate),
-            quantity(r.low, r.unit),
-            quantity(r.high, r.unit),
-            percent(r.share_of_excess),
+            format_quantity(r.low, r.unit),
+            format_quantity(r.high, r.unit),
+            format_percent(r.share_of_excess),
         )
         for r in location.regimes
     ]
     columns = (*text("Effect", "Coordinate"), *numbers("From", "To", "Share of the excess"))
-    regimes = table("Where each effect lives", columns, rows) if rows else None
+    regimes = table("Where each effect matters", columns, rows) if rows else None
     return section("Where the mismatch is", details, regimes)
 
 
 def _time(span: Interval, recording: Sequence[int]) -> str:
-    """A stretch of time, with the number of its recording where there are several."""
-    return interval(span, "s") + "".join(f" of @{number}" for number in recording)
+    """A span of time, with the number of its recording where there are several."""
+    return format_interval(span, "s") + "".join(f" of @{number}" for number in recording)
 
 
-def _improvement(improvement: Improvement | None, pictures: Sequence[Markup]) -> Section | None:
+def _improvement(improvement: Improvement | None, pictures: Sequence[Markup]) -> PageSection | None:
     if improvement is None:
         return section("How much better the model predicts", *pictures)
     columns = (
@@ -245,23 +263,23 @@ def _scoring(improvement: Improvement) -> str:
     unseen = f"the parts of {data} that" if improvement.parts else f"{data}, which"
     if improvement.metric == "inverse_dynamics":
         return f"Scored by inverse dynamics on {unseen} the search never saw."
-    horizon = quantity(improvement.horizon, "s")
+    horizon = format_quantity(improvement.horizon, "s")
     return f"Scored by simulating windows of {horizon} of {unseen} the search never saw."
 
 
 def _channel(channel: ChannelImprovement, metric: str, recording: int | None = None) -> list[Content]:
     return [
         channel_name(channel, metric, recording),
-        quantity(channel.rmse_before, channel.unit),
-        quantity(channel.rmse_after, channel.unit),
-        quantity(channel.noise_floor, channel.unit),
+        format_quantity(channel.rmse_before, channel.unit),
+        format_quantity(channel.rmse_after, channel.unit),
+        format_quantity(channel.noise_floor, channel.unit),
         bars(channel.rmse_before, channel.rmse_after, channel.noise_floor),
-        percent(channel.r2_before),
-        percent(channel.r2_after),
+        format_percent(channel.r2_before),
+        format_percent(channel.r2_after),
     ]
 
 
-def _final_model(diagnosis: DiagnosisPart, album: Album) -> Section | None:
+def _final_model(diagnosis: DiagnosisPart, album: Album) -> PageSection | None:
     final, disagreement_note = diagnosis.final, disagreement(diagnosis.scale_factor)
     return section(
         "Final model",
@@ -272,29 +290,29 @@ def _final_model(diagnosis: DiagnosisPart, album: Album) -> Section | None:
     )
 
 
-def _rivals(rivals: Sequence[Rival]) -> Section | None:
+def _rivals(rivals: Sequence[Rival]) -> PageSection | None:
     if not rivals:
         return None
     columns = (
         *text("Rival", "Instead of"),
         *numbers("Probability", "ΔBIC"),
-        *text("Can be told apart", "What would tell them apart"),
+        *text("Can be told apart", "Experiment to tell them apart"),
     )
     rows = [
         (
             tag("code", keyed(rival.term, rival.joint)),
             tag("code", rival.instead_of),
-            chance(rival.probability),
-            quantity(rival.delta_bic, digits=3),
+            format_probability(rival.probability),
+            format_quantity(rival.delta_bic, digits=3),
             "yes" if rival.distinguishable else "no",
             rival.experiment,
         )
         for rival in rivals
     ]
-    return section("Rivals", table("What would explain the data about as well", columns, rows))
+    return section("Rivals", table("Terms that explain the data about as well", columns, rows))
 
 
-def _exclusions(diagnosis: DiagnosisPart) -> Section | None:
+def _exclusions(diagnosis: DiagnosisPart) -> PageSection | None:
     if not diagnosis.excluded:
         return None
     without_joint = [item for item in diagnosis.excluded if item.joint is None]
@@ -302,7 +320,7 @@ def _exclusions(diagnosis: DiagnosisPart) -> Section | None:
     rows = [
         (
             tag("code", keyed(item.term, None, item.recording)),
-            quantity(item.largest_hidden, item.unit, digits=3),
+            format_quantity(item.largest_hidden, item.unit, digits=3),
             f"{100 * item.confidence:.4g}\N{NO-BREAK SPACE}%" if item.confidence is not None else None,
         )
         for item in without_joint
@@ -315,7 +333,7 @@ def _exclusions(diagnosis: DiagnosisPart) -> Section | None:
     )
 
 
-def _exclusions_by_joint(limits: Sequence[JointLimits]) -> Markup | None:
+def _exclusions_by_joint(limits: Sequence[TermLimits]) -> Markup | None:
     if not limits:
         return None
     joints = joints_in(limits)
@@ -323,7 +341,7 @@ def _exclusions_by_joint(limits: Sequence[JointLimits]) -> Markup | None:
     rows = [
         (
             tag("code", row.term),
-            *(quantity(row.largest.get(joint), digits=3) for joint in joints),
+            *(format_quantity(row.largest.get(joint), digits=3) for joint in joints),
             row.unit if row.unit != "1" else None,
         )
         for row in limits
@@ -331,7 +349,7 @@ def _exclusions_by_joint(limits: Sequence[JointLimits]) -> Markup | None:
     return table("The same by joint, with 99 % confidence", columns, rows)
 
 
-def _undecided_terms(diagnosis: DiagnosisPart) -> Section | None:
+def _undecided_terms(diagnosis: DiagnosisPart) -> PageSection | None:
     if not diagnosis.undecided:
         return None
     lines = [
@@ -348,10 +366,10 @@ def _undecided_terms(diagnosis: DiagnosisPart) -> Section | None:
     return section("What these data cannot decide", bullets(lines))
 
 
-def _method(diagnosis: DiagnosisPart) -> Section | None:
+def _method(diagnosis: DiagnosisPart) -> PageSection | None:
     parts: list[Content] = [recordings_table(diagnosis.recordings)]
     if diagnosis.p_value_method in P_VALUES:
-        floor = f" A smaller one than {p_value(diagnosis.p_value_floor)} could not be counted."
+        floor = f" A smaller one than {format_p_value(diagnosis.p_value_floor)} could not be counted."
         parts.append(
             tag(
                 "p",
@@ -363,7 +381,7 @@ def _method(diagnosis: DiagnosisPart) -> Section | None:
     parts += [
         tag("p", "The baseline: ", names(diagnosis.baseline.terms), "."),
         parameters_table(diagnosis.baseline.parameters, "The baseline's own parameters, fitted without more"),
-        tag("p", f"The search took {quantity(diagnosis.seconds, 's', digits=3)}.", class_="quiet"),
+        tag("p", f"The search took {format_quantity(diagnosis.seconds, 's', digits=3)}.", class_="quiet"),
     ]
     if not diagnosis.recordings:
         parts.insert(0, warning("The result names no recording that it comes from."))

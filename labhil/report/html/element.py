@@ -1,4 +1,4 @@
-"""HTML elements as values: every text is escaped where it enters, so that no page has to think of it."""
+"""HTML elements as values. Every text is escaped when it enters an element."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 
 @dataclass(frozen=True, slots=True)
 class Markup:
-    """Text that is HTML already."""
+    """Hold text that is HTML already."""
 
     text: str
 
@@ -24,14 +24,17 @@ Content = Markup | str | int | None
 
 
 def clean(text: str) -> str:
-    """Replace each character that no page can hold."""
+    """Replace each character that HTML does not allow."""
     return UNPRINTABLE.sub("\N{REPLACEMENT CHARACTER}", text)
 
 
 def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Markup:
-    """An element with its content and attributes; ``class_`` is ``class``, ``aria_label`` is ``aria-label``.
+    """Make an element with its content and attributes.
 
-    Attributes that are None are left out.
+    Args:
+        name: Name of the element.
+        content: Text, which is escaped, and elements; None is left out.
+        attributes: ``class_`` is ``class``, ``aria_label`` is ``aria-label``; None is left out.
     """
     attribute_text = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{_escape(str(value))}"'
@@ -44,7 +47,7 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
 
 
 def join(content: Iterable[Content]) -> Markup:
-    """Concatenate pieces of content."""
+    """Concatenate texts and elements."""
     return Markup("".join(_html(piece) for piece in content))
 
 

@@ -1,4 +1,4 @@
-"""A fit as a page: parameters with honest errors, what the data cannot know, scores, residuals."""
+"""The page of a fit: parameters with intervals, identifiability, scores, residuals."""
 
 from __future__ import annotations
 
@@ -10,6 +10,14 @@ from matplotlib.figure import Figure
 
 from labhil.analysis.schema import ChannelErrors, FitPart, Identifiability, Parameter, Score
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
+from labhil.report.formatting import (
+    format_count,
+    format_multiple,
+    format_p_value,
+    format_percent,
+    format_quantity,
+    square_unit,
+)
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import (
     channel_name,
@@ -19,9 +27,8 @@ from labhil.report.html.model import (
     recordings_table,
     warning,
 )
-from labhil.report.html.page import Page, Section, present, section
+from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import count, multiple, p_value, percent, quantity, squared
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.signals import FloatArray
 
@@ -33,14 +40,21 @@ MOST_CORRELATED = 60
 
 
 def fit_page(fit: FitPart, foot: str, album: Album, pictures: Sequence[Markup] = ()) -> Page:
-    """The page of a fit; ``pictures`` are those that need the data, and stand under the scores."""
+    """Make the page of a fit.
+
+    Args:
+        fit: The result.
+        foot: Last line of the page: where it comes from.
+        album: The pictures of the page.
+        pictures: Pictures that need the samples; they are shown under the scores.
+    """
     return Page(
         kind=f"Fit of a white-box model · {fit.rig}",
         title=f"Fit of {fit.rig}",
         headline=_headline(fit),
         tone="plain",
         lead=_lead(fit),
-        sections=present(
+        sections=drop_empty(
             _parameters(fit, album),
             _identifiability(fit.identifiability),
             _scores(fit, pictures),
@@ -63,7 +77,7 @@ def _headline(fit: FitPart) -> str:
     score, data = _headline_score(fit)
     number = len(fit.parameters)
     size = "1 parameter" if number == 1 else f"{number} parameters"
-    summary = f"A model of {fit.rig} with {size}: R² {percent(score.r2)} on {data}."
+    summary = f"A model of {fit.rig} with {size}: R² {format_percent(score.r2)} on {data}."
     return summary if fit.statement is None else f"{fit.statement} {summary}"
 
 
@@ -72,11 +86,19 @@ def _lead(fit: FitPart) -> tuple[Content, ...]:
     identifiability = fit.identifiability
     figures = tiles(
         (
-            ("RMSE", quantity(score.rmse, score.unit), f"on {data}"),
-            ("Noise floor", quantity(score.noise_floor, score.unit), "what a perfect model would reach"),
-            ("RMSE ÷ noise floor", multiple(score.rmse, score.noise_floor), "1 × is as good as can be"),
+            ("RMSE", format_quantity(score.rmse, score.unit), f"on {data}"),
             (
-                "Parameters known",
+                "Noise floor",
+                format_quantity(score.noise_floor, score.unit),
+                "the error of a perfect model",
+            ),
+            (
+                "RMSE ÷ noise floor",
+                format_multiple(score.rmse, score.noise_floor),
+                "1 × is as good as can be",
+            ),
+            (
+                "Parameters identified",
                 f"{identifiability.rank} of {identifiability.of}",
                 "identifiable from these data",
             ),
@@ -88,7 +110,7 @@ def _lead(fit: FitPart) -> tuple[Content, ...]:
 
 
 def _misfit_warning(fit: FitPart) -> Markup | None:
-    """What intervals stand for where the model leaves more than noise."""
+    """What the intervals mean where the model leaves more than noise."""
     if fit.verdict in (None, "explained"):
         return None
     return warning(
@@ -98,11 +120,11 @@ def _misfit_warning(fit: FitPart) -> Markup | None:
     )
 
 
-def _parameters(fit: FitPart, album: Album) -> Section | None:
+def _parameters(fit: FitPart, album: Album) -> PageSection | None:
     together = ", all together" if fit.intervals.simultaneous else ""
     caption = (
         f"Standard errors are robust to correlated residuals; 99 % intervals by {fit.intervals.method}"
-        f"{together}; the reference text's own error stands beside for comparison only"
+        f"{together}; the standard error of the reference text is for comparison only"
     )
     return section(
         "Parameters",
@@ -111,23 +133,23 @@ def _parameters(fit: FitPart, album: Album) -> Section | None:
     )
 
 
-def _identifiability(identifiability: Identifiability) -> Section | None:
+def _identifiability(identifiability: Identifiability) -> PageSection | None:
     lines: list[Content] = []
     if identifiability.combinations:
-        lines.append(tag("p", "Where single values are not known, these combinations are:"))
+        lines.append(tag("p", "Not every single value is identifiable, but these combinations are:"))
         lines.append(bullets(tag("code", name) for name in identifiability.combinations))
     if identifiability.would_help:
         lines.append(
             tag("p", f"It would help to know or to record: {', '.join(identifiability.would_help)}.")
         )
-    complete = "These data know every parameter." if identifiability.rank == identifiability.of else None
+    complete = "These data determine every parameter." if identifiability.rank == identifiability.of else None
     partial = (
-        f"These data know {identifiability.rank} of {identifiability.of} directions among the parameters."
+        f"These data determine {identifiability.rank} of {identifiability.of} directions in parameter space."
     )
-    return section("What the data can know", tag("p", complete or partial), *lines)
+    return section("Identifiability", tag("p", complete or partial), *lines)
 
 
-def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
+def _scores(fit: FitPart, pictures: Sequence[Markup]) -> PageSection | None:
     columns = (
         *text("Data", "Channel"),
         *numbers("RMSE", "Noise floor", "RMSE ÷ floor", "Largest error", "MSE", "R²"),
@@ -138,12 +160,12 @@ def _scores(fit: FitPart, pictures: Sequence[Markup]) -> Section | None:
     if fit.train.metric == "inverse_dynamics":
         caption = "Errors of inverse dynamics"
     else:
-        caption = f"Errors of simulated windows of {quantity(fit.train.horizon, 's')}"
+        caption = f"Errors of simulated windows of {format_quantity(fit.train.horizon, 's')}"
     return section("How well it predicts", table(caption, columns, rows), *pictures)
 
 
 def _channels(data: str, score: Score) -> list[list[Content]]:
-    """All channels, then those of each recording."""
+    """Rows of all channels, then of those of each recording."""
     rows = [_channel(data, channel, score) for channel in score.per_channel]
     for recording in score.per_recording:
         rows += [
@@ -156,29 +178,35 @@ def _channel(data: str, channel: ChannelErrors, score: Score) -> list[Content]:
     return [
         data,
         channel_name(channel, score.metric),
-        quantity(channel.rmse, channel.unit),
-        quantity(channel.noise_floor, channel.unit),
-        multiple(channel.rmse, channel.noise_floor),
-        quantity(channel.max_abs_error, channel.unit),
-        quantity(channel.mse, squared(channel.unit)),
-        percent(channel.r2),
+        format_quantity(channel.rmse, channel.unit),
+        format_quantity(channel.noise_floor, channel.unit),
+        format_multiple(channel.rmse, channel.noise_floor),
+        format_quantity(channel.max_abs_error, channel.unit),
+        format_quantity(channel.mse, square_unit(channel.unit)),
+        format_percent(channel.r2),
     ]
 
 
-def _windows(fit: FitPart, album: Album) -> Section | None:
+def _windows(fit: FitPart, album: Album) -> PageSection | None:
     if len(fit.by_window) < 2:
         return None
-    columns = (*text("Windows of"), *numbers(*(quantity(rung.window, "s") for rung in fit.by_window)))
-    residuals = ("Residual ÷ noise", *(quantity(rung.residual, digits=3) for rung in fit.by_window))
+    columns = (
+        *text("Windows of"),
+        *numbers(*(format_quantity(estimate.window, "s") for estimate in fit.by_window)),
+    )
+    residuals = (
+        "Residual ÷ noise",
+        *(format_quantity(estimate.residual, digits=3) for estimate in fit.by_window),
+    )
     caption = (
         "Estimates with 99 % intervals against the length of the fitted windows; the band is the final "
-        "estimate's interval. Estimates that drift say that the plant is disturbed, or physics is missing."
+        "estimate's interval. Estimates that drift show a disturbed plant or missing physics."
     )
     if len(fit.parameters) > MOST_PANELS:
         caption = f"{caption} The first {MOST_PANELS} of {len(fit.parameters)} parameters."
     return section(
         "How the estimates move with the window",
-        table(f"The fit uses windows of {quantity(fit.window, 's')}", columns, [residuals]),
+        table(f"The fit uses windows of {format_quantity(fit.window, 's')}", columns, [residuals]),
         album.picture(caption, lambda: _draw_windows(fit)),
     )
 
@@ -194,26 +222,30 @@ def _draw_windows(fit: FitPart) -> Figure:
     for axes, row in zip(panels, drawn, strict=False):
         key = row.key
         places = range(len(fit.by_window))
-        values = np.array([rung.values.get(key) for rung in fit.by_window], dtype=np.float64)
-        errors = np.array([rung.std_errors.get(key) for rung in fit.by_window], dtype=np.float64)
+        values = np.array([estimate.values.get(key) for estimate in fit.by_window], dtype=np.float64)
+        errors = np.array([estimate.std_errors.get(key) for estimate in fit.by_window], dtype=np.float64)
         if row.ci99 is not None and row.ci99[0] is not None and row.ci99[1] is not None:
             axes.axhspan(row.ci99[0], row.ci99[1], color=MEASURED, alpha=0.13, lw=0)
         axes.errorbar(places, values, NORMAL_99 * errors, fmt="o-", color=AFTER, ms=4, lw=1.0, capsize=3)
-        axes.set_xticks(places, [f"{rung.window:.3g}" for rung in fit.by_window])
+        axes.set_xticks(places, [f"{estimate.window:.3g}" for estimate in fit.by_window])
         finish(axes, "", "", label(row.unit))
         axes.set_title(label(key), loc="left", fontsize=9)
     figure.supxlabel("length of the fitted windows, s", fontsize=9)
     return figure
 
 
-def _residuals(fit: FitPart) -> Section | None:
+def _residuals(fit: FitPart) -> PageSection | None:
     tests = fit.residuals
     columns = (*text("Question"), *numbers("p"), *text("Answer at 1 %"))
     rows = [
-        ("Are the residuals white? (Ljung-Box)", p_value(tests.ljung_box_p), _answer(tests.ljung_box_p)),
+        (
+            "Are the residuals white? (Ljung-Box)",
+            format_p_value(tests.ljung_box_p),
+            _answer(tests.ljung_box_p),
+        ),
         (
             "Are they free of the input? (cross-correlation)",
-            p_value(tests.input_crosscorrelation_p),
+            format_p_value(tests.input_crosscorrelation_p),
             _answer(tests.input_crosscorrelation_p),
         ),
     ]
@@ -227,13 +259,13 @@ def _answer(p: float | None) -> str:
     return "nothing speaks against it" if p >= ALPHA else "no"
 
 
-def _correlations(fit: FitPart, album: Album) -> Section | None:
+def _correlations(fit: FitPart, album: Album) -> PageSection | None:
     square = {len(row) for row in fit.covariance} == {len(fit.covariance)}
     if not square or not 2 <= len(fit.covariance) <= MOST_CORRELATED:
         return None
     if len(fit.covariance) != len(fit.parameters):
         return None
-    caption = "Correlations of the estimates. Near ±1: the data know a combination, not the two values."
+    caption = "Correlations of the estimates. Near ±1 the data determine a combination, not the two values."
     return section(
         "Correlations", album.picture(caption, lambda: _draw_correlations(fit.covariance, fit.parameters))
     )
@@ -266,13 +298,13 @@ def _write_numbers(axes: Axes, correlation: FloatArray) -> None:
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
 
 
-def _method(fit: FitPart) -> Section | None:
+def _method(fit: FitPart) -> PageSection | None:
     details = facts(
         (
-            ("Estimator", f"{fit.estimator}, seed {fit.seed}" if fit.estimator else "not told"),
-            ("Fitted windows", quantity(fit.window, "s")),
-            ("Simulations", count(fit.evaluations)),
-            ("Time taken", quantity(fit.seconds, "s", digits=3)),
+            ("Estimator", f"{fit.estimator}, seed {fit.seed}" if fit.estimator else "not stated"),
+            ("Fitted windows", format_quantity(fit.window, "s")),
+            ("Simulations", format_count(fit.evaluations)),
+            ("Time taken", format_quantity(fit.seconds, "s", digits=3)),
         )
     )
     return section("Recordings and method", recordings_table(fit.recordings), details)

@@ -1,4 +1,4 @@
-"""What pages of fits and of diagnoses share: recordings, parameters, and pictures of their intervals."""
+"""Parts that pages of fits and diagnoses share: recordings, parameters, names of terms."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from collections.abc import Sequence
 
 from labhil.analysis.schema import ChannelErrors, ChannelImprovement, Parameter, Source
 from labhil.physics.terms import keyed, listed
+from labhil.report.formatting import NOTHING, format_count, format_percent, format_quantity
 from labhil.report.html.element import Content, Markup, join, tag
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import NOTHING, count, percent, quantity
 from labhil.report.html.table import numbers, table, text
 from labhil.report.intervals_plot import drawable, intervals_figure
 from labhil.report.parameter_columns import COLUMNS
 
 
 def recordings_table(sources: Sequence[Source]) -> Markup:
-    """Which recordings a result comes from."""
+    """Make a table of the recordings that a result comes from."""
     columns = (*text("Recording", "Role"), *numbers("Samples", "Duration"), *text("SHA-256"))
     rows = [
         (
             tag("code", source.path),
             source.role if source.recording is None else f"{source.role} @{source.recording}",
-            count(source.samples),
-            quantity(source.duration, "s"),
+            format_count(source.samples),
+            format_quantity(source.duration, "s"),
             tag("code", source.sha256, class_="hash"),
         )
         for source in sources
@@ -31,7 +31,16 @@ def recordings_table(sources: Sequence[Source]) -> Markup:
 
 
 def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool = False) -> Markup | None:
-    """Values with errors and intervals; with ``reference``, the reference text's own error beside ours."""
+    """Make a table of parameters with errors and intervals.
+
+    Args:
+        rows: The parameters.
+        caption: Caption of the table.
+        reference: Whether to show the standard error of the reference text beside ours.
+
+    Returns:
+        The table; None where there are no parameters.
+    """
     if not rows:
         return None
     shown = [
@@ -46,7 +55,7 @@ def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool
 
 
 def remark(row: Parameter) -> str:
-    """What a reader has to know of an estimate beside its numbers."""
+    """Return what qualifies an estimate: held, not identifiable, at its bound, significant."""
     if row.held:
         return "held"
     if not row.identifiable:
@@ -58,18 +67,18 @@ def remark(row: Parameter) -> str:
 
 
 def intervals_picture(album: Album, rows: Sequence[Parameter]) -> Markup | None:
-    """Every parameter with its 99 % interval, in per cent of its value."""
+    """Draw every parameter with its 99 % interval, in per cent of its value."""
     if not drawable(rows):
         return None
     caption = (
         "99 % intervals in per cent of the estimate. Grey: not significantly different from zero, "
-        "or not identifiable. An arrow: the interval goes on."
+        "or not identifiable. An arrow: the interval continues."
     )
     return album.picture(caption, lambda: intervals_figure(rows))
 
 
 def name_code(name: str, joint: int | None = None, recording: int | None = None) -> Markup:
-    """A name as code, which a narrow column may break behind its dots."""
+    """Return a name as code that may be broken after its dots."""
     first, *parts = keyed(name, joint, recording).split(".")
     return tag("code", first, *(join((".", tag("wbr"), part)) for part in parts))
 
@@ -77,17 +86,23 @@ def name_code(name: str, joint: int | None = None, recording: int | None = None)
 def channel_name(
     row: ChannelErrors | ChannelImprovement, metric: str, recording: int | None = None
 ) -> Content:
-    """A channel's name, with its metric where that is not the headline's ``metric``."""
+    """Return a channel's name, with its metric where that is not the one of the score.
+
+    Args:
+        row: The errors of the channel.
+        metric: The metric of the score.
+        recording: Number of its recording, where there are several.
+    """
     name = name_code(row.channel, row.joint, recording)
     if row.metric in (None, metric):
         return name
     share = row.relative_error if isinstance(row, ChannelErrors) else None
-    error = "" if share is None else f", {percent(share)} of the RMS"
+    error = "" if share is None else f", {format_percent(share)} of the RMS"
     return join((name, f" ({str(row.metric).replace('_', ' ')}{error})"))
 
 
 def bars(before: float | None, after: float | None, floor: float | None) -> Markup | None:
-    """Two bars, before above after, with a line at the noise floor."""
+    """Draw two bars, before above after, with a line at the noise floor; None without both."""
     known = [value for value in (before, after, floor) if value is not None]
     largest = max(known, default=0.0)
     if largest <= 0.0 or before is None or after is None:
@@ -107,12 +122,12 @@ def bars(before: float | None, after: float | None, floor: float | None) -> Mark
 
 
 def warning(*content: Content) -> Markup:
-    """A paragraph that must not be overlooked."""
+    """Return a paragraph in the style of a warning."""
     return tag("p", *content, class_="warning")
 
 
 def names(terms: Sequence[str]) -> Markup:
-    """Names of terms as code, with commas; the joints of a name together."""
+    """Return names of terms as code, separated by commas, with the joints of a term in one name."""
     pieces: list[Content] = []
     for i, term in enumerate(listed(terms)):
         pieces += [", " if i else None, tag("code", term)]

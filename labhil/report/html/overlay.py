@@ -1,7 +1,7 @@
 """Several models over one measurement, each of which the reader can switch on and off.
 
-Without a script, too: a legend entry is a checkbox, and the page's style hides what belongs to one that
-is not checked. Lines carry the number of their model in their identifier, ``…-model-2-…``.
+It works without a script: a legend entry is a checkbox, and ``style.css`` hides what belongs to an unchecked
+one. Lines have the number of their model in their identifier, ``…-model-2-…``.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from matplotlib.figure import Figure
 from labhil.analysis.comparison import ComparedRecording, ComparisonResult
 from labhil.physics.terms import keyed
 from labhil.report.figure import MEASURED, figure_of, finish
+from labhil.report.formatting import format_quantity
 from labhil.report.html.element import Markup, tag
 from labhil.report.html.picture import Album, label
-from labhil.report.html.quantity import quantity
 from labhil.report.html.signals import envelope
 from labhil.signals import FloatArray, IntArray
 
@@ -39,7 +39,7 @@ WINDOW_STEP = 2
 
 
 def overlays(comparison: ComparisonResult, album: Album) -> tuple[Markup, ...]:
-    """A legend with switches, then a picture of each output of each recording."""
+    """Make a legend with switches, and a picture of each output of each recording."""
     outputs = [
         (r, j)
         for r, recording in enumerate(comparison.recordings)
@@ -56,7 +56,7 @@ def overlays(comparison: ComparisonResult, album: Album) -> tuple[Markup, ...]:
 
 
 def switches(names: Sequence[str]) -> list[Markup]:
-    """A checkbox for each model, with its label; they stand before what they switch."""
+    """Make a checkbox for each model, with its label; they come before the pictures that they switch."""
     elements = []
     for number, name in enumerate(("measured", *names)):
         elements += [
@@ -97,7 +97,7 @@ def _draw(recording: ComparedRecording, j: int) -> Figure:
     name = label("error", channel.unit)
     if worst > FAR_OFF * floor:
         below.set_yscale("symlog", linthresh=LINEAR * floor, linscale=1.2)
-        below.yaxis.set_major_formatter(lambda value, _place: quantity(value, digits=1))
+        below.yaxis.set_major_formatter(lambda value, _place: format_quantity(value, digits=1))
         name = label("error (log. scale)", channel.unit)
     _limit(above, measured, 0.35)
     finish(above, "", "", label(keyed(channel.channel, channel.joint), channel.unit))
@@ -109,14 +109,14 @@ def _draw(recording: ComparedRecording, j: int) -> Figure:
 def _line(
     axes: Axes, t: FloatArray, values: FloatArray, window: IntArray, identifier: str, **style: Any
 ) -> None:
-    """A line with a gap where a new window begins, of few points however long it is."""
+    """Draw a line of few points, with a gap where a new window begins."""
     finite = np.where(np.isfinite(values), values, np.nan)
     x, y = envelope(t, finite, WINDOW_STEP * window + np.arange(len(t)))
     axes.plot(x, y, gid=identifier, **style)
 
 
 def _limit(axes: Axes, measured: FloatArray, room: float) -> None:
-    """Hold the picture at the measurement, so that a simulation that runs away does not flatten it."""
+    """Limit the y axis to the measurement, so that a diverging simulation does not flatten it."""
     low, high = float(measured.min()), float(measured.max())
     margin = room * max(high - low, 1e-12)
     bottom, top = axes.get_ylim()

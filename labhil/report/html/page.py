@@ -19,8 +19,8 @@ FEWEST_FOR_CONTENTS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """A part of a page under its own heading."""
+class PageSection:
+    """Hold a part of a page with its heading."""
 
     title: str
     content: tuple[Content, ...]
@@ -28,18 +28,28 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page; ``tone`` colours its headline (a verdict, or "plain"), ``lead`` stands before all sections."""
+    """Hold a page.
+
+    Attributes:
+        kind: Kind of page, above the headline.
+        title: Title of the window.
+        headline: The result in one sentence.
+        tone: Colour of the headline: a verdict, or "plain".
+        lead: Content before all sections.
+        sections: The sections, listed in the contents.
+        foot: Last line: where the page comes from.
+    """
 
     kind: str
     title: str
     headline: str
     tone: str
     lead: tuple[Content, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[PageSection, ...]
     foot: str
 
     def html(self) -> str:
-        """The whole file."""
+        """Return the whole file."""
         script = _file("zoom.js")
         head = tag(
             "head",
@@ -56,18 +66,27 @@ class Page:
         return f"<!DOCTYPE html>\n{tag('html', head, body, lang='en-GB').text}\n"
 
 
-def section(title: str, *content: Content) -> Section | None:
-    """A section, or None when nothing stands in it."""
-    return Section(title, content) if any(piece is not None for piece in content) else None
+def section(title: str, *content: Content) -> PageSection | None:
+    """Make a section; None where all its content is None."""
+    return PageSection(title, content) if any(piece is not None for piece in content) else None
 
 
-def present(*sections: Section | None) -> tuple[Section, ...]:
-    """The sections that are there."""
+def drop_empty(*sections: PageSection | None) -> tuple[PageSection, ...]:
+    """Return the sections that are not None."""
     return tuple(part for part in sections if part is not None)
 
 
 def write_page(page: Page, path: Path) -> None:
-    """Write a page; UsageError when the file cannot be written, DiskFailedError when the disk is full."""
+    """Write a page.
+
+    Args:
+        page: The page.
+        path: The file.
+
+    Raises:
+        UsageError: The file cannot be written.
+        DiskFailedError: The disk is full or fails.
+    """
     with whole(path, "the page") as draft:
         draft.write_text(page.html(), encoding="utf-8")
 

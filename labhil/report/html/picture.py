@@ -1,4 +1,4 @@
-"""Figures as SVG inside a page."""
+"""Figures as SVG inside a page, with the values along their axes for ``zoom.js``."""
 
 from __future__ import annotations
 
@@ -41,13 +41,18 @@ NO_METADATA = dict.fromkeys(("Creator", "Date", "Format", "Type"))
 
 
 class Album:
-    """The pictures of one page, numbered, so that no two of them share an identifier."""
+    """Number the pictures of one page, so that no two of them share an identifier."""
 
     def __init__(self) -> None:
         self._numbers = count(1)
 
     def picture(self, caption: str, draw: Callable[[], Figure]) -> Markup:
-        """A figure with its caption, which is also its text for those who cannot see it."""
+        """Draw a figure as SVG with a caption.
+
+        Args:
+            caption: The caption, which is also the text for screen readers.
+            draw: Draws the figure, with the settings of pages in force.
+        """
         with mpl.rc_context(SETTINGS), warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*[Gg]lyph", category=UserWarning)
             svg = _svg(draw(), f"f{next(self._numbers)}-", caption)
@@ -74,7 +79,7 @@ def _svg(figure: Figure, prefix: str, title: str) -> Markup:
 
 
 def _place(figure: Figure, axes: Axes, gid: str) -> dict[str, Any]:
-    """Position of a plot in its drawing, in points from the upper left, and the values along its axes."""
+    """Position of axes in the drawing, in points from the upper left, and the values along them."""
     width, height = 72.0 * figure.get_size_inches()
     box = axes.get_position()
     left, top = box.x0 * width, (1.0 - box.y1) * height
@@ -95,7 +100,7 @@ def _place(figure: Figure, axes: Axes, gid: str) -> dict[str, Any]:
 
 
 def _table(places: FloatArray, values: FloatArray) -> dict[str, list[float]]:
-    """Places (points) and the values there; of a linear axis only its ends."""
+    """Positions (points) and the values there; only the ends of a linear axis."""
     straight = np.interp(places, places[[0, -1]], values[[0, -1]])
     if np.allclose(values, straight, rtol=0.0, atol=1e-9 * np.ptp(values)):
         places, values = places[[0, -1]], values[[0, -1]]
@@ -103,20 +108,20 @@ def _table(places: FloatArray, values: FloatArray) -> dict[str, list[float]]:
 
 
 def _slim(svg: str) -> str:
-    """The same drawing without styles that the page has, and with coordinates to a hundredth."""
+    """The drawing without styles that the page has, with coordinates rounded to 0.01."""
     svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, count=1, flags=re.DOTALL)
     svg = re.sub(r" font-family: [^;\"]*sans-serif;", "", svg)
     return re.sub(r' d="[^"]*"', lambda path: LONG_DECIMAL.sub(r"\1", path[0].replace("\n", "")), svg)
 
 
 def _prefix_ids(svg: str, prefix: str) -> str:
-    """The same drawing with all its identifiers, and what refers to them, under a prefix."""
+    """The drawing with a prefix before all identifiers and references to them."""
     svg = re.sub(r'(\sid=")', rf"\g<1>{prefix}", svg)
     svg = re.sub(r'((?:xlink:)?href="#)', rf"\g<1>{prefix}", svg)
     return re.sub(r"(url\(#)", rf"\g<1>{prefix}", svg)
 
 
 def label(text: str, unit: str = "") -> str:
-    """What stands at an axis: name and unit."""
+    """Return the label of an axis: name and unit, cut where it is long."""
     full = clean(f"{text}, {unit}" if unit else text)
     return full if len(full) <= LONGEST_LABEL else f"{full[:LONGEST_LABEL]}…"

@@ -1,4 +1,4 @@
-"""A recording as a page: its streams, what was lost, every signal drawn, and the files that it carries."""
+"""The page of a recording: streams, losses, every signal, events, attached files."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from labhil.recording.recording import Event, Recording, StreamData
+from labhil.report.formatting import format_count, format_multiple, format_quantity
 from labhil.report.html.element import Content, Markup, tag
 from labhil.report.html.model import warning
-from labhil.report.html.page import Page, Section, present, section
+from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.picture import Album
-from labhil.report.html.quantity import count, multiple, quantity
 from labhil.report.html.signals import signal_picture, timing_picture
 from labhil.report.html.table import facts, numbers, table, text, tiles
 from labhil.signals import IntArray
@@ -25,14 +25,20 @@ ROUTINE = frozenset({"status"})
 
 
 def recording_page(recording: Recording, foot: str, album: Album) -> Page:
-    """The page of a recording."""
+    """Make the page of a recording.
+
+    Args:
+        recording: The recording.
+        foot: Last line of the page: where it comes from.
+        album: The pictures of the page.
+    """
     return Page(
         kind=_kind(recording),
         title=f"Recording {recording.path.name}",
         headline=recording.path.name,
         tone="plain",
         lead=_lead(recording),
-        sections=present(
+        sections=drop_empty(
             section("Streams", _streams(recording), *_clock_faults(recording), *_gaps(recording)),
             *(_signals(data, album) for data in recording.streams),
             _events(recording),
@@ -49,12 +55,12 @@ def _kind(recording: Recording) -> str:
 
 def _lead(recording: Recording) -> tuple[Content, ...]:
     lost = sum(data.lost for data in recording.streams)
-    kept = sum(len(data) for data in recording.streams)
+    n_samples = sum(len(data) for data in recording.streams)
     figures = tiles(
         (
-            ("Duration", quantity(recording.duration, "s"), "time of analysis, first sample to last"),
-            ("Streams", len(recording.streams), f"{count(kept)} samples"),
-            ("Samples lost", count(lost), "holes in the sequence numbers"),
+            ("Duration", format_quantity(recording.duration, "s"), "time of analysis, first sample to last"),
+            ("Streams", len(recording.streams), f"{format_count(n_samples)} samples"),
+            ("Samples lost", format_count(lost), "holes in the sequence numbers"),
             ("File", "complete" if recording.complete else "incomplete", "whether it has its end"),
         )
     )
@@ -80,15 +86,15 @@ def _stream(data: StreamData) -> list[Content]:
     clock = data.clock
     return [
         tag("code", _name(data)),
-        count(len(data)),
-        count(data.lost),
-        count(len(_holes(data))),
-        quantity(data.stream.rate, "Hz"),
-        quantity(data.rate if len(data) else None, "Hz"),
-        quantity(float(data.t[-1] - data.t[0]) if len(data) else None, "s"),
-        multiple(data.speed, 1.0),
-        quantity(1e6 * clock.drift, "ppm", digits=3) if clock.device_clock else "no device clock",
-        quantity(1e3 * clock.jitter, "ms", digits=3),
+        format_count(len(data)),
+        format_count(data.lost),
+        format_count(len(_holes(data))),
+        format_quantity(data.stream.rate, "Hz"),
+        format_quantity(data.rate if len(data) else None, "Hz"),
+        format_quantity(float(data.t[-1] - data.t[0]) if len(data) else None, "s"),
+        format_multiple(data.speed, 1.0),
+        format_quantity(1e6 * clock.drift, "ppm", digits=3) if clock.device_clock else "no device clock",
+        format_quantity(1e3 * clock.jitter, "ms", digits=3),
     ]
 
 
@@ -97,7 +103,7 @@ def _name(data: StreamData) -> str:
 
 
 def _holes(data: StreamData) -> IntArray:
-    """Rows after which samples are missing, as indices."""
+    """Indices of rows after which samples are missing."""
     return np.asarray(np.flatnonzero(np.diff(data.seq) > 1), dtype=np.int64)
 
 
@@ -114,14 +120,18 @@ def _gaps(recording: Recording) -> Iterator[Markup]:
             continue
         lost = np.diff(data.seq)[rows] - 1
         gaps = [
-            (quantity(float(data.t[row]), "s", digits=6), quantity(float(data.t[row + 1]), "s", digits=6), n)
+            (
+                format_quantity(float(data.t[row]), "s", digits=6),
+                format_quantity(float(data.t[row + 1]), "s", digits=6),
+                n,
+            )
             for row, n in zip(rows[:MOST_GAPS].tolist(), lost.tolist(), strict=False)
         ]
         more = f", the first {MOST_GAPS} of {len(rows)}" if len(rows) > MOST_GAPS else ""
         yield table(f"Gaps of {_name(data)}{more}", numbers("After", "Until", "Samples lost"), gaps)
 
 
-def _signals(data: StreamData, album: Album) -> Section | None:
+def _signals(data: StreamData, album: Album) -> PageSection | None:
     columns = (
         *text("Signal", "Direction", "Unit"),
         *numbers("Smallest", "Largest", "Mean", "Standard deviation"),
@@ -149,12 +159,12 @@ def _signal_rows(data: StreamData, name: str) -> Iterator[list[Content]]:
             tag("code", title),
             signal.direction.value,
             signal.unit,
-            *(quantity(number) for number in statistics),
+            *(format_quantity(number) for number in statistics),
             signal.description,
         ]
 
 
-def _events(recording: Recording) -> Section | None:
+def _events(recording: Recording) -> PageSection | None:
     events = [event for event in recording.events if event.topic not in ROUTINE]
     if not events:
         return None
@@ -177,21 +187,23 @@ def _event(event: Event) -> list[Content]:
     ]
 
 
-def _attachment(name: str, content: bytes) -> Section | None:
-    """An attached file: as text where it is text, else by its size."""
+def _attachment(name: str, content: bytes) -> PageSection | None:
+    """An attached file as text; binary files by their size."""
     try:
         decoded = content.decode("utf-8")
     except UnicodeDecodeError:
-        return section(f"Attached: {name}", tag("p", f"{count(len(content))} bytes that are no text."))
+        return section(f"Attached: {name}", tag("p", f"{format_count(len(content))} bytes that are no text."))
     note = None
     if len(decoded) > MOST_CHARACTERS:
         note = tag(
-            "p", f"The first {count(MOST_CHARACTERS)} of {count(len(decoded))} characters.", class_="quiet"
+            "p",
+            f"The first {format_count(MOST_CHARACTERS)} of {format_count(len(decoded))} characters.",
+            class_="quiet",
         )
     return section(f"Attached: {name}", note, tag("pre", decoded[:MOST_CHARACTERS]))
 
 
-def _metadata(recording: Recording) -> Section | None:
+def _metadata(recording: Recording) -> PageSection | None:
     parts: list[Content] = []
     for name, entries in recording.metadata.items():
         parts += _entries(name, entries)

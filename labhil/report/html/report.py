@@ -1,4 +1,4 @@
-"""From a file to its page: what kind it is, and which page that makes."""
+"""The page of a file: a recording, or the JSON of a result."""
 
 from __future__ import annotations
 
@@ -28,9 +28,16 @@ from labhil.report.html.verification import verification_page
 
 
 def report_page(path: Path, run: int | None = None) -> Page:
-    """The page of a recording (of its ``run``, where it holds several), or of the JSON of a result.
+    """Make the page of a recording or of the JSON of a result.
 
-    Raises RecordingError or ModelFileError when the file is neither, with what was expected.
+    Args:
+        path: The file.
+        run: Which run, from 1, where a recording holds several.
+
+    Raises:
+        RecordingError: The recording cannot be read, or has no streams.
+        ModelFileError: The file is neither a recording nor a result.
+        UsageError: ``run`` is given for a result.
     """
     data = _bytes_of(path)
     foot = f"Made from {path}, SHA-256 {hashlib.sha256(data).hexdigest()}."

@@ -1,4 +1,4 @@
-"""Signals of a recording drawn, however long they are: the smallest and largest of each stretch of time."""
+"""Signals of a recording as pictures of few points, by the extremes of each interval of time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from labhil.report.html.element import Markup
 from labhil.report.html.picture import Album, label
 from labhil.signals import Direction, FloatArray, Hold, IntArray, Signal
 
-STRETCHES = 900
-"""About as many as a page has pixels."""
+INTERVALS = 900
+"""Intervals of time in a picture: about as many as a page has pixels."""
 
 COLOURS = ("#1f5f8b", "#c8553d", "#2a7f62", "#8a5a00", "#7c3a85", "#57606a")
 LEFT, RIGHT = 0.09, 0.985
@@ -21,15 +21,15 @@ LEFT, RIGHT = 0.09, 0.985
 
 
 def signal_picture(album: Album, data: StreamData, signal: Signal) -> Markup:
-    """One signal over time; a vector has a line per column."""
+    """Draw one signal over time, with a line for each column of a vector."""
     about = f" ({signal.description})" if signal.description else ""
     caption = f"{signal.name}{about}, {signal.direction.value} of /{data.device}/{data.stream.name}."
     return album.picture(caption, lambda: _draw_signal(data, signal))
 
 
 def timing_picture(album: Album, data: StreamData) -> Markup:
-    """Time from each sample to the next."""
-    caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; a gap stands out."
+    """Draw the time from each sample to the next."""
+    caption = f"Time from each sample of /{data.device}/{data.stream.name} to the next; gaps are peaks."
     return album.picture(caption, lambda: _draw_timing(data))
 
 
@@ -81,28 +81,33 @@ def _strip(height: float, *, legend: bool = False) -> tuple[Figure, Axes]:
 
 
 def envelope(t: FloatArray, values: FloatArray, seq: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Times and values of a line that shows every extreme of (t, values), both (n,), with few points.
+    """Reduce a line to few points that show every extreme.
 
-    Each of ``STRETCHES`` stretches keeps its smallest and its largest value, in their order. Where ``seq``
-    has holes the line is broken by a NaN.
+    Args:
+        t: (n,), times.
+        values: (n,), values; NaN counts as no extreme.
+        seq: (n,), sequence numbers; a hole in them breaks the line.
+
+    Returns:
+        Times and values (m,), m at most about 1800, with NaN at breaks.
     """
-    kept = np.arange(len(values)) if len(values) <= 2 * STRETCHES else _extremes(values)
-    drawn = values[kept]
+    rows = np.arange(len(values)) if len(values) <= 2 * INTERVALS else _extremes(values)
+    drawn = values[rows]
     if seq is None:
-        return t[kept], drawn
-    missing = np.concatenate(([0], np.cumsum(np.diff(seq) > 1)))[kept]
+        return t[rows], drawn
+    missing = np.concatenate(([0], np.cumsum(np.diff(seq) > 1)))[rows]
     breaks = np.flatnonzero(np.diff(missing) > 0) + 1
-    return np.insert(t[kept], breaks, t[kept][breaks]), np.insert(drawn, breaks, np.nan)
+    return np.insert(t[rows], breaks, t[rows][breaks]), np.insert(drawn, breaks, np.nan)
 
 
 def _extremes(values: FloatArray) -> IntArray:
-    """Rows of the smallest and largest of each stretch, increasing; NaN counts as neither."""
+    """Rows of the smallest and largest value of each interval, increasing."""
     n = len(values)
-    width = -(-n // STRETCHES)
-    stretches = -(-n // width)
-    padded = np.concatenate((values, np.full(stretches * width - n, np.nan)))
-    starts = np.arange(stretches) * width
+    width = -(-n // INTERVALS)
+    n_intervals = -(-n // width)
+    padded = np.concatenate((values, np.full(n_intervals * width - n, np.nan)))
+    starts = np.arange(n_intervals) * width
     unknown = np.isnan(padded)
-    smallest = starts + np.where(unknown, np.inf, padded).reshape(stretches, width).argmin(axis=1)
-    largest = starts + np.where(unknown, -np.inf, padded).reshape(stretches, width).argmax(axis=1)
+    smallest = starts + np.where(unknown, np.inf, padded).reshape(n_intervals, width).argmin(axis=1)
+    largest = starts + np.where(unknown, -np.inf, padded).reshape(n_intervals, width).argmax(axis=1)
     return np.unique(np.concatenate((smallest, largest, [0, n - 1])))

@@ -1,4 +1,4 @@
-"""Pages of fresh results, with the pictures that need the data and not only the JSON."""
+"""Pages of fresh results, with the pictures that need the samples."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def write_fit_page(result: FitResult, path: Path) -> None:
     """Write the page of a fit; UsageError when the file cannot be written."""
     album = Album()
     caption = (
-        "For each channel: simulated windows beside the measurement, their errors with the noise floor, how "
-        "the errors are distributed, and how the fitted residuals are correlated in time."
+        "For each channel: simulated windows beside the measurement, their errors with the noise floor, the "
+        "distribution of the errors, and the autocorrelation of the fitted residuals."
     )
     drawn = album.picture(caption, lambda: fit_figure(result.fit, result.material.test, columns=2))
     part = result.part
@@ -32,8 +32,8 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
     """Write the page of a diagnosis; UsageError when the file cannot be written."""
     album = Album()
     caption = (
-        "Windows simulated before and after, their errors over time with the noise floor, each effect that "
-        "the baseline leaves out over the coordinate where it lives, and how the errors are distributed."
+        "Windows simulated before and after, their errors over time with the noise floor, each missing "
+        "effect over the coordinate that reveals it, and the distribution of the errors."
     )
     diagnosis = result.diagnosis
     drawn = [album.picture(caption, lambda: diagnosis_figure(diagnosis))]
@@ -51,5 +51,5 @@ def _channel_picture(album: Album, result: DiagnosisResult, j: int) -> Markup:
 
 
 def foot_of(result: FitPart | DiagnosisPart | VerificationPart | ComparisonPart) -> str:
-    """Where a page comes from."""
+    """Return the last line of a page: the recordings that it comes from."""
     return f"Made from {', '.join(source.path for source in result.recordings)}."

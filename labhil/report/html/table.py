@@ -1,4 +1,4 @@
-"""Tables with captions and headers that a screen reader can follow."""
+"""Tables, lists and tiles of a page, with captions and headers for screen readers."""
 
 from __future__ import annotations
 
@@ -10,24 +10,30 @@ from labhil.report.html.element import Content, Markup, join, tag
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its heading, and whether numbers stand in it (they line up at the right)."""
+    """Declare a column: its heading, and whether it holds numbers, which are aligned at the right."""
 
     title: Content
     number: bool = False
 
 
 def text(*titles: str) -> tuple[Column, ...]:
-    """Columns of text."""
+    """Declare columns of text."""
     return tuple(Column(title) for title in titles)
 
 
 def numbers(*titles: str) -> tuple[Column, ...]:
-    """Columns of numbers."""
+    """Declare columns of numbers."""
     return tuple(Column(title, number=True) for title in titles)
 
 
 def table(caption: str, columns: Sequence[Column], rows: Iterable[Sequence[Content]]) -> Markup:
-    """A table; the first cell of a row is its header. On a narrow screen it scrolls by itself."""
+    """Make a table, which scrolls by itself on a narrow screen.
+
+    Args:
+        caption: Caption of the table.
+        columns: The columns.
+        rows: Cells of each row; the first is the header of its row.
+    """
     heading = tag("tr", *(tag("th", c.title, scope="col", class_=_class(c)) for c in columns))
     element = tag(
         "table",
@@ -52,13 +58,18 @@ def _class(column: Column) -> str | None:
 
 
 def facts(pairs: Iterable[tuple[Content, Content]], class_: str | None = None) -> Markup:
-    """Names and values, one pair under another; in one row with the class "row"."""
+    """Make a list of names and values.
+
+    Args:
+        pairs: Names and values.
+        class_: Class of the element; "row" puts all pairs in one row.
+    """
     entries = (tag("div", tag("dt", name), tag("dd", value)) for name, value in pairs)
     return tag("dl", *entries, class_=class_)
 
 
 def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
-    """The few figures that are read first: what it is, its value, a remark."""
+    """Make tiles of key figures: name, value and remark of each."""
     return tag(
         "dl",
         *(
@@ -70,10 +81,10 @@ def tiles(entries: Iterable[tuple[str, Content, Content]]) -> Markup:
 
 
 def with_code(text: str) -> Markup:
-    """A text whose commands stand between backticks."""
+    """Return a text with its parts between backticks as code."""
     return join(tag("code", piece) if i % 2 else piece for i, piece in enumerate(text.split("`")))
 
 
 def bullets(lines: Iterable[Content]) -> Markup:
-    """A list."""
+    """Make a list with bullets."""
     return tag("ul", *(tag("li", line) for line in lines))

@@ -1,8 +1,9 @@
-"""The tabs, and the panes behind them; what lies under the panes is drawn as cheaply as it looks."""
+"""The tabs and their panes, with cheap backgrounds."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
@@ -15,13 +16,13 @@ from textual.widgets import Tab, Tabs
 
 
 class Backdrop(Widget):
-    """What has no border and shows nothing but its background: one line stands for all.
+    """Draw a background without border and content as copies of one line.
 
-    Textual draws also what others cover, line by line.
+    Textual also draws what other widgets cover, line by line.
     """
 
     def render_lines(self, crop: Region) -> list[Strip]:
-        """The background, with the terminal's filters applied."""
+        """Return the background, with the terminal's filters applied."""
         line = Strip.blank(crop.width, self.visual_style.rich_style)
         background = self.background_colors[1]
         for line_filter in self.get_line_filters():
@@ -30,46 +31,64 @@ class Backdrop(Widget):
 
 
 class LabScreen(Screen[None], Backdrop):
-    """The screen under the tabs; it looks the same wherever the keys go."""
+    """Hold the tabs; it looks the same wherever the focus is."""
 
     focused: Reactive[Widget | None] = Reactive(None, repaint=False)
 
 
-class Pages(Vertical, Backdrop):
-    """Panes of which the one in front is displayed, with their tabs above.
+class Pane(Backdrop):
+    """Fill a tab; the app refreshes the pane in front."""
 
-    All are mounted; one that is not displayed takes no part in layouts.
+    MAIN_WIDGET: ClassVar[str]
+    """Selector of the widget that has the focus when the tab is opened."""
+
+    def refresh_view(self) -> None:
+        """Show the present state; called several times a second."""
+
+    def refresh_list(self) -> None:
+        """List the files of the folder again; called every few seconds."""
+
+
+class TabbedPanes(Vertical, Backdrop):
+    """Display one of several panes, with their tabs above.
+
+    All are mounted; a hidden one takes no part in layouts.
 
     Args:
         panes: Title and pane, by the name of the tab.
-        first: The tab in front at first.
+        first: Name of the first tab in front.
     """
 
     active: reactive[str] = reactive("", init=False, repaint=False)
     """The name of the tab in front."""
 
-    def __init__(self, panes: Mapping[str, tuple[str, Widget]], first: str) -> None:
+    def __init__(self, panes: Mapping[str, tuple[str, Pane]], first: str) -> None:
         super().__init__(id="tabs")
         self._titles = {name: title for name, (title, _) in panes.items()}
         self.panes = {name: pane for name, (_, pane) in panes.items()}
-        self.set_reactive(Pages.active, first)
+        self.set_reactive(TabbedPanes.active, first)
 
     def compose(self) -> ComposeResult:
-        """The row of tabs, and the panes."""
+        """Lay out the row of tabs and the panes."""
         yield Tabs(*[Tab(title, id=name) for name, title in self._titles.items()], active=self.active)
         for name, pane in self.panes.items():
             pane.display = name == self.active
             yield pane
 
+    @property
+    def front(self) -> Pane:
+        """The pane in front."""
+        return self.panes[self.active]
+
     def watch_active(self, before: str, active: str) -> None:
-        """Bring a pane to the front: both changes are one layout."""
+        """Bring a pane to the front, with one layout for both changes."""
         with self.app.batch_update(), self.prevent(Tabs.TabActivated):
             self.panes[before].display = False
             self.panes[active].display = True
             self.query_one(Tabs).active = active
 
     def on_tabs_tab_activated(self, event: Tabs.TabActivated) -> None:
-        """A tab was clicked, or reached with the arrows."""
+        """Follow a tab that was clicked, or reached with the arrows."""
         event.stop()
         if event.tab.id is not None:
             self.active = event.tab.id

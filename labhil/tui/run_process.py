@@ -1,10 +1,10 @@
-"""A run in a process of its own: what the screen draws can neither delay nor end it by accident.
+"""The process of a run, which the screen can neither delay nor end by accident.
 
-``python -m labhil.tui.running`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
+``python -m labhil.tui.run_process`` reads ``{"experiment": path, "out": folder}`` first, then ``{"do":
 "pause" | "resume" | "stop" | "abort", "reason": …}``, or ``{"do": "mark", "text": …, "steady_ns": …}`` with
-the moment by the machine's steady clock. It writes its progress ten times a second, each refusal, and at
-the end its result. When its standard input ends without a request before, the starter has crashed or was
-killed: the run is aborted, devices safe, recording complete, exit status 1.
+a time of the machine's steady clock. It writes its progress ten times a second, each refusal, and at the end
+its result. When its standard input ends without a request before, the starter has crashed or was killed: the
+run is aborted, with devices safe, the recording complete, and exit status 1.
 """
 
 from __future__ import annotations
@@ -24,8 +24,13 @@ from labhil.host_clock import steady_ns
 GONE = "the terminal UI that started the run is gone"
 
 
-def obey(control: RunControl, line: dict[str, Any]) -> None:
-    """Carry out the request of a line; report a refusal where the run's state does not allow it."""
+def dispatch(control: RunControl, line: dict[str, Any]) -> None:
+    """Carry out the request of a line; write a refusal where the state of the run does not allow it.
+
+    Args:
+        control: Controls the run.
+        line: The request.
+    """
     reason = str(line.get("reason", "told to by the terminal UI"))
     try:
         match line.get("do"):
@@ -43,8 +48,8 @@ def obey(control: RunControl, line: dict[str, Any]) -> None:
         say({"refused": str(error)})
 
 
-def end(control: RunControl) -> None:
-    """Abort the run, in whatever state it is: nobody watches it any more."""
+def abort_run(control: RunControl) -> None:
+    """Abort the run in whatever state it is, since nobody watches it any more."""
     if control.is_to_end():
         return  # an end was requested before
     try:
@@ -54,7 +59,7 @@ def end(control: RunControl) -> None:
 
 
 def main() -> int:
-    """Run the process; returns its exit status."""
+    """Run the process; return its exit status."""
     request = read_request()
     control = RunControl()
     refusals = {""}
@@ -74,7 +79,7 @@ def main() -> int:
 
     try:
         experiment = load_experiment(Path(request["experiment"]))
-        on_further_lines(lambda line: obey(control, line), lambda: end(control))
+        on_further_lines(lambda line: dispatch(control, line), lambda: abort_run(control))
         result = run_experiment(experiment, Path(request["out"]), report, control)
     except LabhilError as error:
         say({"result": None, "error": str(error)})

@@ -1,4 +1,4 @@
-"""Ends of the screen that come from outside: a signal, and a web server that is gone."""
+"""Shutdown from outside: by a signal, or by the end of the web server."""
 
 from __future__ import annotations
 
@@ -18,21 +18,26 @@ from labhil.supervised import SupervisedThread
 
 ENDINGS = (signal.SIGTERM, signal.SIGHUP)
 SERVER = "LABHIL_WEB_SERVER"
-"""The variable that holds the process of the web server, for the process of a page."""
+"""Environment variable with the process id of the web server, for the process of a page."""
 
 
 class Stoppable(Protocol):
-    """Ends a run in order on request."""
+    """End a run in order on request."""
 
-    def ask(self, what: str, reason: str = "") -> None:
+    def request(self, what: str, reason: str = "") -> None:
         """Request ``stop``."""
 
 
 def end_in_order(app: App[None], runner: Stoppable) -> None:
-    """Let signals end ``app`` and its run in order; in a page, so does the end of its web server."""
+    """End the app and its run in order on SIGTERM and SIGHUP; a page also with its web server.
+
+    Args:
+        app: The app.
+        runner: Its run.
+    """
 
     def end(number: signal.Signals) -> None:
-        runner.ask("stop", f"the terminal UI was ended by {number.name}")
+        runner.request("stop", f"the terminal UI was ended by {number.name}")
         app.exit(return_code=128 + number)
 
     if threading.current_thread() is not threading.main_thread():
@@ -51,10 +56,10 @@ def end_in_order(app: App[None], runner: Stoppable) -> None:
 def _end_with(
     server: int, end: Callable[[], object], *, interval: float = 0.5, patience: float = 20.0
 ) -> None:
-    """End this process with its server, by force where it does not end in order within ``patience`` s.
+    """End this process with its server, by force where it does not end within ``patience`` s.
 
-    A screen that draws into a broken pipe may not come to its end. The run that it started sees the end of
-    its input in either case, and ends in order.
+    A screen that draws into a broken pipe may never end. The run that it started sees the end of its input in
+    either case, and ends in order.
     """
     while os.getppid() == server:
         time.sleep(interval)

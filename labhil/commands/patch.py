@@ -1,4 +1,4 @@
-"""`labhil patch`: what a diagnosis found, put into the file of the simulator."""
+"""The command ``labhil patch``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from labhil.analysis.patch import Patch
 
 
-def add_repair(app: typer.Typer) -> None:
+def add_patch(app: typer.Typer) -> None:
     """Register this command."""
     app.command(
         cls=JsonFlagCommand,
@@ -34,40 +34,40 @@ def patch(
     holdout: Annotated[float, typer.Option(help="Share that the diagnosis held out at the end.")] = 0.3,
     json_path: JsonOption = None,
 ) -> None:
-    """Write a copy of a MuJoCo file with the values and effects that were found, and show the difference.
+    """Write a copy of a MuJoCo file with the values and terms of a result, and show the difference.
 
     The new file is loaded and run on the held-out data, and is not written where its error is more than 1.05
-    times that of the diagnosed model. What the format cannot hold goes into a Python file beside it.
+    times that of the diagnosed model. Terms that the format cannot express go into a Python file beside it.
     """
-    from labhil.analysis.patching import patch as repair
+    from labhil.analysis.patching import patch as patch_file
     from labhil.extras import require_analysis
 
     require_analysis("a patch")
     refuse_unwritable(json_path)
-    with status() as say:
-        repaired = repair(result, into, out, rig, holdout=holdout, progress=say)
-    deliver(repaired.to_dict(), json_path, lambda: _show(repaired))
+    with status() as progress:
+        patched = patch_file(result, into, out, rig, holdout=holdout, progress=progress)
+    deliver(patched.to_dict(), json_path, lambda: _show(patched))
 
 
-def _show(repaired: Patch) -> None:
-    """The difference, why each value changed, and how the file does."""
-    lines = [repaired.diff.rstrip("\n")]
-    if repaired.companion is not None:
-        lines.append(f"{repaired.companion}: what the file cannot hold: {', '.join(repaired.left)}")
-    last = repaired.attempts[-1]
+def _show(patched: Patch) -> None:
+    """Print the difference, each changed value, and the error of the file."""
+    lines = [patched.diff.rstrip("\n")]
+    if patched.companion is not None:
+        lines.append(f"{patched.companion}: terms that the file cannot express: {', '.join(patched.left)}")
+    last = patched.attempts[-1]
     remedy = f", with {last.beside}" if last.beside else ""
     lines.append(
-        f"On held-out data, run by MuJoCo itself: RMSE {repaired.before:.4g} → {last.rmse:.4g} "
-        f"{repaired.unit}, {last.ratio:.3f} times the diagnosed model's {repaired.model:.4g}{remedy}."
+        f"On held-out data, run by MuJoCo itself: RMSE {patched.before:.4g} → {last.rmse:.4g} "
+        f"{patched.unit}, {last.ratio:.3f} times the diagnosed model's {patched.model:.4g}{remedy}."
     )
     lines += [
         f"  {j.name}: {j.before:.4g} → {j.after:.4g} {j.unit}, the diagnosed model {j.model:.4g}"
-        for j in repaired.joints
+        for j in patched.joints
     ]
-    if repaired.unheld:
-        lines.append(f"Neither file nor companion holds {', '.join(repaired.unheld)}; both were run without.")
+    if patched.unheld:
+        lines.append(f"Neither file expresses {', '.join(patched.unheld)}; both were run without.")
     lines += [
         f"  {attempt.beside or 'values alone'}: {attempt.ratio:.3f} times"
-        for attempt in repaired.attempts[:-1]
+        for attempt in patched.attempts[:-1]
     ]
     show(*lines)

@@ -1,4 +1,4 @@
-"""The emergency stop of the terminal UI: its button, its red line, and what it does."""
+"""The emergency stop of the terminal UI: its button, its red line, and its effect."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome
 from labhil.tui.background import work_in_background
 from labhil.tui.dialogs import Confirm
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 
 def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
-    """The red line: who pressed the stop, who is safe, and above all who did not answer."""
+    """Return the red line: who pressed the stop, which devices are safe, and who did not answer."""
     text = Text(f"■ EMERGENCY STOP at {time.strftime('%H:%M:%S', time.localtime(latch.since))}", style="bold")
     text.append(f" by {latch.by}. ", style="not bold")
     if outcome is not None:
@@ -34,7 +34,7 @@ def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
 
 
 class StopButton(Static):
-    """The emergency stop for a mouse."""
+    """Press the emergency stop by a click."""
 
     def on_click(self, event: Click) -> None:
         """Stop everything."""
@@ -43,45 +43,45 @@ class StopButton(Static):
 
 
 class EmergencyStop:
-    """Stops every device in reach, follows who has stopped and released them, and releases the stop.
+    """Stop every device in reach, and release the stop.
 
-    Devices are stopped in a thread, so that the screen goes on; its own thread shows the outcome.
+    Devices are stopped in a thread, so that the screen stays responsive.
 
     Args:
-        app: Runs the threads and shows the question before a release.
-        lab: Reaches the devices, and knows the latch, whoever set it.
-        show: Draws the red line anew, and returns whether there was a screen to draw on.
-        log: Writes a line (kind, text, device) where the run's events stand.
+        app: Runs the threads, and shows the question before a release.
+        session: Reaches the devices, and knows the latch, whoever set it.
+        show: Draws the red line, and returns whether there was a screen to draw on.
+        log: Writes a line (kind, text, device) to the log of the run.
     """
 
     def __init__(
-        self, app: App[None], lab: Session, show: Callable[[], bool], log: Callable[[str, str, str], None]
+        self, app: App[None], session: Session, show: Callable[[], bool], log: Callable[[str, str, str], None]
     ) -> None:
-        self._app, self._lab, self._show, self._log = app, lab, show, log
+        self._app, self._session, self._show, self._log = app, session, show, log
         self.latch: Latch | None = None
-        """The stop that stands, None while runs are allowed."""
+        """The stop that is in force; None while runs are allowed."""
         self.outcome: Outcome | None = None
         """The devices' answers to this screen's own stop."""
         self._is_shown = True
 
     def press(self) -> None:
-        """Bring every device in reach to its safe state, and hold all runs until it is released."""
+        """Bring every device in reach to its safe state, and block all runs until the release."""
         self.outcome = None
         work_in_background(self._app, self._stop_devices, "the emergency stop", "stop")
 
     def ask_release(self) -> None:
         """Allow runs again, once somebody has confirmed it."""
 
-        def go(yes: bool | None) -> None:
+        def on_answer(yes: bool | None) -> None:
             if yes:
                 work_in_background(self._app, self._release, "the release of the emergency stop", "stop")
 
         question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
-        self._app.push_screen(Confirm(question, "Release", "Keep it"), go)
+        self._app.push_screen(Confirm(question, "Release", "Keep it"), on_answer)
 
     def refresh(self) -> None:
-        """Show the stop that stands, whoever pressed it."""
-        latch = self._lab.latch
+        """Show the stop that is in force, whoever pressed it."""
+        latch = self._session.latch
         if latch == self.latch and self._is_shown:
             return
         self.latch = latch
@@ -90,12 +90,12 @@ class EmergencyStop:
         self._is_shown = self._show()
 
     def note(self) -> Text:
-        """Return the red line; empty while no stop stands."""
+        """Return the red line; empty while no stop is in force."""
         return Text() if self.latch is None else stop_note(self.latch, self.outcome)
 
     def _stop_devices(self) -> None:
         try:
-            outcome = self._lab.stop_all("emergency stop in the terminal UI")
+            outcome = self._session.stop_all("emergency stop in the terminal UI")
         except BaseException as error:
             outcome = Outcome({}, {"every device": f"the stop itself failed: {error!r}"}, ())
             self._app.call_later(self._take_outcome, outcome)
@@ -115,7 +115,7 @@ class EmergencyStop:
 
     def _release(self) -> None:
         try:
-            self._lab.release()
+            self._session.release()
         except LabhilError as error:
             self._app.call_later(self._app.notify, str(error), severity="error")
             return

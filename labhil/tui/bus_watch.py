@@ -1,7 +1,7 @@
-"""A passive seat on a bus: what its devices send, how regularly, and what they report of themselves.
+"""A passive view of one bus: samples of its devices, their regularity, and their states.
 
-One thread takes samples in, another asks what cannot be seen in samples (who is there, who holds the
-lease). The screen reads snapshots when it draws; no sample ever becomes a message to it.
+One thread receives samples, another polls what samples do not show (presence, lease). The screen reads
+snapshots when it draws; no sample becomes a message to it.
 """
 
 from __future__ import annotations
@@ -48,15 +48,18 @@ from labhil.signals import Signal, Stream
 from labhil.supervised import SupervisedThread
 from labhil.tui.stream_watch import UNDECODABLE, StreamHealth, StreamWatch
 
-ASK_INTERVAL = 0.5
-ASK_TIMEOUT = 0.5
-FORGET_AFTER = 3
-"""Looks in vain after which what was there is taken for gone: a busy process answers late."""
+POLL_INTERVAL = 0.5
+"""Time between two polls of the devices, s."""
+
+REQUEST_TIMEOUT = 0.5
+"""Longest time for the answer to one request, s."""
+
+MISSES_UNTIL_GONE = 3
+"""Polls without an answer after which a bus or a replay counts as gone: a busy process answers late."""
 
 MOST_EVENTS = 200
-
 MOST_DEVICES = 1000
-UNEXPLAINED = (CommandRefusedError, *UNDECODABLE)
+MALFORMED = (CommandRefusedError, *UNDECODABLE)
 
 COMMAND_STREAM = "command"
 
@@ -66,7 +69,7 @@ REPLAYED = f"{REPLAY}/"
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """Something a device or a run announced, at Unix time ``t_ns``."""
+    """Hold an event that a device or a run announced, at Unix time ``t_ns``."""
 
     t_ns: int
     device: str
@@ -76,27 +79,40 @@ class Announcement:
 
 @dataclass(frozen=True, slots=True)
 class DeviceView:
-    """A device as a screen shows it. ``state`` is the host's own word, "gone" or "unknown"."""
+    """Hold a snapshot of a device.
+
+    Attributes:
+        name: Name on the bus; a replayed device has the prefix ``replay/``.
+        state: State that its host reports, "gone" or "unknown".
+        reason: Why it is in that state.
+        holder: Who has the lease of its commands.
+        health: Regularity of its main stream.
+        stream: Its main stream.
+        speed: Seconds of its time in one second.
+        metadata: Metadata of the main stream.
+        last_values: Newest values, one for each column; empty before the first sample.
+        event: Its newest event.
+    """
 
     name: str
     state: str
     reason: str
     holder: str | None
-    beat: StreamHealth | None
+    health: StreamHealth | None
     stream: Stream | None
     speed: float
     metadata: Mapping[str, str]
-    last: tuple[float, ...]
+    last_values: tuple[float, ...]
     event: Announcement | None
 
     @property
     def is_replayed(self) -> bool:
-        """Whether a recording is played, and no device is there."""
+        """Whether a recording is played, and no device is present."""
         return self.name.startswith(REPLAYED)
 
 
 @dataclass(slots=True)
-class _Device:
+class _DeviceState:
     streams: dict[str, StreamWatch] = field(default_factory=dict)
     state: str = "unknown"
     reason: str = ""
@@ -106,13 +122,17 @@ class _Device:
 
     @property
     def main(self) -> StreamWatch | None:
-        """The stream of what is measured."""
-        measured = [watched for name, watched in self.streams.items() if name != COMMAND_STREAM]
+        """The stream of measurements."""
+        measured = [stream_watch for name, stream_watch in self.streams.items() if name != COMMAND_STREAM]
         return measured[0] if measured else None
 
 
-class Watch:
-    """Looks at everything on ``bus`` from :meth:`__enter__` until it is closed; the bus stays its owner's."""
+class BusWatch:
+    """Watch everything on a bus, as a context manager.
+
+    Args:
+        bus: The bus; its owner closes it.
+    """
 
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
@@ -120,24 +140,24 @@ class Watch:
         self._fault = ""
         self.replay: ReplayMessage | None = None
         """The replay on this bus, if one is there."""
-        self._replay_missed = 0
-        self._devices: dict[str, _Device] = {}
-        self._unknown: dict[tuple[str, str], float] = {}
+        self._replay_misses = 0
+        self._devices: dict[str, _DeviceState] = {}
+        self._undeclared: dict[tuple[str, str], float] = {}
         self._lock = threading.Lock()
-        self._ending = threading.Event()
-        self._asking = SupervisedThread(self._ask_around, "ask devices")
+        self._stop_polling = threading.Event()
+        self._poll_thread = SupervisedThread(self._poll, "poll devices")
         self._resources = ExitStack()
 
     def __enter__(self) -> Self:
         with ExitStack() as resources:
             for schemas in (ALL_SCHEMAS, REPLAYED_SCHEMAS):
-                resources.enter_context(subscribe(self.bus, schemas, self._take_schemas))
+                resources.enter_context(subscribe(self.bus, schemas, self._handle_schemas))
             for streams in (ALL_STREAMS, REPLAYED_STREAMS):
-                resources.enter_context(subscribe(self.bus, streams, self._take))
-            self._asking.start()
-            resources.callback(self._asking.join)
-            resources.callback(self._ending.set)
-            resources.callback(self._asking.end)
+                resources.enter_context(subscribe(self.bus, streams, self._handle_messages))
+            self._poll_thread.start()
+            resources.callback(self._poll_thread.join)
+            resources.callback(self._stop_polling.set)
+            resources.callback(self._poll_thread.end)
             self._resources = resources.pop_all()
         return self
 
@@ -146,87 +166,91 @@ class Watch:
     ) -> None:
         self._resources.close()
 
-    # what the screen reads
+    # snapshots for the screen
 
     def devices(self) -> list[DeviceView]:
-        """Every device that was seen, in order of appearance, with its state now."""
+        """Return every device that was seen, in order of appearance, with its present state."""
         now = time.monotonic()
         with self._lock:
             devices = list(self._devices.items())
-        return [_view(name, device, now) for name, device in devices]
+        return [_view_of(name, device, now) for name, device in devices]
 
     def signals(self) -> list[tuple[str, str, Signal]]:
-        """Every signal that comes in: device, stream and signal."""
+        """Return device, stream and signal of everything that comes in."""
         with self._lock:
             return [
                 (name, stream, signal)
                 for name, device in self._devices.items()
-                for stream, watched in device.streams.items()
-                for signal in watched.stream.signals
+                for stream, stream_watch in device.streams.items()
+                for signal in stream_watch.stream.signals
             ]
 
     def stream(self, device: str, stream: str) -> StreamWatch | None:
-        """The stream of that name, None where it is not known."""
+        """Return a stream by the names of device and stream; None where it is not known."""
         with self._lock:
-            known = self._devices.get(device)
-            return None if known is None else known.streams.get(stream)
+            device_state = self._devices.get(device)
+            return None if device_state is None else device_state.streams.get(stream)
 
     @property
     def fault(self) -> str:
-        """The last error in what came in; empty where there was none."""
+        """The last error in an incoming message; empty where there was none."""
         with self._lock:
-            streams = [watched for device in self._devices.values() for watched in device.streams.values()]
-        return self._fault or next((watched.fault for watched in streams if watched.fault), "")
+            streams = [
+                stream_watch for device in self._devices.values() for stream_watch in device.streams.values()
+            ]
+        return self._fault or next((stream_watch.fault for stream_watch in streams if stream_watch.fault), "")
 
     def failure(self) -> str:
-        """Return why this is out of date although nobody closed it; empty while all is well."""
-        return self._asking.failure() or self.bus.failure()
+        """Return why the view is out of date although nobody closed it; empty while it is not."""
+        return self._poll_thread.failure() or self.bus.failure()
 
     @property
     def alive(self) -> bool:
-        """Whether any host is there."""
+        """Whether the host of any device is present."""
         with self._lock:
             return any(device.alive for device in self._devices.values())
 
-    # what comes from the bus, in its threads
+    # messages from the bus, in its threads
 
-    def _take_schemas(self, key: str, payloads: list[bytes]) -> None:
+    def _handle_schemas(self, key: str, payloads: list[bytes]) -> None:
         try:
-            self._learn(*_names(key), parse(SchemaMessage, payloads[-1], "a schema", MAX_SCHEMA_BYTES))
-        except UNEXPLAINED as error:
+            self._register_stream(
+                *_split_key(key), parse(SchemaMessage, payloads[-1], "a schema", MAX_SCHEMA_BYTES)
+            )
+        except MALFORMED as error:
             self._fault = f"{key}: {error}"
 
-    def _take(self, key: str, payloads: list[bytes]) -> None:
-        device, stream = _names(key)
+    def _handle_messages(self, key: str, payloads: list[bytes]) -> None:
+        device, stream = _split_key(key)
         if stream == EVENT:
             for payload in payloads:
-                self._note(device, payload)
+                self._record_event(device, payload)
         elif stream != SETPOINT:
-            watched = self.stream(device, stream)
-            if watched is None:
+            stream_watch = self.stream(device, stream)
+            if stream_watch is None:
                 with self._lock:
-                    if len(self._unknown) < MOST_DEVICES:
-                        self._unknown.setdefault((device, stream), float("-inf"))
+                    if len(self._undeclared) < MOST_DEVICES:
+                        self._undeclared.setdefault((device, stream), float("-inf"))
                 return
-            watched.take(payloads, time.monotonic(), time.time_ns())
+            stream_watch.receive(payloads, time.monotonic(), time.time_ns())
 
-    def _learn(self, device: str, stream: str, reply: SchemaMessage) -> None:
+    def _register_stream(self, device: str, stream: str, reply: SchemaMessage) -> None:
         parse(StreamDeclaration, reply.stream, "a stream", MAX_SCHEMA_BYTES)
         metadata = dict(reply.metadata)
         speed = float(metadata.get("speed", 1.0))
         if not 0 < speed < float("inf"):
             raise ProtocolError(f"speed: expected a positive number, found {speed}")
         declared = stream_from_json(reply.stream)
-        known = self.stream(device, stream) if device.startswith(REPLAYED) else None
-        if known is not None and known.stream == declared:  # only its speed was changed
-            known.speed, known.metadata = speed, metadata
+        device_state = self.stream(device, stream) if device.startswith(REPLAYED) else None
+        if device_state is not None and device_state.stream == declared:  # only its speed was changed
+            device_state.speed, device_state.metadata = speed, metadata
             return
-        watched = StreamWatch(declared, speed, metadata)
+        stream_watch = StreamWatch(declared, speed, metadata)
         with self._lock:
-            self._device(device).streams[stream] = watched
-            self._unknown.pop((device, stream), None)
+            self._device(device).streams[stream] = stream_watch
+            self._undeclared.pop((device, stream), None)
 
-    def _note(self, device: str, payload: bytes) -> None:
+    def _record_event(self, device: str, payload: bytes) -> None:
         state = ""
         try:
             event = parse(EventMessage, payload, "an event")
@@ -239,7 +263,7 @@ class Watch:
             )
         self.events.append(announcement)
         if device == "run" or device.startswith(REPLAYED):
-            return  # a past state is not the present one
+            return  # the state in a recording is not the present one
         with self._lock:
             if device not in self._devices and len(self._devices) >= MOST_DEVICES:
                 return
@@ -248,70 +272,76 @@ class Watch:
             if state:
                 entry.state, entry.reason = state, announcement.message
 
-    def _device(self, name: str) -> _Device:
-        return self._devices.setdefault(name, _Device())
+    def _device(self, name: str) -> _DeviceState:
+        return self._devices.setdefault(name, _DeviceState())
 
-    # what has to be requested
+    # requests, in the polling thread
 
-    def _ask_around(self) -> None:
-        while not self._ending.wait(ASK_INTERVAL):
+    def _poll(self) -> None:
+        while not self._stop_polling.wait(POLL_INTERVAL):
             try:
-                self._ask_once()
-            except (BusError, *UNEXPLAINED) as error:
+                self._poll_once()
+            except (BusError, *MALFORMED) as error:
                 self._fault = str(error)
 
-    def _ask_once(self) -> None:
+    def _poll_once(self) -> None:
         self._fault = ""
         alive = live_devices(self.bus)
         with self._lock:
             for device in self._devices.values():
-                for watched in device.streams.values():
-                    watched.fault = ""
+                for stream_watch in device.streams.values():
+                    stream_watch.fault = ""
             for name in alive:
                 self._device(name)
             devices = list(self._devices.items())
-        self._ask_replay(name for name, _ in devices)
+        self._poll_replay(name for name, _ in devices)
         with self._lock:
             for name, device in devices:
                 device.alive = name in alive or (name.startswith(REPLAYED) and self.replay is not None)
-            unknown = list(self._unknown)
+            unknown = list(self._undeclared)
             unknown += [(name, "state") for name, device in devices if device.alive and not device.streams]
         for device_name, stream in dict.fromkeys(unknown):
-            self._ask_schema(device_name, stream)
+            self._request_schema(device_name, stream)
         for name, device in devices:
             if device.alive and name.startswith(REPLAYED):
                 device.state, device.reason = _replay_state(self.replay)
             elif device.alive:
-                self._ask_status(name, device)
+                self._request_status(name, device)
 
-    def _ask_replay(self, names: Iterable[str]) -> None:
+    def _poll_replay(self, names: Iterable[str]) -> None:
         if self.replay is None and not any(name.startswith(REPLAYED) for name in names):
             return
         try:
             self.control_replay("status")
         except (BusError, CommandRefusedError):
-            self._replay_missed += 1
-            if self._replay_missed >= FORGET_AFTER:  # a busy one answers late
+            self._replay_misses += 1
+            if self._replay_misses >= MISSES_UNTIL_GONE:  # a busy one answers late
                 self.replay = None
 
     def control_replay(self, action: str, value: float = 0.0) -> None:
-        """Send a command to the replay on this bus; waits for its answer.
+        """Send a command to the replay on this bus, and wait for its answer.
 
-        Raises BusError where none answers, CommandRefusedError where it refuses.
+        Args:
+            action: "status", "pause", "play", "speed" or "seek".
+            value: The speed, or the position in s.
+
+        Raises:
+            BusError: No replay answers.
+            CommandRefusedError: The replay refuses.
         """
-        answer = ask(self.bus, REPLAY_CONTROL, {"action": action, "value": value}, timeout=ASK_TIMEOUT)
-        self.replay, self._replay_missed = validate(ReplayMessage, answer, "a replay"), 0
+        answer = ask(self.bus, REPLAY_CONTROL, {"action": action, "value": value}, timeout=REQUEST_TIMEOUT)
+        self.replay, self._replay_misses = validate(ReplayMessage, answer, "a replay"), 0
 
-    def _ask_schema(self, device: str, stream: str) -> None:
+    def _request_schema(self, device: str, stream: str) -> None:
         try:
-            reply = ask(self.bus, schema_key(*_place(device, stream)), timeout=ASK_TIMEOUT)
-            self._learn(device, stream, validate(SchemaMessage, reply, "a schema"))
-        except (BusError, *UNEXPLAINED) as error:
+            reply = ask(self.bus, schema_key(*_key_parts(device, stream)), timeout=REQUEST_TIMEOUT)
+            self._register_stream(device, stream, validate(SchemaMessage, reply, "a schema"))
+        except (BusError, *MALFORMED) as error:
             self._fault = f"{device}/{stream}: {error}"
 
-    def _ask_status(self, name: str, device: _Device) -> None:
+    def _request_status(self, name: str, device: _DeviceState) -> None:
         try:
-            status = ask(self.bus, command_key(name, "status"), timeout=ASK_TIMEOUT)
+            status = ask(self.bus, command_key(name, "status"), timeout=REQUEST_TIMEOUT)
         except (BusError, CommandRefusedError) as error:
             device.state, device.reason = "no answer", str(error)
             return
@@ -320,19 +350,19 @@ class Watch:
         device.holder = None if holder is None else str(holder)
 
 
-def _names(key: str) -> tuple[str, str]:
-    """Device and stream of a key; a replayed device never has the name of a real one."""
+def _split_key(key: str) -> tuple[str, str]:
+    """Device and stream of a key; replayed devices keep the prefix that no real one has."""
     device, stream = split_key(key)
     return (f"{REPLAYED}{device}" if key.startswith(REPLAYED) else device), stream
 
 
-def _place(device: str, stream: str) -> tuple[str, str, str]:
-    """Device, stream and namespace, as keys are made of them."""
+def _key_parts(device: str, stream: str) -> tuple[str, str, str]:
+    """Device, stream and namespace, as functions that make keys take them."""
     return device.removeprefix(REPLAYED), stream, REPLAY if device.startswith(REPLAYED) else LAB
 
 
 def _replay_state(replay: ReplayMessage | None) -> tuple[str, str]:
-    """The state of what is replayed, and where in its recording it is."""
+    """State of a replay, and its position in the recording."""
     if replay is None:
         return "gone", ""
     where = f"{replay.position:.1f} of {replay.duration:.1f} s of {replay.path}"
@@ -341,22 +371,22 @@ def _replay_state(replay: ReplayMessage | None) -> tuple[str, str]:
     return ("replay paused" if replay.paused else "replay"), where
 
 
-def _view(name: str, device: _Device, now: float) -> DeviceView:
+def _view_of(name: str, device: _DeviceState, now: float) -> DeviceView:
     main = device.main
-    beat, last, metadata = None, (), {}
+    health, last_values, metadata = None, (), {}
     if main is not None:
-        beat, metadata = main.beat(now), dict(main.metadata)
+        health, metadata = main.health(now), dict(main.metadata)
         _, _, values = main.ring.newest(0.0)
-        last = tuple(values[-1].tolist()) if len(values) else ()
+        last_values = tuple(values[-1].tolist()) if len(values) else ()
     return DeviceView(
         name=name,
         state=device.state if device.alive else "gone",
         reason=device.reason,
         holder=device.holder if device.alive else None,
-        beat=beat,
+        health=health,
         stream=None if main is None else main.stream,
         speed=1.0 if main is None else main.speed,
         metadata=metadata,
-        last=last,
+        last_values=last_values,
         event=device.event,
     )

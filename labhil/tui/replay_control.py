@@ -1,4 +1,4 @@
-"""A replay as the live page shows it, and the keys that steer it."""
+"""The state line of a replay on the live page, and the keys that control it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from rich.text import Text
 from labhil.bus.incoming import ReplayMessage
 from labhil.errors import LabhilError
 from labhil.service.replay import MAX_SPEED, MIN_SPEED
-from labhil.tui.lab import Session
+from labhil.tui.session import Session
 
 SPEEDS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-BACK = 10.0
-"""How far one key goes back, s of the recording."""
+JUMP_BACK = 10.0
+"""Distance of a jump back, s of the recording."""
 
 
 def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
-    """The recording that is played, its position, and the keys that work now."""
+    """Return the recording that is played, its position, and the keys that work now."""
     sign, word = ("■", "ENDED") if replay.ended else ("‖", "PAUSED") if replay.paused else ("↻", "REPLAY")
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{sign} {word} ", style=f"bold {colours['accent']}")
@@ -27,32 +27,32 @@ def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
 
 
 def next_speed(speed: float, way: int) -> float:
-    """The next round speed above or below."""
+    """Return the next round speed above (``way`` > 0) or below."""
     speeds = [s for s in SPEEDS if (s > speed * 1.001 if way > 0 else s < speed * 0.999)]
     chosen = speed if not speeds else speeds[0] if way > 0 else speeds[-1]
     return min(max(chosen, MIN_SPEED), MAX_SPEED)
 
 
-def steer(lab: Session, action: str, way: int = 0) -> str:
-    """Apply a key to every replay in reach; waits for their answers.
+def control_replays(session: Session, action: str, way: int = 0) -> str:
+    """Apply a key to every replay in reach, and wait for the answers.
 
     Args:
-        lab: Reaches the replays.
+        session: Reaches the replays.
         action: "toggle", "speed" or "back".
-        way: Faster (1) or slower (-1).
+        way: Faster (1) or slower (−1).
 
     Returns:
         The error; empty where there was none.
     """
-    for endpoint, replay in lab.replays():
+    for endpoint, replay in session.replays():
         try:
             if action == "toggle":
                 is_held = replay.paused or replay.ended
-                lab.control_replay(endpoint, "play" if is_held else "pause")
+                session.control_replay(endpoint, "play" if is_held else "pause")
             elif action == "speed":
-                lab.control_replay(endpoint, "speed", next_speed(replay.speed, way))
+                session.control_replay(endpoint, "speed", next_speed(replay.speed, way))
             else:
-                lab.control_replay(endpoint, "seek", max(replay.position - BACK, 0.0))
+                session.control_replay(endpoint, "seek", max(replay.position - JUMP_BACK, 0.0))
         except LabhilError as error:
             return str(error)
     return ""

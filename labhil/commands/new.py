@@ -1,4 +1,4 @@
-"""The command for a first experiment: ``labhil new``."""
+"""The command ``labhil new``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labhil.errors import UsageError
 from labhil.terminal import complain, show
 
 
-def add_start(app: typer.Typer) -> None:
+def add_new(app: typer.Typer) -> None:
     """Register this command."""
     app.command(epilog="Example: labhil new dc_motor --address /dev/ttyACM0 --out bench")(new)
 
@@ -30,7 +30,7 @@ def new(
 ) -> None:
     """Write a first rig file and a first experiment for a device; nothing moves.
 
-    Asks for what is not given, and proposes the serial ports that it finds. Prints the two files.
+    Asks for missing arguments, and proposes the serial ports of this machine. Prints the two files.
     """
     from labhil.experiment.new import example_drivers, write_new
 
@@ -38,12 +38,12 @@ def new(
         kind = _ask(f"Which device ({', '.join(example_drivers())})", None, "KIND")
     if address is None:
         ports = _serial_ports()
-        complain(*(f"found: {port}" for port in ports))
+        complain(*(f"serial port: {port}" for port in ports))
         address = _ask("Its address (twin for a simulated one)", ports[0] if ports else "twin", "--address")
     rig, experiment = write_new(kind, address, out)
     tell(
         (
-            f"look at [limits] and [known] in {rig} before anything moves",
+            f"check [limits] and [known] in {rig} before anything moves",
             f"then: labhil run {experiment} --dry-run",
         )
     )
@@ -52,7 +52,7 @@ def new(
 
 def _ask(question: str, default: str | None, option: str) -> str:
     if not sys.stdin.isatty():
-        raise UsageError(f"{option}: expected it on the command line, as there is nobody to ask")
+        raise UsageError(f"{option}: expected it on the command line, as stdin is no terminal")
     return str(typer.prompt(question, default=default, err=True)).strip()
 
 

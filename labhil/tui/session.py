@@ -1,9 +1,8 @@
-"""Every bus in reach: discovered, watched, and brought to safety all at once."""
+"""Every bus in reach: discovered, watched, and stopped all at once."""
 
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,23 +17,24 @@ from labhil.errors import LabhilError
 from labhil.service.emergency import Outcome, press_everywhere, press_on, release_everywhere
 from labhil.signals import Signal
 from labhil.supervised import SupervisedThread
+from labhil.tui.bus_watch import MISSES_UNTIL_GONE, Announcement, BusWatch, DeviceView
 from labhil.tui.stream_watch import StreamWatch
-from labhil.tui.watch import FORGET_AFTER, Announcement, DeviceView, Watch
 
-LOOK_INTERVAL = 0.5
-BY = "the terminal UI"
+DISCOVERY_INTERVAL = 0.5
+"""Time between two searches for buses, s."""
+STOP_ORIGIN = "the terminal UI"
 
 EndpointSource = Callable[[], Iterable[str]]
 
 
 def registered_buses() -> list[str]:
-    """Endpoints of the buses on this machine."""
+    """Return the endpoints of the buses on this machine."""
     return [entry.endpoint for entry in reachable_buses()]
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a signal comes from."""
+class SignalSource:
+    """Identify a signal by the endpoint of its bus, its device and its stream."""
 
     endpoint: str
     device: str
@@ -48,26 +48,31 @@ class Place:
 
 
 class Session:
-    """Watches the buses at ``fixed`` endpoints and at those that ``discover`` returns.
+    """Watch buses, as a context manager.
 
-    Raises BusError where nobody listens at a fixed endpoint.
+    Args:
+        fixed: Endpoints that are always watched.
+        discover: Returns the endpoints of further buses, again and again.
+
+    Raises:
+        BusError: Nobody listens at a fixed endpoint.
     """
 
     def __init__(self, fixed: Iterable[str] = (), discover: EndpointSource = registered_buses) -> None:
         self._fixed, self._discover = tuple(fixed), discover
-        self._watches: dict[str, Watch] = {}
-        self._missed: dict[str, int] = {}
+        self._watches: dict[str, BusWatch] = {}
+        self._missed_polls: dict[str, int] = {}
         self._stacks: dict[str, ExitStack] = {}
         self._lock = threading.Lock()
-        self._ending = threading.Event()
-        self._thread = SupervisedThread(self._look_around, "look for buses")
+        self._stop_discovery = threading.Event()
+        self._thread = SupervisedThread(self._discover_buses, "discover buses")
 
     def __enter__(self) -> Self:
         try:
             for endpoint in self._fixed:
-                self._join(endpoint)
+                self._watch_bus(endpoint)
         except BaseException:
-            self._leave_all()
+            self._unwatch_all()
             raise
         self._thread.start()
         return self
@@ -76,46 +81,55 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._thread.end()
-        self._ending.set()
+        self._stop_discovery.set()
         self._thread.join()
-        self._leave_all()
+        self._unwatch_all()
 
     @property
-    def watches(self) -> dict[str, Watch]:
-        """The buses that are watched, by their endpoints."""
+    def watches(self) -> dict[str, BusWatch]:
+        """The watched buses, by their endpoints."""
         with self._lock:
             return dict(self._watches)
 
     def devices(self) -> list[tuple[str, DeviceView]]:
-        """Every device in reach, with the endpoint of its bus."""
+        """Return every device in reach, with the endpoint of its bus."""
         return [(endpoint, view) for endpoint, watch in self.watches.items() for view in watch.devices()]
 
-    def places(self) -> list[Place]:
-        """Every signal in reach."""
+    def signal_sources(self) -> list[SignalSource]:
+        """Return every signal in reach."""
         return [
-            Place(endpoint, device, stream, signal)
+            SignalSource(endpoint, device, stream, signal)
             for endpoint, watch in self.watches.items()
             for device, stream, signal in watch.signals()
         ]
 
-    def stream(self, place: Place) -> StreamWatch | None:
-        """The stream of a signal, None when its bus is gone."""
-        watch = self.watches.get(place.endpoint)
-        return None if watch is None else watch.stream(place.device, place.stream)
+    def stream(self, source: SignalSource) -> StreamWatch | None:
+        """Return the stream of a signal; None when its bus is gone."""
+        watch = self.watches.get(source.endpoint)
+        return None if watch is None else watch.stream(source.device, source.stream)
 
     def events(self) -> list[Announcement]:
-        """All announcements, the oldest first."""
+        """Return all announcements, the oldest first."""
         events = [event for watch in self.watches.values() for event in watch.events.copy()]
         return sorted(events, key=lambda event: event.t_ns)
 
     def replays(self) -> list[tuple[str, ReplayMessage]]:
-        """Recordings that are replayed, each with the endpoint of its bus."""
+        """Return the replays in reach, each with the endpoint of its bus."""
         return [
             (endpoint, watch.replay) for endpoint, watch in self.watches.items() if watch.replay is not None
         ]
 
     def control_replay(self, endpoint: str, action: str, value: float = 0.0) -> None:
-        """Ask a replay to "pause", "play", "speed" or "seek"; waits for its answer, raises LabhilError."""
+        """Send a command to a replay, and wait for its answer.
+
+        Args:
+            endpoint: Endpoint of its bus.
+            action: "pause", "play", "speed" or "seek".
+            value: The speed, or the position in s.
+
+        Raises:
+            LabhilError: It does not answer, or refuses.
+        """
         watch = self.watches.get(endpoint)
         if watch is not None:
             watch.control_replay(action, value)
@@ -127,9 +141,9 @@ class Session:
         return "; ".join(fault for fault in faults if fault)
 
     def failure(self) -> str:
-        """Return why the view is out of date; empty while all is well."""
-        watched = next((why for watch in self.watches.values() if (why := watch.failure())), "")
-        return self._thread.failure() or watched
+        """Return why the view is out of date; empty while it is not."""
+        failure_of_watch = next((why for watch in self.watches.values() if (why := watch.failure())), "")
+        return self._thread.failure() or failure_of_watch
 
     @property
     def latch(self) -> Latch | None:
@@ -137,21 +151,26 @@ class Session:
         try:
             return read_latch()
         except (LabhilError, OSError) as error:
-            return Latch("nobody known", f"whether it stands cannot be read: {error}", 0.0)
+            return Latch("nobody known", f"its state cannot be read: {error}", 0.0)
 
     def stop_all(self, reason: str) -> Outcome:
         """Press the emergency stop: every device on this machine and in reach, at once.
 
-        The latch is set before any request, and works without any bus. The outcome names who did not
-        answer.
+        The latch is set before any request, and works without any bus.
+
+        Args:
+            reason: Reason in every recording.
+
+        Returns:
+            The answers of the devices, and who did not answer.
         """
-        outcomes = [press_everywhere(BY, reason)]
+        outcomes = [press_everywhere(STOP_ORIGIN, reason)]
         for endpoint in self._fixed:
             watch = self.watches.get(endpoint)
             if watch is not None:
                 present = [view for view in watch.devices() if view.state != "gone" and not view.is_replayed]
                 try:
-                    outcomes.append(press_on(watch.bus, BY, reason, [view.name for view in present]))
+                    outcomes.append(press_on(watch.bus, STOP_ORIGIN, reason, [view.name for view in present]))
                 except LabhilError as error:  # a lab on another machine that did not confirm it
                     outcomes.append(Outcome({}, {endpoint: str(error)}, ()))
         answered = {name: state for outcome in outcomes for name, state in outcome.answered.items()}
@@ -165,46 +184,41 @@ class Session:
         for endpoint in self._fixed:
             release_everywhere(endpoint)
 
-    # the thread that looks around
+    # the thread of discovery
 
-    def _look_around(self) -> None:
-        while not self._ending.wait(LOOK_INTERVAL):
+    def _discover_buses(self) -> None:
+        while not self._stop_discovery.wait(DISCOVERY_INTERVAL):
             try:
                 endpoints = set(self._discover())
             except (LabhilError, OSError):
                 endpoints = set(self.watches)  # the register cannot be read now: keep those
             for endpoint in endpoints - set(self.watches):
                 try:
-                    self._join(endpoint)
+                    self._watch_bus(endpoint)
                 except LabhilError:
                     continue  # it ended after it was listed
             for endpoint in set(self.watches) - endpoints - set(self._fixed):
-                self._leave_when_empty(endpoint)
+                self._unwatch_if_empty(endpoint)
 
-    def _join(self, endpoint: str) -> None:
+    def _watch_bus(self, endpoint: str) -> None:
         with ExitStack() as stack:
-            watch = Watch(stack.enter_context(open_bus(endpoint)))
+            watch = BusWatch(stack.enter_context(open_bus(endpoint)))
             stack.enter_context(watch)
             with self._lock:
-                self._watches[endpoint], self._missed[endpoint] = watch, 0
+                self._watches[endpoint], self._missed_polls[endpoint] = watch, 0
                 self._stacks[endpoint] = stack.pop_all()
 
-    def _leave_when_empty(self, endpoint: str) -> None:
-        self._missed[endpoint] += 1
-        if self._missed[endpoint] >= FORGET_AFTER and not self.watches[endpoint].alive:
-            self._leave(endpoint)
+    def _unwatch_if_empty(self, endpoint: str) -> None:
+        self._missed_polls[endpoint] += 1
+        if self._missed_polls[endpoint] >= MISSES_UNTIL_GONE and not self.watches[endpoint].alive:
+            self._unwatch_bus(endpoint)
 
-    def _leave(self, endpoint: str) -> None:
+    def _unwatch_bus(self, endpoint: str) -> None:
         with self._lock:
             self._watches.pop(endpoint, None)
             stack = self._stacks.pop(endpoint)
         stack.close()
 
-    def _leave_all(self) -> None:
+    def _unwatch_all(self) -> None:
         for endpoint in list(self._stacks):
-            self._leave(endpoint)
-
-
-def clock_ns() -> int:
-    """Unix time, ns; the one place that a test with a frozen clock replaces."""
-    return time.time_ns()
+            self._unwatch_bus(endpoint)

@@ -1,4 +1,4 @@
-"""The page of the documents that each command's help names."""
+"""The page of the documentation that the help of each command names."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ GUIDES: Mapping[str, str] = {
     "labhil replay": "docs/how-to/replay.md",
     "labhil doctor": "docs/how-to/what-to-do-when.md",
 }
-"""By the command as it is typed; of the others the reference of the command line is the page."""
+"""Page by command; for other commands it is the reference of the command line."""
 
 
 def link_pages(app: typer.Typer, path: str = "labhil") -> None:
-    """Add to the help of every command, and of those in its groups, the page that says more.
+    """Add a page of the documentation to the help of every command, also in groups.
 
     Args:
         app: The application, or a group of it, with all commands registered.
-        path: How it is typed.
+        path: The command line up to it.
     """
     for command in app.registered_commands:
         typed = f"{path} {command.name or getattr(command.callback, '__name__', '')}"

@@ -1,4 +1,4 @@
-"""The newest samples of a stream: one thread appends, another reads."""
+"""The newest samples of a stream, and their reduction to the columns of a plot."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from labhil.signals import Batch, FloatArray, IntArray
 
 
-class Ring:
-    """Keeps at least the newest ``capacity`` samples of ``width`` columns.
+class RingBuffer:
+    """Keep at least the newest ``capacity`` samples of ``width`` columns; two threads may use it.
 
-    Rows are written one after another into arrays twice as long, so that the newest are a slice:
-    only when the end is reached, once in ``capacity`` samples, are they moved to the front.
+    Rows are appended to arrays of twice that length, so that the newest are a slice. At the end of the
+    arrays, once in ``capacity`` samples, they are moved to the front.
     """
 
     def __init__(self, width: int, capacity: int) -> None:
@@ -26,29 +26,33 @@ class Ring:
         self._lock = threading.Lock()
 
     def append(self, batch: Batch) -> None:
-        """Take samples in; of more than ``capacity`` at once only the newest are kept."""
-        taken = slice(max(0, len(batch) - self._capacity), len(batch))
-        count = taken.stop - taken.start
+        """Append samples; of more than ``capacity`` at once only the newest are kept."""
+        newest = slice(max(0, len(batch) - self._capacity), len(batch))
+        count = newest.stop - newest.start
         with self._lock:
             if self._end + count > len(self._t_acq_ns):
                 self._compact()
-            place = slice(self._end, self._end + count)
-            self._t_acq_ns[place] = batch.t_acq_ns[taken]
-            self._t_hw_ns[place] = batch.t_hw_ns[taken]
-            self._values[place] = batch.values[taken]
+            target = slice(self._end, self._end + count)
+            self._t_acq_ns[target] = batch.t_acq_ns[newest]
+            self._t_hw_ns[target] = batch.t_hw_ns[newest]
+            self._values[target] = batch.values[newest]
             self._end += count
 
     def _compact(self) -> None:
-        kept = slice(max(0, self._end - self._capacity), self._end)
-        count = kept.stop - kept.start
+        newest = slice(max(0, self._end - self._capacity), self._end)
+        count = newest.stop - newest.start
         for array in (self._t_acq_ns, self._t_hw_ns, self._values):
-            array[:count] = array[kept].copy()
+            array[:count] = array[newest].copy()
         self._end = count
 
     def newest(self, seconds: float) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return copies of t_acq_ns, t_hw_ns (n,) and values (n, width) of the newest ``seconds``.
+        """Copy the newest samples.
 
-        Seconds of the host's clock, counted back from the newest sample; empty arrays when there is none.
+        Args:
+            seconds: How far back from the newest sample, s of the host's clock.
+
+        Returns:
+            t_acq_ns and t_hw_ns (n,), and values (n, width); empty where there are no samples.
         """
         with self._lock:
             t = self._t_acq_ns[: self._end]
@@ -61,10 +65,17 @@ class Ring:
 
 
 def envelope(x: FloatArray, y: FloatArray, columns: int) -> tuple[FloatArray, FloatArray]:
-    """Reduce samples (n,) to the smallest and the largest in each of ``columns`` parts, in their order.
+    """Reduce samples to the smallest and the largest in each of equal parts, in their order.
 
-    A peak of one sample stays visible, which it would not if every n-th sample were taken. A short line is
-    returned unchanged.
+    So a peak of one sample stays visible.
+
+    Args:
+        x: (n,)
+        y: (n,)
+        columns: Number of parts.
+
+    Returns:
+        x and y (2·columns,); unchanged where there are no more points than that.
     """
     if len(x) <= 2 * columns:
         return x, y
@@ -77,8 +88,8 @@ def envelope(x: FloatArray, y: FloatArray, columns: int) -> tuple[FloatArray, Fl
     return middles.ravel(), pairs.ravel()
 
 
-def pieces(t: FloatArray, longest_step: float) -> list[slice]:
-    """Where to lift the pen: runs of samples between which no step is longer than ``longest_step`` (s)."""
+def split_at_gaps(t: FloatArray, longest_step: float) -> list[slice]:
+    """Return the slices of samples between which no step of ``t`` is longer than ``longest_step``."""
     breaks = np.flatnonzero(np.diff(t) > longest_step) + 1
     ends = [0, *breaks.tolist(), len(t)]
     return [slice(a, b) for a, b in pairwise(ends) if b > a]

@@ -1,8 +1,8 @@
-"""The shadow of a device in a process of its own: a model along what the device sends, while it sends it.
+"""The process of a live shadow: it simulates a model along the samples of a device while they come in.
 
-``python -m labhil.tui.shadowing`` reads ``{"endpoint", "device", "stream", "model"}`` first. It takes the
-samples from the bus itself, so that the screen has nothing to do with them. It writes the origin of the band,
-then a line for each simulated stretch, and the reason where it cannot go on.
+``python -m labhil.tui.shadow_process`` reads ``{"endpoint", "device", "stream", "model"}`` first. It takes
+the samples from the bus itself, so that the screen has nothing to do with them. It writes the origin of the
+band, then a line for each simulated stretch, and the reason where it cannot go on.
 """
 
 from __future__ import annotations
@@ -27,28 +27,33 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, IntArray, Stream
-from labhil.tui.ring import envelope
-from labhil.tui.stream_watch import KEPT, StreamWatch
-from labhil.tui.watch import Watch
+from labhil.tui.bus_watch import BusWatch
+from labhil.tui.ring_buffer import envelope
+from labhil.tui.stream_watch import HISTORY, StreamWatch
 
-MODULE = "labhil.tui.shadowing"
-LOOK = 0.1
-"""How often the newest samples are taken, s."""
+MODULE = "labhil.tui.shadow_process"
+SAMPLE_INTERVAL = 0.1
+"""Time between two reads of the newest samples, s."""
 
-KNOCKS = 5
+CONNECTION_ATTEMPTS = 5
 """Attempts to open the bus."""
 
 OVERLAP = 0.5
-"""Extra time read before the new samples, since their stamps are not quite even, s."""
+"""Extra time read before the new samples, s, since their stamps are uneven."""
 
 MOST_POINTS = 100
-"""Pairs of smallest and largest residuals sent for a stretch: no screen has more columns for it."""
+"""Pairs of smallest and largest residuals that are sent for a stretch: no screen has more columns for it."""
 
 
-def validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamData | None, str]:
-    """The rig file of a result's recordings, the samples that it was judged on, and the name of their file.
+def find_validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[RigFile, StreamData | None, str]:
+    """Find the data that a result was tested on, for the band of its residuals.
 
-    Without its recordings there is nothing but the rig kind.
+    Args:
+        model: File of the result; recordings are also looked for beside it.
+        result: The result.
+
+    Returns:
+        Rig file, samples, and name of the recording; the default rig, None and "" where none is found.
     """
     sources = sorted(result.recordings, key=lambda source: source.role != "test")
     for source in sources:
@@ -67,12 +72,17 @@ def validation_recording(model: Path, result: Fit | Diagnosis) -> tuple[RigFile,
     return default_rig(sources[0].rig), None, ""
 
 
-class Follower:
-    """Simulates the model along the new samples of a stream, and reports the residuals."""
+class StreamSimulator:
+    """Simulate a model along the new samples of a stream, and write the residuals.
+
+    Args:
+        model: File of the result.
+        result: The result.
+    """
 
     def __init__(self, model: Path, result: Fit | Diagnosis) -> None:
         self._saved = result.saved
-        self._rig, self._validation, self.validated = validation_recording(model, result)
+        self._rig, self._validation, self.validated = find_validation_recording(model, result)
         self._bands: Sequence[float] | None = None
         if self._validation is not None:
             data = self._validation
@@ -81,38 +91,40 @@ class Follower:
             self.validated = ""
         self._shadow: Shadow | None = None
         self._stream: Stream | None = None
-        self._begin = self._last = self._seen = 0
-        self._left: dict[int, int] = {}
+        self._begin_hw_ns = self._last_hw_ns = self._last_acq_ns = 0
+        self._left_ns: dict[int, int] = {}
 
-    def follow(self, watched: StreamWatch) -> None:
-        """Simulate as much as there is; write a line for each stretch."""
-        newest, _, _ = watched.ring.newest(0.0)
-        if not len(newest):
+    def follow(self, stream_watch: StreamWatch) -> None:
+        """Simulate along the samples that have come in; write a line for each stretch."""
+        latest, _, _ = stream_watch.ring.newest(0.0)
+        if not len(latest):
             return
-        seen_ns = int(newest[-1]) if self._shadow is None else self._seen
-        self._seen = int(newest[-1])
-        _, t_hw, values = watched.ring.newest(min(KEPT, (self._seen - seen_ns) * 1e-9 + OVERLAP))
-        if self._shadow is None or watched.stream != self._stream or t_hw[-1] < self._last:
-            self._stream = watched.stream
-            self._shadow = Shadow(self._saved, self._rig, watched.stream, self._bands)
-            self._begin, self._left = int(t_hw[0]), {}
-            self._last = self._begin - 1
-        new = t_hw > self._last
+        seen_ns = int(latest[-1]) if self._shadow is None else self._last_acq_ns
+        self._last_acq_ns = int(latest[-1])
+        _, t_hw, values = stream_watch.ring.newest(
+            min(HISTORY, (self._last_acq_ns - seen_ns) * 1e-9 + OVERLAP)
+        )
+        if self._shadow is None or stream_watch.stream != self._stream or t_hw[-1] < self._last_hw_ns:
+            self._stream = stream_watch.stream
+            self._shadow = Shadow(self._saved, self._rig, stream_watch.stream, self._bands)
+            self._begin_hw_ns, self._left_ns = int(t_hw[0]), {}
+            self._last_hw_ns = self._begin_hw_ns - 1
+        new = t_hw > self._last_hw_ns
         if not new.any():
             return
-        self._last = int(t_hw[-1])
-        self._shadow.take(np.asarray((t_hw[new] - self._begin) * 1e-9, dtype=np.float64), values[new])
+        self._last_hw_ns = int(t_hw[-1])
+        self._shadow.take(np.asarray((t_hw[new] - self._begin_hw_ns) * 1e-9, dtype=np.float64), values[new])
         while (stretch := self._shadow.step()) is not None:
             if not len(stretch.t):
                 say({"unjudged": self._shadow.unjudged})
                 continue
-            t_acq, t_hw, _ = watched.ring.newest(KEPT)
-            self._report(stretch, t_hw, t_acq, watched)
+            t_acq, t_hw, _ = stream_watch.ring.newest(HISTORY)
+            self._report(stretch, t_hw, t_acq, stream_watch)
 
-    def _report(self, stretch: Stretch, t_hw: IntArray, t_acq: IntArray, watched: StreamWatch) -> None:
+    def _report(self, stretch: Stretch, t_hw: IntArray, t_acq: IntArray, stream_watch: StreamWatch) -> None:
         shadow = self._shadow
         assert shadow is not None
-        t_device = (t_hw - self._begin) * 1e-9
+        t_device = (t_hw - self._begin_hw_ns) * 1e-9
         base_ns = int(t_acq[0])
 
         def wall_time(t: FloatArray) -> FloatArray:
@@ -123,9 +135,9 @@ class Follower:
             zip(stretch.names, stretch.units, shadow.agreements, strict=True)
         ):
             if state.left_at is None:
-                self._left.pop(j, None)
-            elif j not in self._left:
-                self._left[j] = base_ns + round(float(wall_time(np.array([state.left_at]))[0]) * 1e9)
+                self._left_ns.pop(j, None)
+            elif j not in self._left_ns:
+                self._left_ns[j] = base_ns + round(float(wall_time(np.array([state.left_at]))[0]) * 1e9)
             x, y = envelope(wall_time(stretch.t), np.clip(stretch.residuals[:, j], -1e6, 1e6), MOST_POINTS)
             outputs.append(
                 {
@@ -134,7 +146,7 @@ class Follower:
                     "noise": float(stretch.noise[j]),
                     "band": state.band,
                     "left_at": state.left_at,
-                    "left_ns": self._left.get(j),
+                    "left_ns": self._left_ns.get(j),
                     "beyond": min(state.beyond, 1e6),
                     "t": np.round(x, 4).tolist(),
                     "residual": np.round(np.nan_to_num(y, nan=1e6), 3).tolist(),
@@ -143,7 +155,7 @@ class Follower:
         say(
             {
                 "base_ns": base_ns,
-                "ahead_ns": watched.ahead_ns,
+                "ahead_ns": stream_watch.ahead_ns,
                 "until": float(stretch.t[-1]),
                 "outputs": outputs,
                 "dropped": shadow.dropped,
@@ -152,16 +164,16 @@ class Follower:
         )
 
 
-def _bus_at(endpoint: str) -> AbstractContextManager[Bus]:
-    """Open the bus there; on a busy machine that may take several attempts. BusError where none answers."""
-    for _ in range(KNOCKS - 1):
+def _open_bus(endpoint: str) -> AbstractContextManager[Bus]:
+    """Open a bus; a busy machine may need several attempts. BusError where none answers."""
+    for _ in range(CONNECTION_ATTEMPTS - 1):
         with suppress(BusError):
             return open_bus(endpoint)
     return open_bus(endpoint)
 
 
 def main() -> int:
-    """Run the process; returns its exit status."""
+    """Run the process; return its exit status."""
     request = read_request()
     on_further_lines(lambda _line: None, lambda: os._exit(0))
     try:
@@ -169,14 +181,14 @@ def main() -> int:
         result = load(model)
         if not isinstance(result, (Fit, Diagnosis)):
             raise ModelFileError(f"{model}: expected a fit or a diagnosis")
-        follower = Follower(model, result)
+        follower = StreamSimulator(model, result)
         say({"validated": follower.validated})
-        with _bus_at(str(request["endpoint"])) as bus, Watch(bus) as watch:
+        with _open_bus(str(request["endpoint"])) as bus, BusWatch(bus) as watch:
             while not (failure := watch.failure()):
-                watched = watch.stream(str(request["device"]), str(request["stream"]))
-                if watched is not None:
-                    follower.follow(watched)
-                time.sleep(LOOK)
+                stream_watch = watch.stream(str(request["device"]), str(request["stream"]))
+                if stream_watch is not None:
+                    follower.follow(stream_watch)
+                time.sleep(SAMPLE_INTERVAL)
             raise BusError(failure)
     except LabhilError as error:
         say({"failed": str(error)})
