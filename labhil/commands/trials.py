@@ -13,7 +13,7 @@ from labhil.cores import cores
 from labhil.terminal import show, status
 
 if TYPE_CHECKING:
-    from labhil.campaign.trials.card import Card
+    from labhil.campaign.trials.card import ScoreCard
 
 FIRST = "Number of the first: of a seed whose earlier trials you have looked at."
 METHOD = "diagnose, or stepwise: forward steps by the extended BIC, to compare with."
@@ -65,9 +65,9 @@ def trial_make(
     "hidden" draws an effect that stands in no list of names, "some" any sort with effects, "mixed" any sort
     with nulls among them.
     """
-    from labhil.campaign.trials.make import Order, answers_beside, make_trials
+    from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trials
 
-    order = Order(
+    options = TrialSetOptions(
         rig,
         trials,
         effects,
@@ -79,10 +79,10 @@ def trial_make(
         disturbed=disturbed,
     )
     with status() as say:
-        index = make_trials(order, jobs or cores(), say)
+        index = make_trials(options, jobs or cores(), say)
     if index.fixed_seed:
         show(f"Drawn from the fixed seed {seed}: good for tests, no secret to anyone who knows it.")
-    show(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
+    show(f"{len(index.trials)} trials of {rig} in {options.out}, answers in {options.answers}")
 
 
 def trial_run(
@@ -126,7 +126,7 @@ def trial_score(
     deliver_card(card, json_path, plot_path)
 
 
-def deliver_card(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
+def deliver_card(card: ScoreCard, json_path: Path | None, plot_path: Path | None) -> None:
     """Print a score card, and write and draw it where that was asked for."""
     from labhil.campaign.trials.show import show
 
