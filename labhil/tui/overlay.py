@@ -229,7 +229,7 @@ class OverlayScreen(Overlay):
     def on_selection_list_selected_changed(self, _event: Any) -> None:
         """Simulate with these terms."""
         if self.shown is not None and self._helper is not None:
-            self._helper.tell({"without": sorted(self._deselected())})
+            self._helper.send({"without": sorted(self._deselected())})
             self._show_progress()
 
 

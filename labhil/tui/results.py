@@ -187,8 +187,8 @@ class ResultsPane(Vertical, Backdrop):
         if job.state == "at work":
             elapsed, limit = time.monotonic() - job.started, job.task.seconds
             remaining = "" if limit is None else f", at most {duration(max(limit - elapsed, 0.0))} left"
-            return f"{duration(elapsed)}{remaining}: {job.said}"
-        return str(job.said).splitlines()[0] if job.said else job.state
+            return f"{duration(elapsed)}{remaining}: {job.message}"
+        return str(job.message).splitlines()[0] if job.message else job.state
 
     def _chosen_key(self) -> str | None:
         table = self.query_one(DataTable)
@@ -243,7 +243,7 @@ class ResultsPane(Vertical, Backdrop):
             )
             text.append(answer, style="not bold")
         else:
-            text.append(job.said, style="not bold")
+            text.append(job.message, style="not bold")
         self.query_one("#result-text", Static).update(text)
 
     async def _show_part(self, path: Path, part: ResultPart | str) -> None:
@@ -331,7 +331,7 @@ class ResultsPane(Vertical, Backdrop):
         """End the chosen work with the best so far."""
         job = self._job(self._chosen_key())
         if job is not None:
-            self._jobs.end(job)
+            self._jobs.finish_early(job)
             self.refresh_view()
 
     def action_cancel(self) -> None:

@@ -47,7 +47,7 @@ class Runner:
     def ask(self, what: str, reason: str = "") -> None:
         """Request ``pause``, ``resume``, ``stop`` or ``abort``."""
         if self._helper is not None:
-            self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
+            self._helper.send({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
     def end_unseen(self, failure: str) -> None:
         """End the run where the screen no longer sees what its devices do; ``failure`` is why, or empty."""
@@ -57,7 +57,7 @@ class Runner:
     def mark(self, text: str, at_ns: int) -> None:
         """Put a marker into the recording of the run, at ``at_ns`` of the machine's steady clock."""
         if self._helper is not None:
-            self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
+            self._helper.send({"do": "mark", "text": text, "steady_ns": at_ns})
 
     def take(self, line: dict[str, Any]) -> None:
         """Take a line of the run process; lines of an earlier run are ignored."""

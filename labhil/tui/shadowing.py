@@ -21,7 +21,7 @@ from labhil.api.diagnosis import Diagnosis
 from labhil.api.fit import Fit
 from labhil.api.saved import load
 from labhil.bus.session import Bus, open_bus
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import BusError, LabhilError, ModelFileError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
@@ -104,7 +104,7 @@ class Follower:
         self._shadow.take(np.asarray((t_hw[new] - self._begin) * 1e-9, dtype=np.float64), values[new])
         while (stretch := self._shadow.step()) is not None:
             if not len(stretch.t):
-                say({"unjudged": self._shadow.unjudged})
+                write_line({"unjudged": self._shadow.unjudged})
                 continue
             t_acq, t_hw, _ = watched.ring.newest(KEPT)
             self._report(stretch, t_hw, t_acq, watched)
@@ -140,7 +140,7 @@ class Follower:
                     "residual": np.round(np.nan_to_num(y, nan=1e6), 3).tolist(),
                 }
             )
-        say(
+        write_line(
             {
                 "base_ns": base_ns,
                 "ahead_ns": watched.ahead_ns,
@@ -163,14 +163,14 @@ def _bus_at(endpoint: str) -> AbstractContextManager[Bus]:
 def main() -> int:
     """Run the process; returns its exit status."""
     request = read_request()
-    on_further_lines(lambda _line: None, lambda: os._exit(0))
+    read_further_lines(lambda _line: None, lambda: os._exit(0))
     try:
         model = Path(str(request["model"]))
         result = load(model)
         if not isinstance(result, (Fit, Diagnosis)):
             raise ModelFileError(f"{model}: expected a fit or a diagnosis")
         follower = Follower(model, result)
-        say({"validated": follower.validated})
+        write_line({"validated": follower.validated})
         with _bus_at(str(request["endpoint"])) as bus, Watch(bus) as watch:
             while not (failure := watch.failure()):
                 watched = watch.stream(str(request["device"]), str(request["stream"]))
@@ -179,7 +179,7 @@ def main() -> int:
                 time.sleep(LOOK)
             raise BusError(failure)
     except LabhilError as error:
-        say({"failed": str(error)})
+        write_line({"failed": str(error)})
         return error.exit_status
 
 
