@@ -119,11 +119,11 @@ def run_search(
     folder: Path, name: str, baseline: tuple[str, ...], options: search.SearchOptions
 ) -> SearchResult:
     """What the search finds in one trial."""
-    material = load_dataset(
+    dataset = load_dataset(
         recording_path(folder, name, "search"), test_path=recording_path(folder, name, "test")
     )
-    data = prepare_data(material.model, material.train, material.test)
-    base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
+    data = prepare_data(dataset.model, dataset.train, dataset.test)
+    base = fit_baseline(data, [term.key for term in terms_named(dataset.model, baseline)])
     return stages.search_structures(data, base, lambda text: None, options)
 
 

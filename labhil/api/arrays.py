@@ -58,7 +58,7 @@ def recording(
         >>> rec
         <Recording of dc_motor: 500 samples, 4.99 s at 100 Hz; voltage, speed>
     """
-    from labhil.analysis.tables import table_in_memory
+    from labhil.analysis.tables import recording_of_samples
 
     resolved_rig = rig_file(rig)
     if resolved_rig is None:
@@ -77,7 +77,9 @@ def recording(
     values = np.hstack([_values(given[s.name], s, len(times)) for s in signals])
     stream = Stream("state", signals, float(1.0 / np.median(np.diff(times))))
     digest = hashlib.sha256(times.tobytes() + values.tobytes()).hexdigest()
-    file_recording, notes, content = table_in_memory(Path(name), digest, resolved_rig, stream, times, values)
+    file_recording, notes, content = recording_of_samples(
+        Path(name), digest, resolved_rig, stream, times, values
+    )
     return Recording(file_recording, tuple(notes), content)
 
 

@@ -25,7 +25,7 @@ from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
-    material_of,
+    load_inputs,
     names_of,
     number_or_none,
     progress_reporter,
@@ -326,12 +326,12 @@ def diagnose(
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import diagnose_study
 
-    material = material_of(
+    dataset = load_inputs(
         rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         study = diagnose_study(
-            material,
+            dataset,
             baseline=names_of(baseline, "baseline"),
             reference=reference_of(reference, "reference"),
             progress=say,

@@ -20,7 +20,7 @@ from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
-    material_of,
+    load_inputs,
     names_of,
     number_or_none,
     progress_reporter,
@@ -198,7 +198,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._require_study("plot"), axes_of(ax)
-        draw_simulation(axes, study.fit, study.material.test, self._place(channel))
+        draw_simulation(axes, study.fit, study.dataset.test, self._place(channel))
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -207,7 +207,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._require_study("plot_errors"), axes_of(ax)
-        draw_errors(axes, study.fit, study.material.test, self._place(channel))
+        draw_errors(axes, study.fit, study.dataset.test, self._place(channel))
         return axes
 
     def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
@@ -241,7 +241,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         from labhil.report.fit_plot import fit_figure
 
         study = self._require_study("figure")
-        return fit_figure(study.fit, study.material.test)
+        return fit_figure(study.fit, study.dataset.test)
 
     def _write_page(self, file: Path) -> None:
         require("matplotlib", "a page with plots")
@@ -332,7 +332,7 @@ def fit(
     from labhil.identify.intervals import interval_method
 
     method, metric = interval_method(intervals), criterion_named(criterion)
-    material = material_of(
+    dataset = load_inputs(
         rec,
         model,
         test,
@@ -348,6 +348,6 @@ def fit(
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
         options = Options(length, method, simultaneous, check_estimator(estimator), draw, say, metric)
         study = fit_study(
-            material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
+            dataset, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
         )
     return Fit(study.json, study, "" if study.fit.complete else deadline.reason)

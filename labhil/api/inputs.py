@@ -117,7 +117,7 @@ def recordings_of(
     return [_recording_of(each, what) for each in several]
 
 
-def material_of(
+def load_inputs(
     rec: PathLike | Recording | Sequence[PathLike | Recording],
     model: PathLike | Model | RigFile | None,
     test: PathLike | Recording | Sequence[PathLike | Recording] | None,
@@ -133,7 +133,7 @@ def material_of(
     """The data that a fit or a diagnosis is made from; ``warn`` gets what they lack."""
     from labhil.analysis.dataset import load_dataset
 
-    material = load_dataset(
+    dataset = load_dataset(
         recordings_of(rec, "rec"),
         rig_file(model),
         None if test is None else recordings_of(test, "test"),
@@ -145,8 +145,8 @@ def material_of(
         run=run,
     )
     if warn is not None:
-        warn(material.losses())
-    return material
+        warn(dataset.losses())
+    return dataset
 
 
 def _recording_of(given: object, what: str) -> Path | FileRecording:

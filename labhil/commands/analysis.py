@@ -300,10 +300,10 @@ def linear(
     from labhil.identify.linear import linear_study, study_json, study_text
 
     refuse_unwritable(json_path)
-    material = load_dataset(recording, rig, test, holdout, run=run)
-    tell(material.losses())
-    material.refuse_holes()
+    dataset = load_dataset(recording, rig, test, holdout, run=run)
+    tell(dataset.losses())
+    dataset.refuse_holes()
     with status() as say:
-        rows = linear_study(material.train, material.test, split_names(models), progress=say)
+        rows = linear_study(dataset.train, dataset.test, split_names(models), progress=say)
     data = {"schema": "labhil.linear/1", "models": study_json(rows)}
     deliver(data, json_path, lambda: show(*study_text(rows)))

@@ -29,7 +29,7 @@ MAX_DOTS = 2_000
 def curves_of_fit(result: FitResult) -> dict[str, Any]:
     """Return the curves of a fit, on its test data or else its training data."""
     score = result.fit.test or result.fit.train
-    record = result.material.test if result.fit.test is not None else result.material.train
+    record = result.dataset.test if result.fit.test is not None else result.dataset.train
     return _channels(record, {"after": score})
 
 
@@ -38,7 +38,7 @@ def curves_of_diagnosis(result: DiagnosisResult) -> dict[str, Any]:
     from labhil.diagnose import locate
 
     diagnosis = result.diagnosis
-    curves = _channels(result.material.test, {"before": diagnosis.before, "after": diagnosis.after})
+    curves = _channels(result.dataset.test, {"before": diagnosis.before, "after": diagnosis.after})
     for key in diagnosis.named:
         contribution = locate.contribution(diagnosis.final_fit, key)
         abscissa = contribution.abscissa(contribution.regimes())
