@@ -122,8 +122,8 @@ def fit_case(case: Case, out: Path) -> dict[str, Any]:
 
 def from_rest(identify: Path, test: Path, values: dict[str, float]) -> list[dict[str, Any]]:
     """Errors of one run over the whole test from rest, which the text's figures are of."""
-    material = load_dataset(identify, None, test)
-    judged, model = material.test, material.model
+    dataset = load_dataset(identify, None, test)
+    judged, model = dataset.test, dataset.model
     known = KnownStart(model, np.zeros(len(model.state_names)))
     windows = Windows.of([(0, len(judged))])
     simulated = known.simulate(start_theta(model, values), judged, windows, np.empty((1, 0)))

@@ -17,7 +17,7 @@ from labhil_sim_ball_beam.rig import SERVO, board
 from labhil_sim_ur5.codec import FramingError
 from labhil_sim_ur5.rtde import Conversation, Variables
 from labhil_sim_ur5.variables import VERSIONS
-from labhil_ur5.rtde import DATA, Packages, Recipe
+from labhil_ur5.rtde import DATA, PackageParser, Recipe
 
 PAYLOADS: tuple[Callable[[bytes], object], ...] = (
     Hello.unpack, State.unpack, Samples.unpack, SetCommand.unpack, Config.unpack,
@@ -206,7 +206,7 @@ def rtde_packages(count: int, seed: int) -> Heard:
     draw, heard = Random(seed), Heard()
     recipe = Recipe(1, struct.Struct(">d6d6dI"), {})
     ways = list(DAMAGE.values())
-    packages, conversation = Packages("a robot"), Conversation(Variables(VERSIONS["5.11.1"]))
+    packages, conversation = PackageParser("a robot"), Conversation(Variables(VERSIONS["5.11.1"]))
     while heard.bytes < count:
         number = heard.sent
         payload = bytes([1]) + recipe.layout.pack(
@@ -228,7 +228,9 @@ def rtde_packages(count: int, seed: int) -> Heard:
     return heard
 
 
-def _feed_driver(packages: Packages, recipe: Recipe, wire: bytes, sent: bytes, heard: Heard) -> Packages:
+def _feed_driver(
+    packages: PackageParser, recipe: Recipe, wire: bytes, sent: bytes, heard: Heard
+) -> PackageParser:
     """Let the driver's side take bytes; a new connection where it refuses them."""
     try:
         for letter, payload in packages.feed(wire):
@@ -238,10 +240,10 @@ def _feed_driver(packages: Packages, recipe: Recipe, wire: bytes, sent: bytes, h
                 heard.wrong += payload != sent
     except ProtocolError:
         heard.refused += 1
-        return Packages("a robot")
+        return PackageParser("a robot")
     except Exception as error:  # noqa: BLE001 - whatever else it raises is a fault
         heard.faults.append(f"driver: {error!r:.200} on {wire.hex()}")
-        return Packages("a robot")
+        return PackageParser("a robot")
     return packages
 
 

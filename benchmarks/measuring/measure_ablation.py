@@ -25,9 +25,9 @@ import numpy as np
 
 from labhil.analysis.dataset import load_dataset
 from labhil.campaign.trials.answer import Answer
-from labhil.campaign.trials.folder import recording
-from labhil.campaign.trials.judge import SURE_GAIN
-from labhil.campaign.trials.make import Order, make_trials
+from labhil.campaign.trials.folder import recording_path
+from labhil.campaign.trials.judge import MIN_REQUIRED_GAIN
+from labhil.campaign.trials.make import TrialSetOptions, make_trials
 from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures import disturbance, responses, search, stages
@@ -119,9 +119,11 @@ def run_search(
     folder: Path, name: str, baseline: tuple[str, ...], options: search.SearchOptions
 ) -> SearchResult:
     """What the search finds in one trial."""
-    material = load_dataset(recording(folder, name, "search"), test_path=recording(folder, name, "test"))
-    data = prepare_data(material.model, material.train, material.test)
-    base = fit_baseline(data, [term.key for term in terms_named(material.model, baseline)])
+    dataset = load_dataset(
+        recording_path(folder, name, "search"), test_path=recording_path(folder, name, "test")
+    )
+    data = prepare_data(dataset.model, dataset.train, dataset.test)
+    base = fit_baseline(data, [term.key for term in terms_named(dataset.model, baseline)])
     return stages.search_structures(data, base, lambda text: None, options)
 
 
@@ -129,9 +131,9 @@ def is_right(result: SearchResult, answer: Answer) -> bool:
     """Whether all sure effects are named and nothing else is."""
     named = {step.terms[0] for step in result.missing}
     listed = {effect.key for effect in answer.effects if effect.catalogue}
-    sure = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= SURE_GAIN}
-    hidden = any(not e.catalogue and e.oracle_gain >= SURE_GAIN for e in answer.effects)
-    return sure <= named <= listed and (result.curve is not None) == hidden
+    required = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN}
+    hidden = any(not e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN for e in answer.effects)
+    return required <= named <= listed and (result.curve is not None) == hidden
 
 
 def read_answer(path: Path) -> Answer:
@@ -145,7 +147,7 @@ def measure_rig(rig: str, trials: int, seed: int, say: Callable[[str], None]) ->
         sets = []
         for sort in ("some", "0"):
             out, answers = Path(kept) / sort, Path(kept) / f"{sort}-answers"
-            make_trials(Order(rig, trials, sort, out, answers, seed), 1, lambda text: None)
+            make_trials(TrialSetOptions(rig, trials, sort, out, answers, seed), 1, lambda text: None)
             sets += [(out, path.stem, read_answer(path)) for path in sorted(answers.glob("*.json"))]
         counts = {}
         for variant, (options, parts) in VARIANTS.items():

@@ -132,11 +132,11 @@ def examine(path: Path, device: str) -> dict[str, Any]:
         "seconds": round(float(data.t[-1]), 2),
     }
     try:
-        material = load_dataset(path, device=device)
+        dataset = load_dataset(path, device=device)
     except LabhilError as error:  # the run ended before there was enough to learn from
         return {**figures, "refused": str(error)}
     began = time.monotonic()
-    result = diagnose_study(material, baseline=TERMS).json
+    result = diagnose_study(dataset, baseline=TERMS).json
     return {
         **figures,
         "verdict": result["verdict"],

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import labhil as lh
-from labhil.campaign.share import Share
+from labhil.campaign.proportion import Proportion
 from labhil.diagnose.remainder import MAX_NOISE_FLOORS
 from labhil.signals import FloatArray
 
@@ -153,21 +153,21 @@ def summary(trials: list[dict[str, Any]]) -> dict[str, Any]:
     by_kind = {kind: [t for t in trials if t["kind"] == kind] for kind in KINDS}
     exact = Counter(t["put_in"] for t in by_kind[EFFECT] if t["named"] == [t["put_in"]])
     return {
-        "nothing: no mismatch": Share(
+        "nothing: no mismatch": Proportion(
             sum(t["verdict"] == "no_mismatch" for t in by_kind[NOTHING]), len(by_kind[NOTHING])
         ).to_json(),
-        "an effect: named, and nothing beside it": Share(exact.total(), len(by_kind[EFFECT])).to_json(),
+        "an effect: named, and nothing beside it": Proportion(exact.total(), len(by_kind[EFFECT])).to_json(),
         "by effect": {
-            term: Share(exact[term], sum(t["put_in"] == term for t in by_kind[EFFECT])).to_json()
+            term: Proportion(exact[term], sum(t["put_in"] == term for t in by_kind[EFFECT])).to_json()
             for term in TERMS
         },
-        "an effect: named, or given as a rival": Share(
+        "an effect: named, or given as a rival": Proportion(
             sum(t["put_in"] in (*t["named"], *t["rivals"]) for t in by_kind[EFFECT]), len(by_kind[EFFECT])
         ).to_json(),
-        "inside the mechanism: no effect named": Share(
+        "inside the mechanism: no effect named": Proportion(
             sum(not _effects(t) for t in by_kind[INSIDE]), len(by_kind[INSIDE])
         ).to_json(),
-        "inside the mechanism: none named, or said that more than noise remains": Share(
+        "inside the mechanism: none named, or said that more than noise remains": Proportion(
             sum(not _effects(t) or t["remains"] > MAX_NOISE_FLOORS for t in by_kind[INSIDE]),
             len(by_kind[INSIDE]),
         ).to_json(),

@@ -21,8 +21,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.campaign.trials.folder import recording
-from labhil.campaign.trials.make import Order, make_trials
+from labhil.campaign.trials.folder import recording_path
+from labhil.campaign.trials.make import TrialSetOptions, make_trials
 from measure_ablation import read_answer
 from measured import tell
 
@@ -42,7 +42,7 @@ class Timed:
 
 def diagnose(python: str, folder: Path, name: str, baseline: tuple[str, ...], out: Path) -> Timed:
     """Diagnose one trial in a process of its own."""
-    searched, tested = (str(recording(folder, name, part)) for part in ("search", "test"))
+    searched, tested = (str(recording_path(folder, name, part)) for part in ("search", "test"))
     command = [python, "-P", "-m", "labhil", "diagnose", searched, "--test", tested, "--json", str(out)]
     if baseline:
         command += ["--baseline", ",".join(baseline)]
@@ -59,7 +59,9 @@ def measure_rig(rig: str, trials: int, seed: int, pythons: list[str]) -> dict[st
     with tempfile.TemporaryDirectory() as kept:
         folder, answers = Path(kept) / "trials", Path(kept) / "answers"
         make_trials(
-            Order(rig, trials, "1", folder, answers, seed, seconds=SECONDS[rig]), 1, lambda text: None
+            TrialSetOptions(rig, trials, "1", folder, answers, seed, seconds=SECONDS[rig]),
+            1,
+            lambda text: None,
         )
         rows = []
         for path in sorted(answers.glob("*.json")):

@@ -12,8 +12,8 @@ from labhil.signals import Stream
 
 POSITION = BALL_BEAM.outputs[0]
 SERVO = BALL_BEAM.inputs[0]
-LARGEST_ANGLE = math.pi / 2
-"""How far the servo turns, rad."""
+MAX_ANGLE = math.pi / 2
+"""Largest angle of the servo, rad."""
 
 RIG = SerialRig(
     spec=DriverSpec(
@@ -25,14 +25,14 @@ RIG = SerialRig(
         safe={SERVO.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, socket://host:port, rfc2217://host:port",
-        ranges={SERVO.name: (-LARGEST_ANGLE, LARGEST_ANGLE)},
+        ranges={SERVO.name: (-MAX_ANGLE, MAX_ANGLE)},
     ),
     baud_rate=115200,
 )
 
 
 class BallBeamDriver(SerialDriver):
-    """Servo angle out, ball position in, 100 Hz; safe is level."""
+    """Commands the servo angle; measures the ball position at 100 Hz; safe is level."""
 
     rig = RIG
     spec = RIG.spec

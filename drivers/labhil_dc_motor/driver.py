@@ -11,8 +11,8 @@ from labhil.signals import Stream
 VOLTAGE = DC_MOTOR.inputs[0]
 SPEED, CURRENT = DC_MOTOR.outputs
 ANGLE, TEMPERATURE = DC_MOTOR.auxiliary
-LARGEST_VOLTAGE = 12.0
-"""What the amplifier gives either way, V."""
+MAX_VOLTAGE = 12.0
+"""Largest voltage of the amplifier in both directions, V."""
 
 RIG = SerialRig(
     spec=DriverSpec(
@@ -24,7 +24,7 @@ RIG = SerialRig(
         safe={VOLTAGE.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, /dev/ttyACM0@1000000 (baud), socket://host:port, rfc2217://host:port",
-        ranges={VOLTAGE.name: (-LARGEST_VOLTAGE, LARGEST_VOLTAGE)},
+        ranges={VOLTAGE.name: (-MAX_VOLTAGE, MAX_VOLTAGE)},
         longest_output=3600.0,
     ),
     baud_rate=500_000,
@@ -34,7 +34,7 @@ RIG = SerialRig(
 
 
 class DcMotorDriver(SerialDriver):
-    """Voltage out; speed, current and what else is fitted (angle, winding temperature) in; safe is 0 V."""
+    """Commands a voltage; measures speed, current and optional angle and winding temperature; safe is 0 V."""
 
     rig = RIG
     spec = RIG.spec

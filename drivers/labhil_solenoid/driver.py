@@ -11,10 +11,10 @@ from labhil.signals import Stream
 CURRENT = SOLENOID.inputs[0]
 POSITION = SOLENOID.outputs[0]
 COMMAND, VOLTAGE, FORCE = SOLENOID.auxiliary
-LARGEST_CURRENT = 2.7
-"""What the coil is made for, A."""
-LONGEST_OUTPUT = 120.0
-"""How long (s) the coil may carry current without a break: at 2.7 A it would overheat in a few minutes."""
+MAX_CURRENT = 2.7
+"""Rated current of the coil, A."""
+MAX_OUTPUT_TIME = 120.0
+"""Longest time of a current without a break, s: at 2.7 A the coil overheats in a few minutes."""
 
 RIG = SerialRig(
     spec=DriverSpec(
@@ -26,8 +26,8 @@ RIG = SerialRig(
         safe={COMMAND.name: 0.0},
         command_timeout=0.3,
         address_help="/dev/ttyACM0, /dev/ttyACM0@2000000 (baud), socket://host:port, rfc2217://host:port",
-        ranges={COMMAND.name: (0.0, LARGEST_CURRENT)},
-        longest_output=LONGEST_OUTPUT,
+        ranges={COMMAND.name: (0.0, MAX_CURRENT)},
+        longest_output=MAX_OUTPUT_TIME,
     ),
     baud_rate=500_000,
     optional=frozenset({FORCE.name}),
@@ -35,7 +35,7 @@ RIG = SerialRig(
 
 
 class SolenoidDriver(SerialDriver):
-    """Current command out; current, position, voltage and, with a load cell, force in; safe is 0 A."""
+    """Commands a current; measures current, position, voltage and, with a load cell, force; safe is 0 A."""
 
     rig = RIG
     spec = RIG.spec

@@ -1,4 +1,4 @@
-"""The dashboard server: a line in, a line out. Used before moving, and to stop where all else fails."""
+"""Client of the controller's dashboard server: one answer line per line. Used to stop a program."""
 
 from __future__ import annotations
 
@@ -14,7 +14,15 @@ TIMEOUT = 2.0
 
 
 class Dashboard:
-    """A connection to the dashboard of the controller at ``host``; ConnectError when nobody is there."""
+    """A connection to the dashboard of a controller.
+
+    Args:
+        host: Address of the controller.
+        timeout: Longest time of an answer, s.
+
+    Raises:
+        ConnectError: No dashboard answers.
+    """
 
     def __init__(self, host: str, timeout: float = TIMEOUT) -> None:
         self.host = host
@@ -30,7 +38,11 @@ class Dashboard:
             self._line()
 
     def ask(self, line: str) -> str:
-        """Send a line and return the answer without its end; ConnectError when none comes."""
+        """Send a line and return the answer.
+
+        Raises:
+            ConnectError: There is no answer.
+        """
         try:
             self._socket.sendall(line.encode() + b"\n")
         except OSError as error:
@@ -55,6 +67,6 @@ class Dashboard:
 
 
 def stop_program(host: str, timeout: float = 0.5) -> None:
-    """Stop the program that moves the arm, if there is one; does its best, never raises."""
+    """Stop the program that moves the arm, if there is one. Never raises."""
     with contextlib.suppress(ConnectError), Dashboard(host, timeout) as dashboard:
         dashboard.ask("stop")

@@ -1,4 +1,7 @@
-"""A UR arm on the network: what it reports at every cycle of its controller, and how it is commanded."""
+"""Drivers of UR arms on the network: samples of every controller cycle, and commands by a client process.
+
+Samples are received in ``rtde.py``, the client process is in ``client.py`` and ``motion.py``.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,9 @@ from labhil.errors import CommandRefusedError, ConnectError, DeviceError, Device
 from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
 from labhil_ur5.dashboard import Dashboard
-from labhil_ur5.declared import (
+from labhil_ur5.fault import SAFETY_NORMAL, fault_of
+from labhil_ur5.motion import Motion, MotionState
+from labhil_ur5.reported_signals import (
     CLIENT,
     COMMAND_TIMEOUT,
     DIGITAL_OUTPUTS,
@@ -27,27 +32,25 @@ from labhil_ur5.declared import (
     TARGET_COLUMNS,
     TIMESTAMP,
 )
-from labhil_ur5.fault import SAFETY_NORMAL, fault_of
-from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.rtde import Receiver
-from labhil_ur5.stream_order import in_stream_order, variables
+from labhil_ur5.stream_order import row_reader, variable_names
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
 WAYPOINT_RATE = 100.0
-"""How often the arm gets a waypoint, Hz; in between the client process interpolates."""
-LARGEST_ANGLE = math.radians(363.0)
-"""How far a joint turns, rad."""
-THERE = 1e-3
-"""How near the arm must be to where a path begins, rad."""
-PATIENCE = 0.05
-"""How long (s) ``close`` from another thread waits for ``read`` to notice."""
-FIRST_SAMPLE = 2.0
-RESTART_AFTER = 1.0
-"""How long after the loss of the client process another one is started, s."""
-BEGINNING = 0.2
-"""How long the client may take to say that it has begun a path, s; waypoints go on meanwhile."""
-GIVE_UP = 60.0
-"""How long one client after the other may be lost before somebody has to look, s."""
+"""Rate of waypoints, Hz; the client process interpolates between them."""
+MAX_ANGLE = math.radians(363.0)
+"""Largest angle of a joint, rad."""
+START_TOLERANCE = 1e-3
+"""Largest distance of the arm from the start of a path, rad."""
+POLL_PERIOD = 0.05
+"""Longest time in which ``read`` notices a ``close`` from another thread, s."""
+FIRST_SAMPLE_TIMEOUT = 2.0
+RESTART_DELAY = 1.0
+"""Time from the loss of the client process to its restart, s."""
+PATH_START_TIMEOUT = 0.2
+"""Time in which the client has to report the start of a path, s; waypoints are sent meanwhile."""
+MAX_OUTAGE = 60.0
+"""Time of repeated losses of the client after which the fault is permanent, s."""
 
 STATES = tuple(MotionState)
 
@@ -65,7 +68,7 @@ def _spec(name: str, rate: float, series: str) -> DriverSpec:
         command_timeout=COMMAND_TIMEOUT,
         address_help="the controller's IP address or host name",
         waypoint_rate=WAYPOINT_RATE,
-        approach={TARGET.name: THERE},
+        approach={TARGET.name: START_TOLERANCE},
         ready={CLIENT.name: float(STATES.index(MotionState.IDLE))},
     )
 
@@ -73,8 +76,11 @@ def _spec(name: str, rate: float, series: str) -> DriverSpec:
 class Ur5Driver:
     """A UR arm of the e-Series; satisfies :class:`labhil.driver.TimedDriver`.
 
-    Connecting only listens. The first command takes the arm's program over, in a client process of its
-    own that may die and is replaced; samples do not pass through it. Safe is: stop and hold.
+    Connecting only receives. The first command starts a program on the controller by a client process, which
+    is replaced if it dies; samples do not pass through it. The safe state is: stop and hold.
+
+    Args:
+        address: IP address or host name of the controller.
     """
 
     spec: ClassVar[DriverSpec] = _spec("ur5", E_SERIES_RATE, "e-Series")
@@ -87,26 +93,31 @@ class Ur5Driver:
         self._motion = Motion(address, self.spec.stream.rate)
         self._closing = False
         # reentrant: a signal handler may close the driver in the middle of a read
-        self._reading = threading.RLock()
-        self._lost_because = ""
-        self._lost_at = self._first_lost_at = 0.0
-        self._timed = False
-        self._begun_at = -math.inf
+        self._read_lock = threading.RLock()
+        self._loss_reason = ""
+        self._last_loss = self._first_loss = 0.0
+        self._follows_path = False
+        self._path_started_at = -math.inf
 
     def connect(self) -> DeviceInfo:
-        """Listen to the controller; ConnectError when it is not there, ProtocolError when it is no UR."""
+        """Start receiving from the controller.
+
+        Raises:
+            ConnectError: No controller answers.
+            ProtocolError: It is no UR controller of this series.
+        """
         self.close()
-        with self._reading:
+        with self._read_lock:
             self._latest: dict[str, float] = {}
             self._target: list[float] = []
-            self._switched: dict[str, float] = {}
+            self._switch_values: dict[str, float] = {}
             self._seq, self._clock_ns, self._acquired_ns = 0, -1, 0
-            self._lost_because = ""
+            self._loss_reason = ""
             self.counters = Counters()
             self._closing = False
             self._listen()
             try:
-                return self._introduce()
+                return self._identify()
             except BaseException:
                 self.close()
                 raise
@@ -115,27 +126,26 @@ class Ur5Driver:
         receiver = Receiver(self.address)
         try:
             self._check_version(*receiver.greet())
-            needed, optional = variables()
+            needed, optional = variable_names()
             recipe = receiver.start(needed, optional, self.spec.stream.rate)
         except BaseException:
             receiver.close()
             raise
-        self._take_values = in_stream_order(recipe)
+        self._read_row = row_reader(recipe)
         self._recipe, self._receiver = recipe, receiver
 
-    def _check_version(self, major: int, *_rest: int) -> None:
+    def _check_version(self, major: int, *_minor: int) -> None:
         if major not in self.majors:
             raise ProtocolError(
                 f"{self.address}: expected a controller of software {' or '.join(map(str, self.majors))},"
                 f" found {major}: use the plugin {'ur5_cb3' if major == 3 else 'ur5'!r}"
             )
 
-    def _introduce(self) -> DeviceInfo:
+    def _identify(self) -> DeviceInfo:
         assert self._receiver is not None
-        first = self.read(FIRST_SAMPLE)
+        first = self.read(FIRST_SAMPLE_TIMEOUT)
         if not len(first):
             raise ConnectError(f"{self.address}: the controller sends no samples")
-        self._early = first
         booted_at = (first.t_acq_ns[-1] - first.t_hw_ns[-1]) * 1e-9
         return DeviceInfo(
             firmware=".".join(map(str, self._receiver.version)),
@@ -144,20 +154,21 @@ class Ur5Driver:
         )
 
     def read(self, timeout: float) -> Batch:
-        """Return the samples that have come in, waiting up to ``timeout`` s for the first.
+        """Return the samples received, waiting up to ``timeout`` s for the first; may be empty.
 
-        An empty batch means that nothing came. Raises DeviceResetError when the controller's clock went
-        back, ConnectError when the wire is gone (after one attempt to make it again) or the driver closed.
+        Raises:
+            DeviceResetError: The controller's clock went back.
+            ConnectError: The connection broke and could not be made again, or the driver was closed.
         """
         deadline = time.monotonic() + timeout
         rows: list[Row] = []
-        with self._reading:
+        with self._read_lock:
             while not rows:
                 if self._receiver is None or self._closing:
                     raise ConnectError(f"{self.address}: not connected")
                 remaining = max(deadline - time.monotonic(), 0.0)
                 waiting = [self._receiver.fileno(), *self._motion.descriptors()]
-                select.select(waiting, [], [], min(remaining, PATIENCE))
+                select.select(waiting, [], [], min(remaining, POLL_PERIOD))
                 self._watch_client()
                 rows = self._rows(self._payloads())
                 if remaining <= 0.0:
@@ -169,7 +180,7 @@ class Ur5Driver:
         try:
             return self._receiver.packages()
         except ConnectError:
-            # a connection that breaks while the controller lives leaves a hole and nothing more
+            # a connection that breaks while the controller runs causes a gap only
             self._receiver.close()
             try:
                 self._listen()
@@ -186,7 +197,7 @@ class Ur5Driver:
             values = self._recipe.unpack(payload)
             t_hw_ns = round(values[self._recipe.slices[TIMESTAMP].start] * 1e9)
             if self._is_new(t_hw_ns):
-                row = self._take_values(values)
+                row = self._read_row(values)
                 row.append(STATES.index(self._motion.state))
                 rows.append((self._seq, 0, t_hw_ns, row))
         if rows:
@@ -194,7 +205,7 @@ class Ur5Driver:
         return self._stamp(rows)
 
     def _stamp(self, rows: list[Row]) -> list[Row]:
-        """Give samples that were waiting together the times at which they must have come in."""
+        """Estimate the arrival times of samples that were waiting together."""
         now = unix_ns()
         stamped = []
         for seq, _, t_hw_ns, values in rows:
@@ -203,7 +214,7 @@ class Ur5Driver:
         return stamped
 
     def _is_new(self, t_hw_ns: int) -> bool:
-        """Number a sample by the controller's clock; False for one that has been seen already."""
+        """Number a sample by the controller's clock; return False for a repeated one."""
         previous_ns, self._clock_ns = self._clock_ns, t_hw_ns
         self.counters.frames += 1
         if previous_ns < 0:
@@ -223,40 +234,44 @@ class Ur5Driver:
         return True
 
     def fault(self) -> str:
-        """Return why the arm cannot be commanded as it is, in words; empty when it can."""
-        if self._lost_because:
-            return f"the arm's client was lost ({self._lost_because}); it is started again"
+        """Return why the arm cannot be commanded, as text; empty when it can."""
+        if self._loss_reason:
+            return f"the arm's client was lost ({self._loss_reason}); it is started again"
         return fault_of(self._latest, commanded=self._motion.state is not MotionState.NONE)
 
     def is_transient(self) -> bool:
-        """Whether the trouble is a client process that died and is being replaced.
+        """Return whether the fault is a client process that died and is being replaced.
 
-        Where the controller ended the program, perhaps because somebody pressed stop, nothing goes on.
+        Where the controller ended the program, perhaps because somebody pressed stop, the fault is permanent.
         """
         return (
-            bool(self._lost_because)
+            bool(self._loss_reason)
             and self._motion.died
             and self._latest.get("safety_mode") in SAFETY_NORMAL
-            and time.monotonic() - self._first_lost_at < GIVE_UP
+            and time.monotonic() - self._first_loss < MAX_OUTAGE
         )
 
     def command(self, values: Mapping[str, float]) -> None:
-        """Go to joint angles by moveJ, set the speed slider or the digital outputs; empty: a sign of life.
+        """Move to joint angles by moveJ, or set the speed slider or the digital outputs.
 
-        ``target_q_0`` … ``target_q_5`` in rad, those left out stay; ``target_speed_fraction`` 0 to 1;
-        ``standard_digital_outputs`` 0 to 255. CommandRefusedError for anything else.
+        Args:
+            values: ``target_q_0`` … ``target_q_5`` in rad, those left out stay; ``target_speed_fraction`` 0
+                to 1; ``standard_digital_outputs`` 0 to 255. An empty mapping is a sign of life.
+
+        Raises:
+            CommandRefusedError: A name or a value is wrong, or the path is too fast.
         """
         self._command(values, None)
 
     def command_at(self, values: Mapping[str, float], t_hw_ns: int) -> None:
-        """As ``command``, but the angles are a waypoint of a path: where to be at a time of the device.
+        """Send the angles as a waypoint of a path, for a time of the device; otherwise like :meth:`command`.
 
-        A path begins where the arm is (within ``THERE``) and at rest.
+        A path begins at the position of the arm (within ``START_TOLERANCE``), at rest.
         """
         self._command(values, t_hw_ns)
 
     def _command(self, values: Mapping[str, float], t_hw_ns: int | None) -> None:
-        _refuse_unusable(values)
+        _check_commands(values)
         if self._receiver is None:
             raise ConnectError(f"{self.address}: not connected")
         self._switch({name: values[name] for name in (SPEED.name, OUTPUTS.name) if name in values})
@@ -267,77 +282,77 @@ class Ur5Driver:
             self._target = self._joints()
         for joint, column in enumerate(TARGET_COLUMNS):
             self._target[joint] = values.get(column, self._target[joint])
-        if any(column in values for column in TARGET_COLUMNS) or self._timed:
-            self._steer(self._target, t_hw_ns)
+        if any(column in values for column in TARGET_COLUMNS) or self._follows_path:
+            self._command_joints(self._target, t_hw_ns)
         else:
-            self._motion.tell({"alive": True})
+            self._motion.send({"alive": True})
 
-    def _steer(self, q: Sequence[float], t_hw_ns: int | None) -> None:
+    def _command_joints(self, q: Sequence[float], t_hw_ns: int | None) -> None:
         motion, joints = self._motion, self._joints()
-        self._timed = t_hw_ns is not None
-        at_target = max(abs(a - b) for a, b in zip(q, joints, strict=True)) <= THERE
-        begins = time.monotonic() - self._begun_at < BEGINNING
+        self._follows_path = t_hw_ns is not None
+        at_target = max(abs(a - b) for a, b in zip(q, joints, strict=True)) <= START_TOLERANCE
+        is_starting = time.monotonic() - self._path_started_at < PATH_START_TIMEOUT
         if motion.state is MotionState.NONE:
             if not self.fault():
                 motion.start()
-        elif motion.state is MotionState.IDLE and not at_target and not (begins and self._timed):
+        elif motion.state is MotionState.IDLE and not at_target and not (is_starting and self._follows_path):
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
         elif t_hw_ns is not None and motion.state in (MotionState.IDLE, MotionState.SERVO):
-            if not begins:
-                self._begun_at = time.monotonic() if motion.state is MotionState.IDLE else -math.inf
+            if not is_starting:
+                self._path_started_at = time.monotonic() if motion.state is MotionState.IDLE else -math.inf
             motion.waypoint(t_hw_ns * 1e-9, q, joints)
         else:
-            motion.tell({"alive": True})
+            motion.send({"alive": True})
 
-    def _switch(self, wanted: Mapping[str, float]) -> None:
-        changed = {name: value for name, value in wanted.items() if self._switched.get(name) != value}
+    def _switch(self, values: Mapping[str, float]) -> None:
+        changed = {name: value for name, value in values.items() if self._switch_values.get(name) != value}
         if not changed:
             return
         if self._motion.state is MotionState.NONE:
             self._motion.start()
         if self._motion.state is MotionState.STARTING:
-            return  # the host says it again
+            return  # the host repeats its commands
         if SPEED.name in changed:
-            self._motion.tell({"slider": changed[SPEED.name]})
+            self._motion.send({"slider": changed[SPEED.name]})
         if OUTPUTS.name in changed:
-            self._motion.tell({"outputs": int(changed[OUTPUTS.name])})
-        self._switched.update(changed)
+            self._motion.send({"outputs": int(changed[OUTPUTS.name])})
+        self._switch_values.update(changed)
 
     def _joints(self) -> list[float]:
         return [self._latest[column] for column in TARGET_COLUMNS]
 
     def _watch_client(self) -> None:
-        why = self._motion.look()
+        reason = self._motion.poll()
         now = time.monotonic()
-        if why:
-            if not self._lost_because:
-                self._first_lost_at = now
-            self._lost_because, self._lost_at = why, now
-            self._switched.clear()
+        if reason:
+            if not self._loss_reason:
+                self._first_loss = now
+            self._loss_reason, self._last_loss = reason, now
+            self._switch_values.clear()
             self.counters.resets += 1
-        if not self._lost_because:
+        if not self._loss_reason:
             return
-        if self._motion.state is MotionState.NONE and now - self._lost_at > RESTART_AFTER:
+        if self._motion.state is MotionState.NONE and now - self._last_loss > RESTART_DELAY:
             if self._latest.get("safety_mode") in SAFETY_NORMAL:
                 self._motion.start()
-                self._lost_at = now
+                self._last_loss = now
         elif self._motion.state is MotionState.IDLE:
-            self._lost_because = ""
+            self._loss_reason = ""
 
     def safe(self) -> None:
-        """Stop on the path, and hold; never raises."""
-        self._timed = False
-        self._begun_at = -math.inf
+        """Stop on the path and hold. Never raises."""
+        self._follows_path = False
+        self._path_started_at = -math.inf
         self._target = []
         with contextlib.suppress(OSError):
             self._motion.stop()
 
     def close(self) -> None:
-        """Stop the arm, end its program and let go of the wire. Safe to call twice."""
+        """Stop the arm, end its program and close the connection. May be called again."""
         self._closing = True
-        with self._reading:
+        with self._read_lock:
             self._motion.end()
             if self._receiver is not None:
                 self._receiver.close()
@@ -354,14 +369,14 @@ class Ur5Driver:
 
 
 class Ur5Cb3Driver(Ur5Driver):
-    """An arm of the CB series, 125 Hz; else the same."""
+    """A UR arm of the CB3 series, 125 Hz."""
 
     spec: ClassVar[DriverSpec] = _spec("ur5_cb3", CB3_RATE, "CB3")
     majors: ClassVar[tuple[int, ...]] = (3,)
 
 
-def _refuse_unusable(values: Mapping[str, float]) -> None:
-    ranges = dict.fromkeys(TARGET_COLUMNS, (-LARGEST_ANGLE, LARGEST_ANGLE))
+def _check_commands(values: Mapping[str, float]) -> None:
+    ranges = dict.fromkeys(TARGET_COLUMNS, (-MAX_ANGLE, MAX_ANGLE))
     ranges |= {SPEED.name: (0.0, 1.0), OUTPUTS.name: (0.0, 2.0**DIGITAL_OUTPUTS - 1)}
     for name, value in values.items():
         if name not in ranges:
@@ -374,7 +389,7 @@ def _refuse_unusable(values: Mapping[str, float]) -> None:
 
 
 def _serial(host: str) -> str:
-    """Ask the dashboard for the serial number; a controller that gives none is "unknown"."""
+    """Return the serial number from the dashboard, or "unknown"."""
     try:
         with Dashboard(host) as dashboard:
             number = dashboard.ask("get serial number")

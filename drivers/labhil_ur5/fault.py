@@ -1,4 +1,4 @@
-"""What keeps an arm from being commanded, in words."""
+"""Faults that prevent commands to an arm, as text."""
 
 from __future__ import annotations
 
@@ -37,9 +37,11 @@ ROBOT_MODES = {
 
 
 def fault_of(latest: Mapping[str, float], commanded: bool) -> str:
-    """Return the fault of an arm that sent the ``latest`` values, in words; empty without one.
+    """Return the fault of an arm as text; empty without one.
 
-    An arm that nobody commands through us may be off, or moved by hand.
+    Args:
+        latest: The latest values of its signals.
+        commanded: Whether the driver commands the arm; otherwise it may be off or moved by hand.
     """
     safety = latest.get("safety_mode", SAFETY_NORMAL[0])
     if safety not in SAFETY_NORMAL:

@@ -1,4 +1,4 @@
-"""The driver's side of the client process: it is started, commanded, watched, and replaced."""
+"""The client process, seen from the driver: started, commanded, watched and ended."""
 
 from __future__ import annotations
 
@@ -17,17 +17,9 @@ from typing import Any
 from labhil.extras import require
 from labhil_ur5.dashboard import stop_program
 
-SILENCE = 2.0
-"""How long the client may say nothing before it is taken for hung, s."""
-START_TIMEOUT = 15.0
-"""How long it may take to connect and to start its program on the controller, s."""
-END_TIMEOUT = 3.0
-STOP_TIMEOUT = 1.5
-"""How long a dashboard may take to stop the program, s."""
-
 
 class MotionState(StrEnum):
-    """What the client says it is doing, and what it cannot say itself."""
+    """States of the client, as it reports them, and NONE and STARTING."""
 
     NONE = "none"
     """There is no client."""
@@ -39,29 +31,50 @@ class MotionState(StrEnum):
 
 
 class Motion:
-    """The client process of one controller; nothing here waits but :meth:`end`."""
+    """The client process of one controller; only :meth:`end` blocks.
 
-    def __init__(self, host: str, rate: float) -> None:
+    Args:
+        host: Address of the controller.
+        rate: Rate of servo targets, Hz.
+        max_silence: Time without a line after which the client counts as hung, s.
+        start_timeout: Time in which the client has to connect and to start its program, s.
+        end_timeout: Time in which the client has to end, s.
+        stop_timeout: Time in which a dashboard has to stop the program, s.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        rate: float,
+        *,
+        max_silence: float = 2.0,
+        start_timeout: float = 15.0,
+        end_timeout: float = 3.0,
+        stop_timeout: float = 1.5,
+    ) -> None:
+        self._max_silence, self._start_timeout = max_silence, start_timeout
+        self._end_timeout, self._stop_timeout = end_timeout, stop_timeout
         self._command = [sys.executable, "-P", "-m", "labhil_ur5.client", host, repr(rate)]
         self._host = host
         self._process: subprocess.Popen[bytes] | None = None
-        self._writing = threading.RLock()
+        self._lock = threading.RLock()
         self._heard_at = 0.0
-        self._rest = b""
+        self._incomplete = b""
         self.state = MotionState.NONE
         self.refusal = self._fault = ""
         self.died = False
-        """Whether the client was lost by itself, and not because the controller ended its program."""
+        """Whether the client died, and not because the controller ended its program."""
         self.starts = 0
         self._stopping: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the process; :attr:`state` is IDLE once it can be moved.
+        """Start the process; :attr:`state` is IDLE once the arm can be moved.
 
-        MissingExtraError without the client library: listening to an arm needs none.
+        Raises:
+            MissingExtraError: The client library is not installed, which only commands need.
         """
         require("rtde_control", "commanding a UR arm")
-        with self._writing:
+        with self._lock:
             self._discard()
             self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed in `_discard`
             self._process = subprocess.Popen(
@@ -76,7 +89,7 @@ class Motion:
             for pipe in (self._process.stdin, self._process.stdout):
                 assert pipe is not None
                 os.set_blocking(pipe.fileno(), False)
-            self._rest, self.refusal, self._fault = b"", "", ""
+            self._incomplete, self.refusal, self._fault = b"", "", ""
             self._heard_at = time.monotonic()
             self.state = MotionState.STARTING
             self.starts += 1
@@ -87,13 +100,13 @@ class Motion:
         return None if self._process is None else self._process.pid
 
     def descriptors(self) -> list[int]:
-        """What to wait on for news of the client."""
+        """Return file descriptors that become readable when the client writes."""
         process = self._process
         return [] if process is None or process.stdout is None else [process.stdout.fileno()]
 
-    def look(self) -> str:
-        """Take in what the client sent; returns why it is gone, or an empty string while all is well."""
-        with self._writing:
+    def poll(self) -> str:
+        """Handle the client's lines; return why the client is lost, or an empty string."""
+        with self._lock:
             if self._process is None:
                 return ""
             closed = self._read(self._process)
@@ -101,42 +114,44 @@ class Motion:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(0.5)
                 self.died = not self._fault
-                return self._give_up(self._fault or f"the client process died{self._exit_in_words()}")
-            silence = START_TIMEOUT if self.state is MotionState.STARTING else SILENCE
+                return self._abandon(self._fault or f"the client process died{self._exit_description()}")
+            silence = self._start_timeout if self.state is MotionState.STARTING else self._max_silence
             if time.monotonic() - self._heard_at > silence:
                 self.died = True
-                return self._give_up(f"the client process said nothing for {silence:g} s{self._complaint()}")
+                return self._abandon(
+                    f"the client process said nothing for {silence:g} s{self._last_error_line()}"
+                )
             return ""
 
-    def tell(self, order: Mapping[str, Any]) -> None:
-        """Send an order; :meth:`look` notices a client that takes none."""
-        with self._writing:
+    def send(self, request: Mapping[str, Any]) -> None:
+        """Send a request; :meth:`poll` detects a client that reads none."""
+        with self._lock:
             if self._process is None or self._process.stdin is None:
                 return
             with contextlib.suppress(OSError, ValueError):
-                self._process.stdin.write(json.dumps(order).encode() + b"\n")
+                self._process.stdin.write(json.dumps(request).encode() + b"\n")
 
     def move(self, q: Sequence[float]) -> None:
         """Go to ``q`` (rad) by moveJ."""
-        self.tell({"move": list(q)})
+        self.send({"move": list(q)})
 
     def waypoint(self, t: float, q: Sequence[float], begin: Sequence[float]) -> None:
-        """Be at ``q`` at time ``t`` (s) of the controller's clock; the first begins a path at ``begin``."""
-        self.tell({"t": t, "q": list(q), "from": list(begin)})
+        """Send a waypoint ``q`` (rad) at time ``t`` (s) of the controller; a path starts at ``begin``."""
+        self.send({"t": t, "q": list(q), "from": list(begin)})
 
     def stop(self) -> None:
-        """Come to rest and stay; by the dashboard where the client is no more. Never raises."""
-        with self._writing:
+        """Stop and hold, by the dashboard where the client is dead. Never raises."""
+        with self._lock:
             if self._process is not None and self._process.poll() is None:
-                self.tell({"stop": True})
+                self.send({"stop": True})
             elif self._process is not None:
                 self._stop_by_dashboard()
 
     def end(self) -> None:
         """Stop the arm, end the controller's program and the client; safe to call twice."""
-        with self._writing:
+        with self._lock:
             if self._stopping is not None:
-                self._stopping.join(STOP_TIMEOUT)
+                self._stopping.join(self._stop_timeout)
             process = self._process
             if process is None:
                 return
@@ -144,7 +159,7 @@ class Motion:
             with contextlib.suppress(OSError):
                 process.stdin.close()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(END_TIMEOUT)
+                process.wait(self._end_timeout)
             if process.poll() != 0:
                 process.kill()
                 process.wait()
@@ -152,7 +167,7 @@ class Motion:
             self._discard()
 
     def _read(self, process: subprocess.Popen[bytes]) -> bool:
-        """Take in what is there; whether the client has closed its output."""
+        """Read and handle available lines; return whether the client has closed its output."""
         assert process.stdout is not None
         while True:
             try:
@@ -162,11 +177,11 @@ class Motion:
             if not data:
                 return True
             self._heard_at = time.monotonic()
-            *lines, self._rest = (self._rest + data).split(b"\n")
+            *lines, self._incomplete = (self._incomplete + data).split(b"\n")
             for line in lines:
-                self._take(line)
+                self._handle_line(line)
 
-    def _take(self, line: bytes) -> None:
+    def _handle_line(self, line: bytes) -> None:
         try:
             message = json.loads(line)
         except ValueError:
@@ -176,14 +191,14 @@ class Motion:
         # a fault is sent before the output is closed, and may be read before that
         self._fault = str(message.get("fault", self._fault))
 
-    def _give_up(self, why: str) -> str:
+    def _abandon(self, reason: str) -> str:
         self._discard()
-        # the last command must not go on; the controller's watchdog stops it as well
+        # the last command must not continue; the controller's watchdog stops it as well
         self._stop_by_dashboard()
-        return why
+        return reason
 
     def _stop_by_dashboard(self) -> None:
-        """Have the program stopped, while samples go on being read: a dashboard may keep one waiting."""
+        """Stop the program in another thread, so that a slow dashboard does not delay samples."""
         if self._stopping is None or not self._stopping.is_alive():
             self._stopping = threading.Thread(target=stop_program, args=(self._host,), daemon=True)
             self._stopping.start()
@@ -200,13 +215,13 @@ class Motion:
                 pipe.close()
         self._errors.close()
 
-    def _exit_in_words(self) -> str:
+    def _exit_description(self) -> str:
         status = self._process.poll() if self._process is not None else None
         ending = (
             "" if status is None else f" by signal {-status}" if status < 0 else f" with exit status {status}"
         )
-        return ending + self._complaint()
+        return ending + self._last_error_line()
 
-    def _complaint(self) -> str:
-        written = os.pread(self._errors.fileno(), 1 << 20, 0).decode(errors="replace").strip()
-        return f": {written.splitlines()[-1]}" if written else ""
+    def _last_error_line(self) -> str:
+        errors = os.pread(self._errors.fileno(), 1 << 20, 0).decode(errors="replace").strip()
+        return f": {errors.splitlines()[-1]}" if errors else ""

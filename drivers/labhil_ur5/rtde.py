@@ -1,8 +1,8 @@
-"""The receiving side of RTDE, version 2: every sample the controller sends, in order, with its own clock.
+"""Receiver of RTDE, version 2: every sample of the controller, in order, with the controller's clock.
 
-Facts: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". Everything is big-endian; a package is
-its size (u16, header included), a letter, and a payload. Why not the client library's getters: they show
-the newest value of one variable at a time, so that samples are missed and rows mix two of them.
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide". All numbers are big-endian; a package is its
+size (u16, header included), a letter, and a payload. The getters of the client library return the newest
+value of one variable at a time, so that samples would be missed and rows would mix two of them.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from labhil.errors import ConnectError, ProtocolError
 
 PORT = 30004
 PROTOCOL_VERSION = 2
-ANSWER_WITHIN = 3.0
-"""How long the controller may take for one answer, s."""
+ANSWER_TIMEOUT = 3.0
+"""Longest time of an answer of the controller, s."""
 CHUNK = 1 << 16
 HEADER = struct.Struct(">HB")
 
 ASK_PROTOCOL, ASK_VERSION, SETUP_OUTPUTS, START, DATA = b"VvOSU"
 LETTERS = b"VvOSUMIP"
-"""Of all packages that a controller may send; ``M`` is a text, ``I`` and ``P`` answer what we never ask."""
+"""Letters of all packages of a controller; ``M`` is a text, ``I`` and ``P`` are never requested."""
 
 FORMATS = {
     "BOOL": "?",
@@ -43,16 +43,20 @@ FORMATS = {
 NOT_FOUND = "NOT_FOUND"
 
 
-class Packages:
-    """Cuts a stream of bytes into packages."""
+class PackageParser:
+    """Splits a stream of bytes into packages; ``who`` is the sender's name in messages."""
 
     def __init__(self, who: str) -> None:
         self._who = who
-        self._rest = bytearray()
+        self._incomplete = bytearray()
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Give (letter, payload) of every package that is whole now; ProtocolError for nonsense."""
-        buffer = self._rest
+        """Add bytes, and yield (letter, payload) of every complete package.
+
+        Raises:
+            ProtocolError: The bytes are no RTDE packages.
+        """
+        buffer = self._incomplete
         buffer += data
         start = 0
         try:
@@ -74,14 +78,18 @@ class Packages:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """What the controller sends in one package: the variables that it knows, and how they are packed."""
+    """Layout of a data package: its number, the struct, and the slice of each variable in the numbers."""
 
     number: int
     layout: struct.Struct
     slices: dict[str, slice]
 
     def unpack(self, payload: bytes) -> tuple[float, ...]:
-        """Return the numbers of one package; ProtocolError when it is not of this recipe."""
+        """Return the numbers of a package.
+
+        Raises:
+            ProtocolError: The package is not of this recipe.
+        """
         if len(payload) != 1 + self.layout.size or payload[0] != self.number:
             raise ProtocolError(
                 f"expected {1 + self.layout.size} bytes of recipe {self.number}, found {len(payload)} bytes"
@@ -91,9 +99,17 @@ class Recipe:
 
 
 class Receiver:
-    """One connection that receives; :meth:`start` first, then :meth:`packages`."""
+    """A receiving connection: :meth:`greet`, :meth:`start`, then :meth:`packages`.
 
-    def __init__(self, host: str, timeout: float = ANSWER_WITHIN) -> None:
+    Args:
+        host: Address of the controller.
+        timeout: Longest time of an answer, s.
+
+    Raises:
+        ConnectError: No controller answers.
+    """
+
+    def __init__(self, host: str, timeout: float = ANSWER_TIMEOUT) -> None:
         self.host = host
         self._timeout = timeout
         try:
@@ -104,12 +120,12 @@ class Receiver:
                 " right, the arm's controller switched on, and RTDE enabled under Security → Services?"
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._packages = Packages(host)
+        self._packages = PackageParser(host)
         self._early: list[bytes] = []
         self.version: tuple[int, int, int, int] = (0, 0, 0, 0)
 
     def greet(self) -> tuple[int, int, int, int]:
-        """Agree on the protocol's version and return the controller's: major, minor, bugfix, build."""
+        """Negotiate the protocol's version; return the controller's: major, minor, bugfix, build."""
         (accepted,) = self._ask(ASK_PROTOCOL, struct.pack(">H", PROTOCOL_VERSION), ">B")
         if accepted != 1:
             raise ProtocolError(
@@ -121,7 +137,16 @@ class Receiver:
         return self.version
 
     def start(self, needed: Sequence[str], optional: Sequence[str], rate: float) -> Recipe:
-        """Ask for variables at ``rate`` Hz and let them come; those ``optional`` may be left out."""
+        """Request variables and start their transmission.
+
+        Args:
+            needed: Names of required variables.
+            optional: Names of variables that the controller may not know.
+            rate: Rate of packages, Hz.
+
+        Raises:
+            ProtocolError: The controller does not know a required variable, or refuses.
+        """
         names = [*needed, *optional]
         number, types = self._set_up(names, rate)
         known = [name for name, kind in zip(names, types, strict=True) if kind != NOT_FOUND]
@@ -139,17 +164,21 @@ class Receiver:
         return _recipe(number, known, types)
 
     def packages(self) -> list[bytes]:
-        """Return the payloads of all data packages that have come in; ConnectError when the wire is gone."""
+        """Return the payloads of all data packages received.
+
+        Raises:
+            ConnectError: The connection broke.
+        """
         early, self._early = self._early, []
-        come = self._packages.feed(self._receive())
-        return early + [payload for letter, payload in come if letter == DATA]
+        received = self._packages.feed(self._receive())
+        return early + [payload for letter, payload in received if letter == DATA]
 
     def fileno(self) -> int:
-        """The socket's descriptor, to wait on."""
+        """Return the file descriptor of the socket."""
         return self._socket.fileno()
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         with contextlib.suppress(OSError):
             self._socket.close()
 
@@ -190,8 +219,8 @@ class Receiver:
         except OSError as error:
             raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
         answer: bytes | None = None
-        while (left := deadline - time.monotonic()) > 0:
-            select.select([self._socket], [], [], left)
+        while (remaining := deadline - time.monotonic()) > 0:
+            select.select([self._socket], [], [], remaining)
             for kind, body in self._packages.feed(self._receive()):
                 if kind == letter and answer is None:
                     answer = body

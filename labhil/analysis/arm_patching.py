@@ -1,4 +1,7 @@
-"""A repaired file of an arm: changed, loaded, and run by MuJoCo's inverse dynamics on the held-out data."""
+"""Write a repaired file of an arm, and check it by MuJoCo's inverse dynamics on the held-out data.
+
+Rigs with one joint are in ``patching.py``.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,17 @@ from typing import cast
 import numpy as np
 
 from labhil.analysis.dataset import Dataset, load_dataset
-from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Joint, Patch, difference, drafts, write
+from labhil.analysis.patch import (
+    FIRM_FRICTION,
+    MAX_ERROR_RATIO,
+    MAX_STATED_RATIO,
+    Attempt,
+    Joint,
+    Patch,
+    temporary_files,
+    unified_diff,
+    write_patched,
+)
 from labhil.analysis.patch_source import PatchSource
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -30,22 +43,28 @@ PAYLOAD = "payload"
 
 @dataclass(frozen=True)
 class ArmBench:
-    """An arm's file as it was read, with what the rig file says."""
+    """An arm's file with its rig file.
+
+    Attributes:
+        path: The file.
+        simulator: The arm that it describes.
+        rig: The rig file, or a default one.
+    """
 
     path: Path
     simulator: ArmSimulator
     rig: RigFile
 
     @classmethod
-    def of(cls, into: Path, rig_file: Path | None) -> ArmBench:
-        """Read a file by the names that a rig file gives, or by its own."""
+    def read(cls, into: Path, rig_file: Path | None) -> ArmBench:
+        """Read a file with the signal names of a rig file, or with its own."""
         rig = None if rig_file is None else load_rig(rig_file)
         outputs = None if rig is None or rig.model is None else rig.model.outputs
         simulator = arm_simulator(into, None, outputs, "" if rig is None else rig.kind.name)
         return cls(into, simulator, rig or default_rig(simulator.name))
 
     def constants(self, model: ArmFileModel, theta: np.ndarray) -> list[float] | None:
-        """Torque constants, N·m/A; None where torques are measured."""
+        """Return the torque constants, N·m/A; None where torques are measured."""
         if self.simulator.measures == TORQUE:
             return None
         return model.constants_at(theta)
@@ -59,33 +78,41 @@ def repair_arm(
     holdout: float,
     progress: Callable[[str], None],
 ) -> Patch:
-    """Write a repaired copy of an arm's file, if it keeps what a diagnosis promised.
+    """Write a repaired copy of an arm's file, if its error on held-out data is that of the diagnosed model.
+
+    Args:
+        source: The result.
+        into: The file.
+        out: The new file.
+        rig_file: The rig file of the diagnosis, where it had one.
+        holdout: The share that was held out.
+        progress: Called with a line of text before each stage.
 
     Raises:
-        UsageError: The files do not belong together, or the repaired file does not keep the promise.
+        UsageError: The files do not belong together, or the error of the repaired file is too large.
     """
-    bench = ArmBench.of(into, rig_file)
-    material = load_dataset(source.search, bench.rig, source.test or None, holdout)
-    model = material.model
+    bench = ArmBench.read(into, rig_file)
+    dataset = load_dataset(source.search, bench.rig, source.test or None, holdout)
+    model = dataset.model
     if not isinstance(model, ArmFileModel):
         raise UsageError("expected a diagnosis of one recording of an arm, found one of several recordings")
     theta = _theta(model, source.values)
     progress("scoring the diagnosed model on the held-out data")
-    promised = _score(model, theta, material)
-    _check_promise(into, source, promised)
+    promised = _score(model, theta, dataset)
+    _check_stated_errors(into, source, promised)
     code = out.with_name(f"{out.stem}_effects.py")
-    before = _run(bench, model, into, _bare_companion(bench, model, theta), material, into)
+    before = _run(bench, model, into, _companion_without_effects(bench, model, theta), dataset, into)
     attempts: list[Attempt] = []
-    for remedy in ("", FIRM):
+    for remedy in ("", FIRM_FRICTION):
         candidate, companion = _candidate(bench, model, theta, source.values, firm=bool(remedy))
         progress(f"running the repaired file on the held-out data{remedy and ', '}{remedy}")
-        after = _run(bench, model, out, companion, material, into, candidate)
+        after = _run(bench, model, out, companion, dataset, into, candidate)
         attempts.append(Attempt(remedy, after.rmse, after.rmse / promised.rmse))
-        if attempts[-1].ratio <= KEPT:
+        if attempts[-1].ratio <= MAX_ERROR_RATIO:
             break
     else:
         raise UsageError(_refusal(into, attempts, promised.rmse, companion))
-    write(candidate.text, companion.text(out.name), out, code)
+    write_patched(candidate.text, companion.text(out.name), out, code)
     joints = tuple(
         Joint(name, c.unit, b.rmse, p.rmse, c.rmse)
         for name, b, p, c in zip(
@@ -93,16 +120,16 @@ def repair_arm(
         )
     )
     return Patch(
-        out, code, tuple(candidate.text.changes), tuple(candidate.remaining), difference(candidate.text, out),
+        out, code, tuple(candidate.text.changes), tuple(candidate.remaining), unified_diff(candidate.text, out),
         source.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints,
         companion.unsupported,
     )  # fmt: skip
 
 
-def _check_promise(into: Path, source: PatchSource, promised: Score) -> None:
-    """UsageError where the values do not make the error that the result states."""
+def _check_stated_errors(into: Path, source: PatchSource, promised: Score) -> None:
+    """Raise UsageError where the error of the values exceeds the one that the result states."""
     for stated, channel in zip(source.channels, promised.channels, strict=False):
-        if channel.rmse > OTHERS * stated:
+        if channel.rmse > MAX_STATED_RATIO * stated:
             raise UsageError(
                 f"the result promises an error of {stated:.4g} {channel.unit} in {channel.channel} of joint "
                 f"{channel.joint} on held-out data, and its values in {into} make one of {channel.rmse:.4g}: "
@@ -118,14 +145,14 @@ def _theta(model: ArmFileModel, values: Mapping[str, float]) -> np.ndarray:
     return theta
 
 
-def _score(model: ArmFileModel, theta: np.ndarray, material: Dataset) -> Score:
-    return score(model, theta, material.test, noise_of(material.test), None)
+def _score(model: ArmFileModel, theta: np.ndarray, dataset: Dataset) -> Score:
+    return score(model, theta, dataset.test, noise_of(dataset.test), None)
 
 
 def _candidate(
     bench: ArmBench, model: ArmFileModel, theta: np.ndarray, values: Mapping[str, float], *, firm: bool
 ) -> tuple[PatchedArm, ArmCompanion]:
-    """The file with the values, and its companion."""
+    """Write the values into the file and its companion, in memory."""
     inertial, payload = model.inertial_at(theta)
     base_keys = {key for key in values if key.startswith(("grouped_", "torque_constant["))}
     effects = {key: v for key, v in values.items() if key not in base_keys and not key.startswith(PAYLOAD)}
@@ -147,8 +174,8 @@ def _joint_keys(name: str, joints: int) -> list[str]:
     return [keyed(name, joint) for joint in range(joints)]
 
 
-def _bare_companion(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> ArmCompanion:
-    """The companion of the file as it was: torque constants alone."""
+def _companion_without_effects(bench: ArmBench, model: ArmFileModel, theta: np.ndarray) -> ArmCompanion:
+    """Companion of the unchanged file: torque constants only."""
     return ArmCompanion({}, bench.constants(model, theta), bench.simulator.joints, [0.0] * model.joints)
 
 
@@ -157,12 +184,12 @@ def _run(
     model: ArmFileModel,
     out: Path,
     companion: ArmCompanion,
-    material: Dataset,
+    dataset: Dataset,
     into: Path,
     candidate: PatchedArm | None = None,
 ) -> Score:
-    """Score a file with its companion, both loaded under temporary names from the folder of the new file."""
-    with drafts(out) as (draft, code):
+    """Score a file with its companion, loaded under temporary names from the folder of the new file."""
+    with temporary_files(out) as (draft, code):
         content = XmlText.read(into).content if candidate is None else candidate.text.changed()
         draft.write_bytes(content)
         code.write_text(companion.text(out.name), encoding="utf-8")
@@ -170,13 +197,15 @@ def _run(
         simulator = arm_simulator(draft, None, outputs, bench.simulator.name)
         functions: Companion = cast("Companion", module_of(code))
         file_run = ArmFileRun(
-            simulator, bench.rig, material.test, functions, model.cut_off, firm=companion.firm
+            simulator, bench.rig, dataset.test, functions, model.cut_off, firm=companion.firm
         )
-        return _score(file_run, start_values(file_run.parameters), material)
+        return _score(file_run, start_values(file_run.parameters), dataset)
 
 
 def _refusal(into: Path, attempts: list[Attempt], promised: float, companion: ArmCompanion) -> str:
-    tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.3f} times)" for a in attempts)
+    attempts_text = "; ".join(
+        f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.3f} times)" for a in attempts
+    )
     without = (
         f"; run without {', '.join(companion.unsupported)}, which neither holds"
         if companion.unsupported
@@ -184,7 +213,7 @@ def _refusal(into: Path, attempts: list[Attempt], promised: float, companion: Ar
     )
     return (
         f"{into}: expected the repaired file to make an error of {promised:.4g} noise floors on held-out "
-        f"data, or up to {KEPT:g} times that, found {tried}{without}; nothing is written"
+        f"data, or up to {MAX_ERROR_RATIO:g} times that, found {attempts_text}{without}; nothing is written"
     )
 
 

@@ -1,4 +1,4 @@
-"""What is compared: results as models, and the recordings that all of them are tested on."""
+"""The models of a comparison, read from results, and the recordings that they were tested on."""
 
 from __future__ import annotations
 
@@ -19,13 +19,10 @@ from labhil.analysis.schema import (
 )
 from labhil.errors import ModelFileError, UsageError
 
-MOST_MODELS = 8
-"""A page with more of them over each other shows nothing."""
-
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A model that is compared, with a ``name`` of its own."""
+    """A model of a comparison, with a unique ``name``."""
 
     name: str
     saved: SavedModel
@@ -33,7 +30,7 @@ class Candidate:
 
     @property
     def made_by(self) -> str:
-        """What made it."""
+        """The kind of study that made it."""
         return "fit" if isinstance(self.part, FitPart) else "diagnosis"
 
     @property
@@ -43,7 +40,7 @@ class Candidate:
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Its values."""
+        """Its parameters."""
         return self.part.parameters if isinstance(self.part, FitPart) else self.part.final.parameters
 
     @property
@@ -52,72 +49,82 @@ class Candidate:
         return next((source.rig for source in self.part.recordings if source.rig), "")
 
     @property
-    def stretches(self) -> list[Stretch]:
-        """What it was judged on: its test recordings, else the parts held out of its training recordings."""
-        tests = [Stretch.whole(source) for source in self.part.recordings if source.role == "test"]
+    def validation_spans(self) -> list[RecordingSpan]:
+        """Its validation data: test recordings, else the parts held out of its training recordings."""
+        tests = [RecordingSpan.entire(source) for source in self.part.recordings if source.role == "test"]
         if tests:
             return tests
-        learnt = [source for source in self.part.recordings if source.role != "test"]
+        training = [source for source in self.part.recordings if source.role != "test"]
         spans = self.part.held_out
-        if len(spans) == len(learnt):
-            return [Stretch(source, *span) for source, span in zip(learnt, spans, strict=True)]
+        if len(spans) == len(training):
+            return [RecordingSpan(source, *span) for source, span in zip(training, spans, strict=True)]
         if isinstance(self.part, FitPart) and self.part.test is None:
-            return [Stretch.whole(source) for source in learnt]
-        return [Stretch.last(source) for source in learnt]
+            return [RecordingSpan.entire(source) for source in training]
+        return [RecordingSpan.default_holdout(source) for source in training]
 
     def was_fitted_to(self, sha256: str, span: tuple[float, float] | None) -> bool:
-        """Whether it has learnt from a recording, or from a ``span`` of it (s)."""
-        learnt = [s for s in self.part.recordings if s.role != "test" and s.sha256 == sha256]
-        if not learnt or not sha256:
+        """Return whether it was fitted to a recording, or to a ``span`` of it (s)."""
+        training = [s for s in self.part.recordings if s.role != "test" and s.sha256 == sha256]
+        if not training or not sha256:
             return False
-        stretches = [stretch for stretch in self.stretches if stretch.source.sha256 == sha256]
-        held_out = bool(stretches) and not (isinstance(self.part, FitPart) and self.part.test is None)
-        if not held_out or any(stretch.source.role == "test" for stretch in stretches):
+        validation_spans = [
+            recording_span
+            for recording_span in self.validation_spans
+            if recording_span.source.sha256 == sha256
+        ]
+        held_out = bool(validation_spans) and not (isinstance(self.part, FitPart) and self.part.test is None)
+        if not held_out or any(recording_span.source.role == "test" for recording_span in validation_spans):
             return True
-        return span is None or not any(stretch.holds(span) for stretch in stretches)
+        return span is None or not any(recording_span.contains(span) for recording_span in validation_spans)
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
-    """A recording that a result names, from ``begin`` to ``end`` s; ``supposed`` where no file states it."""
+class RecordingSpan:
+    """A recording of a result, from ``begin`` to ``end`` s; ``assumed`` where no file states them."""
 
     source: Source
     begin: float
     end: float
-    supposed: bool = False
+    assumed: bool = False
 
     @classmethod
-    def whole(cls, source: Source) -> Stretch:
-        """All of it that was used."""
+    def entire(cls, source: Source) -> RecordingSpan:
+        """Return all of a recording that was used."""
         begin = source.start or 0.0
         return cls(source, begin, begin + (source.duration or 0.0))
 
     @classmethod
-    def last(cls, source: Source) -> Stretch:
-        """The share that is held out by default."""
+    def default_holdout(cls, source: Source) -> RecordingSpan:
+        """Return the part of a recording that is held out by default."""
         begin, duration = source.start or 0.0, source.duration or 0.0
-        return cls(source, begin + (1.0 - HOLDOUT) * duration, begin + duration, supposed=True)
+        return cls(source, begin + (1.0 - HOLDOUT) * duration, begin + duration, assumed=True)
 
-    def holds(self, span: tuple[float, float], slack: float = 1e-6) -> bool:
-        """Whether all of a span (s) lies in it."""
+    def contains(self, span: tuple[float, float], slack: float = 1e-6) -> bool:
+        """Return whether it contains a span (s)."""
         return self.begin - slack <= span[0] and span[1] <= self.end + slack
 
 
-def candidates_of(given: Sequence[Path | SavedModel]) -> list[Candidate]:
-    """The models of results: a fit's, a diagnosis' final one, the one that a verification tested.
+def read_candidates(references: Sequence[Path | SavedModel], max_models: int = 8) -> list[Candidate]:
+    """Read the models of results: a fit's, a diagnosis' final one, the one that a verification tested.
 
-    Raises ModelFileError for a file without a model, UsageError unless these are two to eight of one rig.
+    Args:
+        references: two results or more.
+        max_models: largest number of models; a figure with more of them is not readable.
+
+    Raises:
+        ModelFileError: a file has no model, or one of another kind of rig.
+        UsageError: there are too few or too many models.
     """
-    models = [_result_of(each) for each in given]
+    models = [_result_of(reference) for reference in references]
     if len(models) < 2:
         raise UsageError(
             f"compare: expected two results or more (JSON of `labhil fit` or `labhil diagnose`), found "
             f"{len(models)}"
         )
-    if len(models) > MOST_MODELS:
-        raise UsageError(f"compare: expected {MOST_MODELS} results at most, found {len(models)}")
-    names = _names([saved.name for saved, _ in models])
-    candidates = [Candidate(name, *each) for name, each in zip(names, models, strict=True)]
+    if len(models) > max_models:
+        raise UsageError(f"compare: expected {max_models} results at most, found {len(models)}")
+    names = _unique_names([saved.name for saved, _ in models])
+    candidates = [Candidate(name, *model) for name, model in zip(names, models, strict=True)]
     first = candidates[0]
     for candidate in candidates[1:]:
         if candidate.rig != first.rig:
@@ -128,31 +135,31 @@ def candidates_of(given: Sequence[Path | SavedModel]) -> list[Candidate]:
     return candidates
 
 
-def _result_of(given: Path | SavedModel) -> tuple[SavedModel, FitPart | DiagnosisPart]:
-    if isinstance(given, SavedModel):
-        data, name = given.data, given.name
+def _result_of(reference: Path | SavedModel) -> tuple[SavedModel, FitPart | DiagnosisPart]:
+    if isinstance(reference, SavedModel):
+        data, name = reference.data, reference.name
     else:
-        data, name = json_of(_content(given), str(given)), str(given)
+        data, name = json_of(_read_bytes(reference), str(reference)), str(reference)
     part = any_result_of(data, name)
     if not isinstance(part, VerificationPart):
         return SavedModel(name, data), part
-    model = _model_of(part, name)
-    data = json_of(_content(model), str(model))
+    model = _verified_model(part, name)
+    data = json_of(_read_bytes(model), str(model))
     result = any_result_of(data, str(model))
     if isinstance(result, VerificationPart):
         raise ModelFileError(f"{name}: model: expected a fit or a diagnosis, found the verification {model}")
     return SavedModel(str(model), data), result
 
 
-def _model_of(part: VerificationPart, name: str) -> Path:
-    """The model that a verification names, from here or from beside its file."""
+def _verified_model(part: VerificationPart, name: str) -> Path:
+    """Path of the model that a verification names, as stated or beside its file."""
     for path in (Path(part.model), Path(name).parent / Path(part.model).name):
         if path.is_file():
             return path
     raise ModelFileError(f"{name}: model: expected the file {part.model} that it verified, found none")
 
 
-def _content(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
@@ -161,8 +168,8 @@ def _content(path: Path) -> bytes:
         ) from error
 
 
-def _names(origins: Sequence[str]) -> list[str]:
-    """The names of files without their folders where these differ, else with them; all different."""
+def _unique_names(origins: Sequence[str]) -> list[str]:
+    """Unique names of files: without their folders where these are unique, else with them."""
     short = [Path(origin).name or origin for origin in origins]
     names = list(short) if len(set(short)) == len(set(origins)) else list(origins)
     for place, name in enumerate(names):

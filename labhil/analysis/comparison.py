@@ -1,4 +1,7 @@
-"""A comparison of models over the same recordings: from files to the answer and its JSON."""
+"""Comparison of models on the same recordings: from files to the answer and its JSON.
+
+The models are read in ``compared_models.py``, the paired test is in ``paired.py``.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from labhil.analysis.compared_models import Candidate, Stretch, candidates_of
-from labhil.analysis.comparison_words import next_steps, statement
+from labhil.analysis.compared_models import Candidate, RecordingSpan, read_candidates
+from labhil.analysis.comparison_statements import next_steps, statement
 from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.results import Source, finite
@@ -30,13 +33,11 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
 Span = tuple[float, float]
-SLACK = 1e-9
-"""Added at both ends of a stretch, whose times were calculated, s."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedRecording:
-    """One recording with the score of each model on the same windows of it, in the order of the models."""
+    """A recording with the score of each model on the same windows of it, in the order of the models."""
 
     source: Source
     record: Record
@@ -45,7 +46,7 @@ class ComparedRecording:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonResult:
-    """A comparison with its JSON and its samples; ``losses`` are what the recordings lack, a line each."""
+    """A comparison with its samples and its JSON; ``losses`` are lines on data that recordings lack."""
 
     names: tuple[str, ...]
     recordings: tuple[ComparedRecording, ...]
@@ -54,7 +55,7 @@ class ComparisonResult:
 
     @property
     def part(self) -> ComparisonPart:
-        """What the JSON says, as it is printed."""
+        """The JSON as typed data."""
         return validate(ComparisonPart, self.json, "the comparison")
 
 
@@ -68,15 +69,25 @@ def compare_study(
     run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> ComparisonResult:
-    """Simulate the models of results on the same recordings, and say which explains them best.
+    """Simulate the models of results on the same recordings, and decide which explains them best.
 
-    Without ``recordings`` they are compared on what the first result was judged on. Raises UsageError
-    (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
+    Args:
+        results: two results or more.
+        recordings: the recordings; by default the test data of the first result.
+        rig_file: the rig file; by default the one in the recordings.
+        horizon: length of the simulated windows, s.
+        device: one of several devices in a recording.
+        run: one of several runs in a file.
+        progress: is called with a line of text at each stage.
+
+    Raises:
+        UsageError: options or files do not fit together (also as RecordingError, RigFileError or
+            ModelFileError).
     """
     if horizon is not None and not 0.0 < horizon < float("inf"):
         raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
-    began = time.perf_counter()
-    candidates = candidates_of(results)
+    start_time = time.perf_counter()
+    candidates = read_candidates(results)
     selected, spans, notes = _choose_recordings(candidates, recordings)
     loaded = [
         recording.of_device(device)
@@ -86,9 +97,9 @@ def compare_study(
     for recording, span in zip(loaded, spans, strict=True):
         progress(f"simulating {len(candidates)} models on {recording.path.name}")
         compared.append(_compare_on(recording, span, candidates, rig_file, horizon))
-    notes += _fitted_note(candidates, compared)
+    notes += _fitted_notes(candidates, compared)
     data = _comparison_json(candidates, compared, notes)
-    data["seconds"] = time.perf_counter() - began
+    data["seconds"] = time.perf_counter() - start_time
     losses = tuple(line for recording in loaded for line in recording.warnings())
     return ComparisonResult(
         tuple(candidate.name for candidate in candidates), tuple(compared), losses, finite(data)
@@ -98,37 +109,37 @@ def compare_study(
 def _choose_recordings(
     candidates: Sequence[Candidate], recordings: Sequence[RecordingLike]
 ) -> tuple[list[RecordingLike], list[Span | None], list[str]]:
-    """The recordings to compare on, the span of each, and notes on the choice."""
+    """Return the recordings to compare on, the span of each, and notes on the choice."""
     if recordings:
         return list(recordings), [None] * len(recordings), []
     first, *others = candidates
-    stretches = first.stretches
+    spans = first.validation_spans
     notes = []
-    if any(_places(other) != _places(first) for other in others):
-        paths = ", ".join(stretch.source.path for stretch in stretches)
+    if any(_span_keys(other) != _span_keys(first) for other in others):
+        paths = ", ".join(recording_span.source.path for recording_span in spans)
         notes.append(
             f"The results were judged on different recordings; all are compared on that of {first.name}, "
             f"{paths}. --recording names another."
         )
-    if any(stretch.supposed for stretch in stretches):
+    if any(recording_span.assumed for recording_span in spans):
         notes.append(
             f"{first.name} does not say what was held out of its recording: its last 30 % are taken, the "
             "default."
         )
     return (
-        [Path(stretch.source.path) for stretch in stretches],
-        [_span(stretch) for stretch in stretches],
+        [Path(recording_span.source.path) for recording_span in spans],
+        [_span(recording_span) for recording_span in spans],
         notes,
     )
 
 
-def _places(candidate: Candidate) -> list[tuple[str, float, float]]:
-    return [(s.source.sha256, round(s.begin, 6), round(s.end, 6)) for s in candidate.stretches]
+def _span_keys(candidate: Candidate) -> list[tuple[str, float, float]]:
+    return [(s.source.sha256, round(s.begin, 6), round(s.end, 6)) for s in candidate.validation_spans]
 
 
-def _span(stretch: Stretch) -> Span:
-    """The stretch, widened by the slack at both ends."""
-    return stretch.begin - SLACK, stretch.end + SLACK
+def _span(recording_span: RecordingSpan, slack: float = 1e-9) -> Span:
+    """Begin and end of a span, whose times were calculated, with a slack for rounding."""
+    return recording_span.begin - slack, recording_span.end + slack
 
 
 def _read_recordings(
@@ -153,7 +164,7 @@ def _compare_on(
     rig_file: Path | RigFile | None,
     horizon: float | None,
 ) -> ComparedRecording:
-    """Every model on the same windows of one recording."""
+    """Simulate every model on the same windows of a recording."""
     rig = rig_of(recording, rig_file)
     if rig.kind.name != candidates[0].rig:
         raise RecordingError(
@@ -163,11 +174,13 @@ def _compare_on(
     with naming([recording]):
         records, measured = measured_of([recording], rig, span)
         refuse_holes(recording.path, records[0])
-        ready = [model_on(measured, rig, candidate.saved) for candidate in candidates]
-        stated = horizon or rig.metric.horizon
-        # one length for all: the longest that a model asks for
-        length = stated or max(scored_horizon(model, theta, record) for model, record, theta in ready)
-        scores = [score(model, theta, record, noise_of(record), length) for model, record, theta in ready]
+        models = [model_on(measured, rig, candidate.saved) for candidate in candidates]
+        stated_horizon = horizon or rig.metric.horizon
+        # one length for all: the longest scored horizon of a model
+        length = stated_horizon or max(
+            scored_horizon(model, theta, record) for model, record, theta in models
+        )
+        scores = [score(model, theta, record, noise_of(record), length) for model, record, theta in models]
     source = Source(
         path=str(recording.path),
         sha256=recording.sha256,
@@ -177,11 +190,11 @@ def _compare_on(
         role="test",
         start=float(measured.t[0]),
     )
-    return ComparedRecording(source, ready[0][1], tuple(scores))
+    return ComparedRecording(source, models[0][1], tuple(scores))
 
 
-def _fitted_note(candidates: Sequence[Candidate], compared: Sequence[ComparedRecording]) -> list[str]:
-    """A warning of models that have learnt from what they are compared on."""
+def _fitted_notes(candidates: Sequence[Candidate], compared: Sequence[ComparedRecording]) -> list[str]:
+    """A note on models that were fitted to the data of the comparison."""
     names = [candidate.name for candidate in candidates if _was_fitted(candidate, compared)]
     if not names:
         return []
@@ -199,14 +212,14 @@ def _was_fitted(candidate: Candidate, compared: Sequence[ComparedRecording]) -> 
 def _comparison_json(
     candidates: Sequence[Candidate], compared: Sequence[ComparedRecording], notes: Sequence[str]
 ) -> dict[str, Any]:
-    """The whole answer as plain data (`labhil.comparison/1`)."""
+    """Return the answer as plain data (`labhil.comparison/1`)."""
     errors = [[recording.scores[i].errors for recording in compared] for i in range(len(candidates))]
-    squares = np.array([np.mean(np.vstack(model_errors) ** 2, axis=0) for model_errors in errors])
-    levels = _levels(squares, compared)
-    rmse_over_noise = np.sqrt(np.mean(squares / levels**2, axis=1))
+    mean_squares = np.array([np.mean(np.vstack(model_errors) ** 2, axis=0) for model_errors in errors])
+    noise_levels = _noise_levels(mean_squares, compared)
+    rmse_over_noise = np.sqrt(np.mean(mean_squares / noise_levels**2, axis=1))
     best = int(np.argmin(np.where(np.isfinite(rmse_over_noise), rmse_over_noise, np.inf)))
     windows = [recording.scores[best].window for recording in compared]
-    blocks = [block_squares(model_errors, windows, levels) for model_errors in errors]
+    blocks = [block_squares(model_errors, windows, noise_levels) for model_errors in errors]
     tests = len(candidates) - 1
     p_values = [
         1.0 if i == best else min(1.0, tests * paired_p_value(blocks[best], blocks[i]))
@@ -232,7 +245,7 @@ def _comparison_json(
         }
         for i, candidate in enumerate(candidates)
     ]
-    equals = [row for row in rows if not row["worse_than_best"]]
+    equally_good = [row for row in rows if not row["worse_than_best"]]
     metric = compared[0].scores[0].metric
     data = {
         "schema": "labhil.comparison/1",
@@ -240,10 +253,10 @@ def _comparison_json(
         "rig": candidates[0].rig,
         "metric": metric.value,
         "horizon": compared[0].scores[0].horizon if metric is not Metric.INVERSE_DYNAMICS else None,
-        "verdict": "one_best" if len(equals) == 1 else "alike",
+        "verdict": "one_best" if len(equally_good) == 1 else "alike",
         "statement": "",
         "best": candidates[best].name,
-        "preferred": min(equals, key=_simplicity)["name"],
+        "preferred": min(equally_good, key=_simplicity)["name"],
         "alpha": ALPHA,
         "models": rows,
         "parameters": shared_parameters(candidates),
@@ -255,20 +268,20 @@ def _comparison_json(
 
 
 def _simplicity(row: Mapping[str, Any]) -> tuple[int, bool, float]:
-    """What comes first among models that explain the data alike."""
+    """Sort key of models that explain the data alike, the preferred one first."""
     return row["n_parameters"], row["fitted_to_it"], row["rmse_over_noise"]
 
 
-def _levels(squares: FloatArray, compared: Sequence[ComparedRecording]) -> FloatArray:
-    """The noise level of each output, (c,): its floor under the model that simulates it best."""
-    rows = [pool_scores([recording.scores[i] for recording in compared]) for i in range(len(squares))]
+def _noise_levels(mean_squares: FloatArray, compared: Sequence[ComparedRecording]) -> FloatArray:
+    """Noise level of each output, (c,): its noise floor under the model that simulates it best."""
+    rows = [pool_scores([recording.scores[i] for recording in compared]) for i in range(len(mean_squares))]
     floors = np.array([[channel.noise_floor for channel in row] for row in rows])
-    finite_squares = np.where(np.isfinite(squares), squares, np.inf)
+    finite_squares = np.where(np.isfinite(mean_squares), mean_squares, np.inf)
     return np.asarray(floors[np.argmin(finite_squares, axis=0), np.arange(floors.shape[1])])
 
 
 def pool_scores(scores: Sequence[Score]) -> tuple[ChannelScore, ...]:
-    """The figures of a model's outputs over several recordings, every sample with the same weight."""
+    """Pool the errors of a model's outputs over several recordings, every sample with the same weight."""
     if len(scores) == 1:
         return scores[0].channels
     counts = [len(recording_score.rows) for recording_score in scores]
@@ -280,14 +293,14 @@ def pool_scores(scores: Sequence[Score]) -> tuple[ChannelScore, ...]:
 
 def _pool_channel(rows: Sequence[ChannelScore], counts: Sequence[int]) -> ChannelScore:
     mse = float(np.average([row.mse for row in rows], weights=counts))
-    spread = float(np.average([row.mse / (1.0 - row.r2) for row in rows], weights=counts))
+    variance = float(np.average([row.mse / (1.0 - row.r2) for row in rows], weights=counts))
     floor = float(np.sqrt(np.average([row.noise_floor**2 for row in rows], weights=counts)))
     return replace(
         rows[0],
         mse=mse,
         rmse=float(np.sqrt(mse)),
         max_abs_error=max(row.max_abs_error for row in rows),
-        r2=1.0 - mse / spread,
+        r2=1.0 - mse / variance,
         noise_floor=floor,
         relative_error=None,
     )

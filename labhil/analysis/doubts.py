@@ -1,4 +1,4 @@
-"""What the physics of a rig calls implausible in a recording: units, signs, times or columns."""
+"""Implausible units, signs, times or columns of a recording, by the physics of its rig."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labhil.recording.recording import Recording
 
 
 def doubts_in(recording: Recording) -> list[str]:
-    """A sentence for each; none of a recording that lacks a rig file, or what a model needs."""
+    """Return a sentence for each doubt; none of a recording without a rig file or without needed signals."""
     if recording.rig is None:
         return []
     try:

@@ -1,4 +1,4 @@
-"""Ending long work early with the best so far: Ctrl+C, SIGTERM, or a number of seconds."""
+"""Early end of a long computation, with the best result so far: by Ctrl+C, SIGTERM, or a time limit."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from labhil.errors import OptionError, RunStoppedError
 
 @contextmanager
 def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
-    """Let Ctrl+C, SIGTERM or the end of ``seconds`` end a long computation with the best so far.
+    """Let Ctrl+C, SIGTERM or a time limit of ``seconds`` end the computation with the best result so far.
 
-    UsageError where ``seconds`` is no time; RunStoppedError where there is nothing yet by then.
+    Raises:
+        OptionError: ``seconds`` is not positive.
+        RunStoppedError: There is no result yet when it ends.
     """
     if seconds is not None and not seconds > 0:
         raise OptionError("seconds", f": expected more than 0, found {seconds:g}")

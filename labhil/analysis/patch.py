@@ -1,4 +1,4 @@
-"""A repaired file and its companion: what was changed, which error is left, and how both are written."""
+"""A repaired file and its companion: changes, errors, and the functions that write both."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from labhil.errors import UsageError
 from labhil.simulators.xml_text import Change, XmlText
 from labhil.whole import whole
 
-KEPT = 1.05
-"""Times the diagnosed model's error that the repaired file may make on the same held-out data."""
+MAX_ERROR_RATIO = 1.05
+"""Largest error of a repaired file on the held-out data, over that of the diagnosed model."""
 
-OTHERS = 1.25
-"""Times the promised error beyond which file and data are not those that the diagnosis was made of."""
+MAX_STATED_RATIO = 1.25
+"""Largest error of the diagnosed model over the stated one; beyond it, file or data are others."""
 
-
-FIRM = "firm dry friction"
-"""The remedy beside the values where a file's own dry friction is too soft."""
+FIRM_FRICTION = "firm dry friction"
+"""The remedy where the dry friction of a file is too soft."""
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A repaired file as tried: its remedy ``beside`` the values, its error, ``ratio`` to the model's."""
+    """A candidate: its remedy ``beside`` the values, its error, and the ratio to the model's error."""
 
     beside: str
     rmse: float
@@ -35,7 +34,7 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """RMS errors of one joint in ``unit``: of the file as it was, the diagnosed model, the repaired file."""
+    """RMS errors of a joint in ``unit``: of the original file, the diagnosed model, the repaired file."""
 
     name: str
     unit: str
@@ -46,11 +45,21 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A repaired file, what was changed, and how it does on the held-out data.
+    """A repaired file with its changes and its errors on the held-out data.
 
-    ``promised`` is the error that the result states, ``model`` that of the diagnosed model on the windows on
-    which the file was run, ``before`` that of the file as it was; all in ``unit``. Of an arm ``joints`` are
-    the errors of each joint, and ``unheld`` what neither file nor companion holds.
+    Attributes:
+        path: The repaired file.
+        companion: A Python file with the effects that the file cannot hold.
+        changes: The changes of the file.
+        left: Effects in the companion.
+        diff: The changes as a unified diff.
+        promised: The error that the result states, in ``unit``.
+        model: The error of the diagnosed model on the windows on which the file was run.
+        before: The error of the original file.
+        attempts: The candidates for the repaired file; the last one was written.
+        unit: Unit of the errors.
+        joints: Errors of each joint of an arm.
+        unheld: Effects that neither file nor companion holds.
     """
 
     path: Path
@@ -67,7 +76,7 @@ class Patch:
     unheld: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole result as plain data (``labhil.patch/1``)."""
+        """Return the result as plain data (``labhil.patch/1``)."""
         return {
             "schema": "labhil.patch/1",
             "path": str(self.path),
@@ -88,10 +97,11 @@ class Patch:
 
 
 @contextmanager
-def drafts(out: Path) -> Iterator[tuple[Path, Path]]:
-    """Names beside ``out`` for a file and its code while they are tried; both are gone at the end.
+def temporary_files(out: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield temporary names beside ``out`` for a file and its companion, and delete both files at the end.
 
-    UsageError where they cannot be written.
+    Raises:
+        UsageError: They cannot be written.
     """
     draft, code = out.with_name(f"{out.stem}.part{out.suffix}"), out.with_name(f"{out.stem}_part.py")
     try:
@@ -104,8 +114,8 @@ def drafts(out: Path) -> Iterator[tuple[Path, Path]]:
                 path.unlink(missing_ok=True)
 
 
-def write(text: XmlText, companion: str, out: Path, code: Path) -> None:
-    """Write the file and its companion, whole or not at all."""
+def write_patched(text: XmlText, companion: str, out: Path, code: Path) -> None:
+    """Write a file and its companion, each completely or not at all."""
     with whole(out) as draft:
         draft.write_bytes(text.changed())
     if companion:
@@ -113,8 +123,8 @@ def write(text: XmlText, companion: str, out: Path, code: Path) -> None:
             draft.write_text(companion, encoding="utf-8")
 
 
-def difference(text: XmlText, out: Path) -> str:
-    """The difference of the file to what was there, as ``diff -u`` shows it."""
+def unified_diff(text: XmlText, out: Path) -> str:
+    """Return the changes of a file as a unified diff."""
     before, after = (
         content.decode("utf-8", "replace").splitlines(keepends=True)
         for content in (text.content, text.changed())

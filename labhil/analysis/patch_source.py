@@ -1,4 +1,4 @@
-"""What a patch is made from: the values, the promise and the recordings of a saved diagnosis or fit."""
+"""The source of a patch: values, stated error and recordings of a saved diagnosis or fit."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
 
 @dataclass(frozen=True, slots=True)
 class PatchSource:
-    """Values by key, the error that the result promises on held-out data, and its recordings.
+    """Values, stated error and recordings of a result.
 
-    ``horizon`` (s) is None for inverse dynamics. ``channels`` are the promised errors of each channel.
+    Attributes:
+        values: Values by key.
+        promised: The error on held-out data that the result states.
+        horizon: Length of the simulated windows, s; None for inverse dynamics.
+        search: Training recordings.
+        test: Test recordings.
+        channels: The stated error of each channel.
     """
 
     values: Mapping[str, float]
@@ -34,7 +40,7 @@ def read_patch_source(path: Path) -> PatchSource:
     """Read the JSON of a diagnosis or a fit.
 
     Raises:
-        ModelFileError: It is neither, or has nothing that a file could hold.
+        ModelFileError: It is neither, or a file cannot hold its answer.
         UsageError: A recording is missing, or has changed.
     """
     try:
@@ -50,14 +56,14 @@ def read_patch_source(path: Path) -> PatchSource:
             "that: diagnose again with what you know of it among the terms"
         )
     try:
-        return _parse(data, path)
+        return _read_fields(data, path)
     except (KeyError, TypeError, ValueError) as error:
         raise ModelFileError(
             f"{path}: expected values and an error on held-out data, found none ({error!r})"
         ) from error
 
 
-def _parse(data: Mapping[str, Any], path: Path) -> PatchSource:
+def _read_fields(data: Mapping[str, Any], path: Path) -> PatchSource:
     if data["schema"] == DIAGNOSIS:
         rows, scored = data["final"]["parameters"], data["improvement"]
         promised, name = scored["rmse_after"], "rmse_after"
@@ -65,24 +71,24 @@ def _parse(data: Mapping[str, Any], path: Path) -> PatchSource:
         rows, scored = data["parameters"], data["test"]
         promised, name = scored["rmse"], "rmse"
     tests = [row for row in data["recordings"] if row["role"] == "test"]
-    others = [row for row in data["recordings"] if row["role"] != "test"]
+    training = [row for row in data["recordings"] if row["role"] != "test"]
     return PatchSource(
         {keyed(row["name"], row.get("joint")): float(row["value"]) for row in rows},
         float(promised),
         None if scored["horizon"] is None else float(scored["horizon"]),
-        _recordings(path, others),
+        _recordings(path, training),
         _recordings(path, tests),
         tuple(float(row[name]) for row in scored["per_channel"]),
     )
 
 
 def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ...]:
-    """Paths of recordings, as they are stated or beside the result."""
-    files = []
+    """Paths of recordings, as stated or beside the result, whose hashes are checked."""
+    paths = []
     for row in rows:
         stated = Path(row["path"])
-        places = (stated, path.parent / stated, path.parent / stated.name)
-        file = next((place for place in places if place.is_file()), None)
+        candidates = (stated, path.parent / stated, path.parent / stated.name)
+        file = next((candidate for candidate in candidates if candidate.is_file()), None)
         if file is None:
             raise UsageError(
                 f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "
@@ -90,5 +96,5 @@ def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ..
             )
         if hashlib.sha256(file.read_bytes()).hexdigest() != row["sha256"]:
             raise UsageError(f"{file}: expected the recording that {path} was made from, found another")
-        files.append(file)
-    return tuple(files)
+        paths.append(file)
+    return tuple(paths)

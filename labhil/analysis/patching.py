@@ -9,7 +9,16 @@ from typing import Any
 
 from labhil.analysis.arm_patching import repair_arm
 from labhil.analysis.dataset import Dataset, load_dataset
-from labhil.analysis.patch import FIRM, KEPT, OTHERS, Attempt, Patch, difference, drafts, write
+from labhil.analysis.patch import (
+    FIRM_FRICTION,
+    MAX_ERROR_RATIO,
+    MAX_STATED_RATIO,
+    Attempt,
+    Patch,
+    temporary_files,
+    unified_diff,
+    write_patched,
+)
 from labhil.analysis.patch_source import read_patch_source
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -73,16 +82,16 @@ def patch(
     if source.horizon is None:
         raise UsageError(f"{result}: expected a simulation of {into}, found inverse dynamics of another file")
     bench = Bench.of(into, rig_file)
-    material = load_dataset(source.search, bench.rig, source.test or None, holdout)
+    dataset = load_dataset(source.search, bench.rig, source.test or None, holdout)
     values = {**_known_values(bench.rig), **source.values}
     progress("scoring the diagnosed model on the held-out data")
-    model = _error(material.model, material, source.values, source.horizon)
-    if model.rmse > OTHERS * source.promised:
+    model = _error(dataset.model, dataset, source.values, source.horizon)
+    if model.rmse > MAX_STATED_RATIO * source.promised:
         raise UsageError(
             f"{result}: promises an error of {source.promised:.4g} on held-out data, and its values in "
             f"{into} make one of {model.rmse:.4g}: was it made with another file, --rig or --holdout?"
         )
-    before = bench.run(bench.described, material, {}, source.horizon)
+    before = bench.run(bench.described, dataset, {}, source.horizon)
     attempts: list[Attempt] = []
     for remedy, candidate in _candidates(bench.described, into, values):
         progress(f"running the repaired file on the held-out data{remedy and ', ' + remedy}")
@@ -94,14 +103,14 @@ def patch(
             bench.rest_velocity(candidate),
             firm=candidate.needs_firm_friction,
         )
-        rmse = _run_candidate(bench, candidate, text, out, material, source.horizon)
+        rmse = _run_candidate(bench, candidate, text, out, dataset, source.horizon)
         attempts.append(Attempt(remedy, rmse, rmse / model.rmse))
-        if attempts[-1].ratio <= KEPT and not remaining.unknown:
+        if attempts[-1].ratio <= MAX_ERROR_RATIO and not remaining.unknown:
             needed = bool(candidate.remaining) or candidate.needs_firm_friction
-            write(candidate.text, text if needed else "", out, code)
+            write_patched(candidate.text, text if needed else "", out, code)
             return Patch(
                 out, code if needed else None, tuple(candidate.text.changes),
-                tuple(candidate.remaining), difference(candidate.text, out), source.promised, model.rmse,
+                tuple(candidate.remaining), unified_diff(candidate.text, out), source.promised, model.rmse,
                 before,
                 tuple(attempts),
                 model.channels[0].unit if len(model.channels) == 1 else "noise floors",
@@ -144,12 +153,12 @@ class Bench:
         return max(2.0 * mechanism.timestep / candidate.substeps * level / inertia, 1e-6)
 
     def run(
-        self, described: MechanismFile, material: Dataset, values: Mapping[str, float], horizon: float
+        self, described: MechanismFile, dataset: Dataset, values: Mapping[str, float], horizon: float
     ) -> float:
         """RMSE of a file that MuJoCo simulates; ``values`` are effects that are applied in addition."""
         bare = default_rig(described.simulator.name)
-        model = RolledOutModel(described.simulator, bare, material.test)
-        return _error(model, material, values, horizon).rmse
+        model = RolledOutModel(described.simulator, bare, dataset.test)
+        return _error(model, dataset, values, horizon).rmse
 
 
 def _describe(file: Path, section: ModelSection | None, name: str) -> MechanismFile:
@@ -163,13 +172,13 @@ def _known_values(rig: RigFile) -> dict[str, float]:
     return {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
 
 
-def _error(model: Model, material: Dataset, values: Mapping[str, float], horizon: float) -> Score:
+def _error(model: Model, dataset: Dataset, values: Mapping[str, float], horizon: float) -> Score:
     """Score a model with these values on the held-out data."""
     theta, index = start_values(model.parameters), index_of(model.parameters)
     for name, value in values.items():
         if name in index:
             theta[index[name]] = value
-    return score(model, theta, material.test, noise_of(material.test), horizon)
+    return score(model, theta, dataset.test, noise_of(dataset.test), horizon)
 
 
 def _candidates(
@@ -190,15 +199,15 @@ def _candidates(
         if substeps > 1:
             shorten(described, candidate.text, substeps)
             candidate = replace(candidate, substeps=substeps)
-        remedies = [FIRM] * has_friction + [f"steps of 1/{substeps}"] * (substeps > 1)
+        remedies = [FIRM_FRICTION] * has_friction + [f"steps of 1/{substeps}"] * (substeps > 1)
         yield " and ".join(remedies), candidate
 
 
 def _run_candidate(
-    bench: Bench, candidate: PatchedFile, text: str, out: Path, material: Dataset, horizon: float
+    bench: Bench, candidate: PatchedFile, text: str, out: Path, dataset: Dataset, horizon: float
 ) -> float:
     """RMSE of a candidate, which is loaded under a temporary name from the folder of the new file."""
-    with drafts(out) as (draft, code):
+    with temporary_files(out) as (draft, code):
         draft.write_bytes(candidate.text.changed())
         described = _describe(draft, bench.section, bench.described.simulator.name)
         if candidate.needs_firm_friction:
@@ -207,7 +216,7 @@ def _run_candidate(
             code.write_text(text, encoding="utf-8")
             push: Any = object_of(f"{code.name}:force", code.parent)
             described.mechanism.joint_force = push
-        return bench.run(described, material, candidate.remaining, horizon)
+        return bench.run(described, dataset, candidate.remaining, horizon)
 
 
 def _refusal(into: Path, attempts: list[Attempt], model: float, remaining: SortedEffects) -> str:
@@ -220,7 +229,7 @@ def _refusal(into: Path, attempts: list[Attempt], model: float, remaining: Sorte
     tried = "; ".join(f"{a.beside or 'as it is'}: {a.rmse:.4g} ({a.ratio:.2f} times)" for a in attempts)
     return (
         f"{into}: expected the repaired file to make an error of {model:.4g} on held-out data, or up to "
-        f"{KEPT:g} times that, found {tried}; nothing is written"
+        f"{MAX_ERROR_RATIO:g} times that, found {tried}; nothing is written"
     )
 
 

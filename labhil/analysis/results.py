@@ -1,4 +1,7 @@
-"""Fits and diagnoses as JSON (`labhil.fit/1`, `labhil.diagnosis/1`): no NaN, no infinity, null instead."""
+"""Fits and diagnoses as JSON (`labhil.fit/1`, `labhil.diagnosis/1`), with null for NaN and infinities.
+
+Package ``schema`` reads them.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,17 @@ from labhil.whole import whole
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A recording that a result comes from; ``role`` is "search", "train" or "test".
+    """A recording of a result.
 
-    ``start`` and ``duration`` (s) say which stretch of it was used; ``recording`` is its number among several
-    of its role.
+    Attributes:
+        path: Its file.
+        sha256: Its hash.
+        rig: Its kind of rig.
+        samples: Number of samples.
+        duration: Duration of the part that was used, s.
+        role: "search", "train" or "test".
+        start: Begin of that part, s.
+        recording: Its number among several of its role.
     """
 
     path: str
@@ -50,7 +60,17 @@ def fit_json(
     seconds: float,
     curves: Sequence[Mapping[str, Any]] = (),
 ) -> Any:
-    """The whole of a fit as plain JSON data; ``curves`` are forces that the model was under."""
+    """Return a fit as plain JSON data.
+
+    Args:
+        fit: The fit.
+        sources: Its recordings.
+        rig: The kind of rig.
+        estimator: Name of the estimator.
+        seed: Seed of the estimator.
+        seconds: Time of the fit, s.
+        curves: Saved force curves in the model.
+    """
     curve_fields = {"curve": curves[0], "further_curves": curves[1:]} if curves else {}
     return _result_json(
         sources,
@@ -89,7 +109,7 @@ def fit_json(
 
 
 def _result_json(sources: Sequence[Source], result: dict[str, Any]) -> Any:
-    """A result as plain JSON data; of one recording it says nothing of which."""
+    """Return a result as plain JSON data; numbers of recordings are left out where there is only one."""
     several = any(source.recording is not None for source in sources)
     return finite(result if several else _drop_fields_of_several(result))
 
@@ -101,7 +121,7 @@ def _drop_fields_of_several(value: Any) -> Any:
 
 
 def score_json(score: Score) -> dict[str, Any]:
-    """Headline and channels of a score; R² is a fraction."""
+    """Return headline and channels of a score as plain data; R² is a fraction."""
     fields = {"metric": score.metric.value, "horizon": score.horizon, **_figures(score)}
     if score.recordings:
         fields["per_recording"] = [{"recording": r.recording, **_figures(r)} for r in score.recordings]
@@ -120,7 +140,7 @@ def _figures(figures: Figures) -> dict[str, Any]:
 
 
 def diagnosis_json(diagnosis: Diagnosis, sources: Sequence[Source]) -> Any:
-    """The whole of a diagnosis as plain JSON data."""
+    """Return a diagnosis as plain JSON data."""
     return _result_json(
         sources,
         {
@@ -222,12 +242,12 @@ def _before_and_after(before: Figures, after: Figures) -> dict[str, Any]:
 
 
 def _rows(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
-    """Rows of a table; what was held has no error of its own."""
+    """Rows of a table of parameters; a held parameter has no standard error."""
     return [{**asdict(row), "held": math.isnan(row.std_error)} for row in estimates]
 
 
 def finite(value: Any) -> Any:
-    """Plain JSON data with null in the place of NaN and infinities."""
+    """Return plain JSON data with null for NaN and infinities."""
     if isinstance(value, Mapping):
         return {str(key): finite(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
@@ -242,7 +262,12 @@ def finite(value: Any) -> Any:
 
 
 def write_json(data: Any, path: Path) -> None:
-    """Write JSON data, UTF-8, readable; UsageError or DiskFailedError where that fails."""
+    """Write indented JSON data, UTF-8.
+
+    Raises:
+        UsageError: The path cannot be written.
+        DiskFailedError: The disk is full or fails.
+    """
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     with whole(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Which rig file holds for recordings: the given one, or the one that they carry."""
+"""The rig file of recordings: the given one, or the one in them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from labhil.analysis.simulator_names import refuse_other_names
+from labhil.analysis.simulator_names import check_signal_names
 from labhil.errors import RecordingError
 from labhil.recording.recording import Recording
 from labhil.recording.rig_attachments import rig_attachment_name
@@ -16,9 +16,10 @@ RIG_SECTIONS = ("known", "nominal", "metric")
 
 
 def common_rig(recordings: Sequence[Recording], rig_file: Path | RigFile | None) -> RigFile:
-    """The rig file of all recordings: the given one, or the one that each of them carries.
+    """Return the rig file of all recordings: the given one, or the one in each of them.
 
-    Raises RecordingError where these are of different kinds, or state different things of the rig.
+    Raises:
+        RecordingError: Their rig files are of different kinds, or differ in a value.
     """
     rigs = [rig_of(recording, rig_file) for recording in recordings]
     first_rig, first_recording = rigs[0], recordings[0]
@@ -29,7 +30,7 @@ def common_rig(recordings: Sequence[Recording], rig_file: Path | RigFile | None)
                 f"found one of {rig.kind.name}"
             )
         for section in RIG_SECTIONS:
-            first_values, values = (_section_values(each, section) for each in (first_rig, rig))
+            first_values, values = (_section_values(each_rig, section) for each_rig in (first_rig, rig))
             for name in sorted(first_values.keys() | values.keys()):
                 first_value, value = first_values.get(name), values.get(name)
                 if first_value != value:
@@ -42,7 +43,7 @@ def common_rig(recordings: Sequence[Recording], rig_file: Path | RigFile | None)
 
 
 def _section_values(rig: RigFile, section: str) -> dict[str, object]:
-    """The values of a section; a file that travels with the rig file counts by its content, not its path."""
+    """Values of a section; files of the rig file are compared by content, not by path."""
     values: dict[str, object] = dict(rig.model_dump()[section])
     if section == "known":
         values |= {
@@ -57,10 +58,14 @@ def _value_text(value: object) -> str:
 
 
 def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
-    """The given rig file, or the one that the recording carries; RecordingError when it carries none."""
+    """Return the given rig file, or the one in the recording.
+
+    Raises:
+        RecordingError: The recording has no rig file, or lacks the signals of the given one.
+    """
     if rig_file is not None:
         rig = rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
-        refuse_other_names(recording, rig)
+        check_signal_names(recording, rig)
         return rig
     if recording.rig is None:
         if rig_attachment_name() in recording.ambiguous:

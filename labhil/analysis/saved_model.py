@@ -1,4 +1,4 @@
-"""Fits and diagnoses as models to start from or to compare with, read from their JSON."""
+"""The model in the JSON of a fit or a diagnosis: values, terms and covariance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SavedModel:
-    """The JSON data of a fit or diagnosis that stands for a model; ``name`` is what messages call it."""
+    """The JSON data of a fit or diagnosis; ``name`` is its name in messages."""
 
     name: str
     data: Mapping[str, Any]
@@ -28,19 +28,20 @@ class SavedModel:
 
 
 Reference = Path | SavedModel
-"""A fit or diagnosis that stands for a model: its file, or its data."""
+"""A fit or diagnosis: its file, or its data."""
 
 
 def values_of(path: Reference) -> dict[str, float]:
-    """Parameter values of a fit or diagnosis file, to start from or to compare with.
+    """Return the parameter values of a fit or diagnosis, by key.
 
-    Raises ModelFileError when the file is neither.
+    Raises:
+        ModelFileError: The file is neither.
     """
     values = {}
-    for row in _model_fields(path)["parameters"]:
+    for row in _read_model_fields(path)["parameters"]:
         name, value = (row.get("name"), row.get("value")) if isinstance(row, dict) else (None, None)
-        known = value is None or is_finite_number(value)
-        if not isinstance(name, str) or not known:
+        is_known = value is None or is_finite_number(value)
+        if not isinstance(name, str) or not is_known:
             raise ModelFileError(
                 f"{path}: parameters: expected rows with a `name` and a finite `value`, found {row!r}"
             )
@@ -54,20 +55,27 @@ def _key(row: Mapping[str, Any]) -> str:
 
 
 def terms_of(path: Reference) -> tuple[str, ...]:
-    """Names of the terms of a fit or diagnosis file; ModelFileError when it is neither."""
-    terms = _model_fields(path)["terms"]
+    """Return the names of the terms of a fit or diagnosis.
+
+    Raises:
+        ModelFileError: The file is neither.
+    """
+    terms = _read_model_fields(path)["terms"]
     if not all(isinstance(name, str) for name in terms):
         raise ModelFileError(f"{path}: terms: expected a list of names, found {terms!r}")
     return tuple(terms)
 
 
 def accepted_of(path: Reference) -> Accepted:
-    """A fit or diagnosis file as an accepted model, with the covariance of its values where it has one.
+    """Return a fit or diagnosis as an accepted model, with the covariance of its values.
 
-    Where a file has standard errors only, nothing is known of their correlations: k times their squares
-    are an upper bound of any covariance of k values. Raises ModelFileError with the field that is wrong.
+    Where a file has standard errors only, their correlations are unknown: k times the diagonal matrix of
+    their squares is an upper bound of the covariance of k values.
+
+    Raises:
+        ModelFileError: A field is missing or wrong.
     """
-    values, terms, model = values_of(path), terms_of(path), _model_fields(path)
+    values, terms, model = values_of(path), terms_of(path), _read_model_fields(path)
     keys = tuple(_key(row) for row in model["parameters"])
     covariance = _covariance(path, model.get("covariance"), len(keys))
     if covariance is None:
@@ -86,7 +94,7 @@ def accepted_of(path: Reference) -> Accepted:
 
 
 def _covariance(path: Reference, rows: Any, k: int) -> FloatArray | None:
-    """The matrix (k, k), null as an unknown (infinite) variance; None where there is none."""
+    """Read the covariance (k, k), null as an infinite variance; None where there is none."""
     if rows is None:
         return None
     try:
@@ -107,8 +115,8 @@ def _covariance_from_errors(rows: Sequence[Mapping[str, Any]]) -> FloatArray | N
     errors = [row.get("std_error") for row in rows]
     if not errors or not any(isinstance(error, (int, float)) for error in errors):
         return None
-    known = [float(e) if is_finite_number(e) else np.inf for e in errors]
-    return np.diag(len(known) * np.square(known))
+    std_errors = [float(e) if is_finite_number(e) else np.inf for e in errors]
+    return np.diag(len(std_errors) * np.square(std_errors))
 
 
 def _object(path: Reference, name: str, value: Any) -> Mapping[str, Any]:
@@ -132,11 +140,11 @@ def _ratios(path: Reference, train: Mapping[str, Any]) -> dict[str, float]:
     return ratios
 
 
-def _shortest_residual(path: Reference, rungs: Any) -> float | None:
+def _shortest_residual(path: Reference, windows: Any) -> float | None:
     """Residuals over noise on the shortest of a file's fitted windows."""
-    if not isinstance(rungs, list) or not rungs or not isinstance(rungs[0], dict):
+    if not isinstance(windows, list) or not windows or not isinstance(windows[0], dict):
         return None
-    return _number(path, "by_window.residual", rungs[0].get("residual"))
+    return _number(path, "by_window.residual", windows[0].get("residual"))
 
 
 def _number(path: Reference, name: str, value: Any) -> float | None:
@@ -145,8 +153,8 @@ def _number(path: Reference, name: str, value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _model_fields(path: Reference) -> Mapping[str, Any]:
-    """The part of a result that holds ``terms`` and ``parameters``."""
+def _read_model_fields(path: Reference) -> Mapping[str, Any]:
+    """Read the part of a result with ``terms`` and ``parameters``."""
     try:
         data = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
     except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""The model of a result, run on a recording."""
+"""Simulation of a recording by the model of a result."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
-from labhil.analysis.kept_curve import under_kept_curve
 from labhil.analysis.results import finite, score_json
 from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.saved_curves import with_saved_curves
 from labhil.analysis.saved_model import Reference, SavedModel, terms_of, values_of
 from labhil.analysis.schema import Score as ScorePart
 from labhil.analysis.schema import validate
@@ -25,7 +25,7 @@ from labhil.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRecording:
-    """The prepared record, the score of the model on it, and that score as JSON says it."""
+    """A prepared record, the score of the model on it, and the JSON of that score as typed data."""
 
     name: str
     record: Record
@@ -40,10 +40,19 @@ def simulate_recording(
     horizon: float | None,
     without: Collection[str] = (),
 ) -> SimulatedRecording:
-    """Simulate the windows of a recording with the values of a result, ``without`` some of its terms.
+    """Simulate the windows of a recording with the model of a result.
 
-    Raises ModelFileError where the result is of another rig ``kind``, RecordingError where the recording
-    cannot be simulated, UnknownNameError for a term that the model does not have.
+    Args:
+        path_or_recording: The recording.
+        saved: The result.
+        kind: The rig kind of the result, where it is known.
+        horizon: Length of the windows, s; None for that of the model.
+        without: Terms that are switched off.
+
+    Raises:
+        ModelFileError: The result is of another rig kind.
+        RecordingError: The recording cannot be simulated.
+        UnknownNameError: The model does not have one of the terms.
     """
     if horizon is not None and not 0.0 < horizon < float("inf"):
         raise OptionError("horizon", f": expected more than 0 s, found {horizon:g}")
@@ -61,25 +70,32 @@ def simulate_recording(
     refuse_holes(recording.path, records[0])
     with naming([recording]):
         model, record, theta = model_on(measured, rig, saved, without)
-        scored = score(model, theta, record, noise_of(record), horizon)
-    part = validate(ScorePart, finite(score_json(scored)), "the score")
-    return SimulatedRecording(str(recording.path), record, scored, part)
+        model_score = score(model, theta, record, noise_of(record), horizon)
+    part = validate(ScorePart, finite(score_json(model_score)), "the score")
+    return SimulatedRecording(str(recording.path), record, model_score, part)
 
 
 def model_on(
     measured: Record, rig: RigFile, saved: Reference, without: Collection[str] = ()
 ) -> tuple[Model, Record, FloatArray]:
-    """The model of a result for these data, the data as it takes them, and its values.
+    """Return the model of a result for these data, the prepared data, and its parameters (P,).
 
-    ``without`` are terms that are switched off. Raises ModelFileError where the model of such a rig has not
-    all parameters of the result, RecordingError where it cannot use the data.
+    Args:
+        measured: The data.
+        rig: The rig file.
+        saved: The result.
+        without: Terms that are switched off.
+
+    Raises:
+        ModelFileError: The model of such a rig lacks a parameter of the result.
+        RecordingError: The model cannot use the data.
     """
-    model = under_kept_curve(model_for(rig, measured), saved)
+    model = with_saved_curves(model_for(rig, measured), saved)
     values = values_of(saved)
-    known = index_of(model.parameters)
-    foreign = [name for name in values if name not in known]
-    if foreign:
-        raise ModelFileError(f"{saved}: {foreign[0]}: a model of {rig.kind.name} has no such parameter")
+    parameter_index = index_of(model.parameters)
+    unknown = [name for name in values if name not in parameter_index]
+    if unknown:
+        raise ModelFileError(f"{saved}: {unknown[0]}: a model of {rig.kind.name} has no such parameter")
     record = with_noise_scales(model, model.prepare(replace_outliers(measured)))
     theta = with_only(model, start_theta(model, values), set(terms_of(saved)) - set(without))
     return model, record, theta

@@ -1,4 +1,4 @@
-"""Whether a recording has the signals by which a MuJoCo file is known, and what to write where not."""
+"""Check of a recording's signals against a MuJoCo file, and a proposal for the rig file where they differ."""
 
 from __future__ import annotations
 
@@ -15,8 +15,12 @@ from labhil.terminal import printable_name
 from labhil.toml_text import toml_value
 
 
-def refuse_other_names(recording: Recording, rig: RigFile) -> None:
-    """Raise RecordingError where the signals of a MuJoCo file are not in one stream, with a proposal."""
+def check_signal_names(recording: Recording, rig: RigFile) -> None:
+    """Check that one stream of a recording has the signals of a rig's MuJoCo file.
+
+    Raises:
+        RecordingError: None has; the message proposes a rig file.
+    """
     section = rig.model
     if section is None or section.mujoco is None:
         return
@@ -34,12 +38,12 @@ def refuse_other_names(recording: Recording, rig: RigFile) -> None:
     raise RecordingError(
         f"{recording.path}: expected the signals {', '.join(sorted(needed))} of {section.mujoco}, found "
         f"{recorded}; the file has {available.listing()}."
-        f"{proposal(section.mujoco, available, inputs, outputs)}"
+        f"{propose_rig_file(section.mujoco, available, inputs, outputs)}"
     )
 
 
 def _arm_message(recording: Recording, file: str, available: Names, kind: RigKind) -> str:
-    """The message about a recording without the signals of an arm, with the lines that map them."""
+    """Message about a recording without the signals of an arm, with the lines of a rig file that map them."""
     names = [signal.name for data in recording.streams for signal in data.stream.signals]
     recorded = ", ".join(map(printable_name, names)) or "none"
     n = len(available.joints)
@@ -52,23 +56,23 @@ def _arm_message(recording: Recording, file: str, available: Names, kind: RigKin
     )
 
 
-def proposal(file: str, available: Names, inputs: Sequence[str], outputs: Sequence[str]) -> str:
-    """A rig file that puts the most similar names together; empty where there is nothing to put together."""
+def propose_rig_file(file: str, available: Names, inputs: Sequence[str], outputs: Sequence[str]) -> str:
+    """Return a rig file that maps the most similar names; empty where there are no names to map."""
     measured = [name for name in available.sensors if name] or list(available.joints)
-    driven = _pairs(inputs, available.actuators or available.joints)
-    shown = _pairs(outputs, measured)
-    if not driven or not shown:
+    input_pairs = _match_names(inputs, available.actuators or available.joints)
+    output_pairs = _match_names(outputs, measured)
+    if not input_pairs or not output_pairs:
         return ""
     return (
         " Perhaps, in a rig file (check that each is what it says):\n"
         f"[model]\nmujoco = {toml_value(file)}\n"
-        f"inputs = {_table(driven)}\noutputs = {_table(shown)}"
+        f"inputs = {_toml_table(input_pairs)}\noutputs = {_toml_table(output_pairs)}"
     )
 
 
-def _pairs(signals: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Signals with names, the most similar first, each once."""
-    likeness = sorted(
+def _match_names(signals: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Pair signals with names, the most similar first, each once."""
+    similarities = sorted(
         (
             (_similarity(signal, name), -i, -j)
             for i, signal in enumerate(signals)
@@ -77,7 +81,7 @@ def _pairs(signals: Sequence[str], names: Sequence[str]) -> dict[str, str]:
         reverse=True,
     )
     pairs: dict[str, str] = {}
-    for _, i, j in likeness:
+    for _, i, j in similarities:
         signal, name = signals[-i], names[-j]
         if signal not in pairs and name not in pairs.values():
             pairs[signal] = name
@@ -88,5 +92,5 @@ def _similarity(first: str, second: str) -> float:
     return SequenceMatcher(None, first.lower(), second.lower()).ratio()
 
 
-def _table(pairs: dict[str, str]) -> str:
+def _toml_table(pairs: dict[str, str]) -> str:
     return "{ " + ", ".join(f"{signal} = {toml_value(name)}" for signal, name in pairs.items()) + " }"

@@ -1,4 +1,4 @@
-"""From what was recorded to a result: fit or diagnose, and put it into words."""
+"""Fit and diagnosis of a data set, with their JSON."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from labhil.analysis.dataset import Dataset
-from labhil.analysis.kept_curve import curve_note, curves_json, under_kept_curve
 from labhil.analysis.motion_check import require_motion
 from labhil.analysis.results import diagnosis_json, fit_json
+from labhil.analysis.saved_curves import curve_note, curves_json, with_saved_curves
 from labhil.analysis.saved_model import Reference, accepted_of, terms_of, values_of
 from labhil.analysis.schema import DiagnosisPart, FitPart, validate
 from labhil.cores import linear_algebra_in_one_thread
@@ -34,12 +34,12 @@ class FitResult:
     """A fit with its JSON."""
 
     fit: Fit
-    material: Dataset
+    dataset: Dataset
     json: Any
 
     @property
     def part(self) -> FitPart:
-        """What the JSON says, as it is printed and drawn."""
+        """The JSON as typed data."""
         return validate(FitPart, self.json, "the fit")
 
 
@@ -48,78 +48,85 @@ class DiagnosisResult:
     """A diagnosis with its JSON."""
 
     diagnosis: Diagnosis
-    material: Dataset
+    dataset: Dataset
     json: Any
 
     @property
     def part(self) -> DiagnosisPart:
-        """What the JSON says, as it is printed and drawn."""
+        """The JSON as typed data."""
         return validate(DiagnosisPart, self.json, "the diagnosis")
 
 
 @linear_algebra_in_one_thread()
 def fit_study(
-    material: Dataset,
+    dataset: Dataset,
     *,
     terms: Sequence[str] | None = None,
     start: Reference | None = None,
     options: Options | None = None,
 ) -> FitResult:
-    """Fit a model; ``start`` is a fit or diagnosis file to begin at, whose curve, if any, is kept.
+    """Fit the model of a data set.
 
-    RecordingError where there is nothing to fit: values that are not finite, or a rig that does not move.
+    Args:
+        dataset: The data.
+        terms: Names of the terms; by default those of ``start`` or of the rig kind.
+        start: A fit or diagnosis file to start from; its curves stay in the model.
+        options: Options of the fit.
+
+    Raises:
+        RecordingError: Values are not finite, or the rig does not move.
+        UsageError: Options or terms do not fit the data (also as OptionError or UnknownNameError).
     """
-    material.refuse_holes()
-    require_motion(material.recordings[0][0].path, material.train, material.model.metric)
-    shortest = FEWEST_SAMPLES_IN_WINDOW * material.train.period
-    settings = options or Options()
-    if settings.window is not None and not 0.99 * shortest <= settings.window < float("inf"):
+    dataset.refuse_holes()
+    require_motion(dataset.recordings[0][0].path, dataset.train, dataset.model.metric)
+    shortest = FEWEST_SAMPLES_IN_WINDOW * dataset.train.period
+    fit_options = options or Options()
+    if fit_options.window is not None and not 0.99 * shortest <= fit_options.window < float("inf"):
         raise OptionError(
             "window",
             f": expected at least {shortest:.3g} s ({FEWEST_SAMPLES_IN_WINDOW} samples), "
-            f"found {settings.window:g}",
+            f"found {fit_options.window:g}",
         )
-    model = under_kept_curve(material.model, start)
-    chosen = terms
-    if chosen is None:
-        chosen = (
+    model = with_saved_curves(dataset.model, start)
+    term_names = terms
+    if term_names is None:
+        term_names = (
             terms_of(start) if start is not None else _observable_terms(model, rig_model(model.kind).general)
         )
-    chosen = _with_per_recording_terms(model, chosen, stated=bool(terms))
-    if not chosen and all(parameter.term is not None for parameter in model.parameters):
+    term_names = _add_per_recording_terms(model, term_names, stated=bool(terms))
+    if not term_names and all(parameter.term is not None for parameter in model.parameters):
         raise OptionError("terms", f": expected one at least, since all else of this {model.kind} is known")
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     initial = for_every_recording(model, values_of(start)) if start is not None else None
-    test = material.test if material.held_out else None
-    with material.naming():
-        result = fit(model, material.train, chosen, test=test, start=initial, options=settings)
+    test = dataset.test if dataset.held_out else None
+    with dataset.naming():
+        result = fit(model, dataset.train, term_names, test=test, start=initial, options=fit_options)
     if result.criterion is model.metric:
-        judged = suggest_measurements(result.identifiability, material.rig, result.fitted)
-        result = replace(result, identifiability=judged)
-    seconds = time.perf_counter() - began
-    sources = material.sources("train")
+        identifiability = suggest_measurements(result.identifiability, dataset.rig, result.fitted)
+        result = replace(result, identifiability=identifiability)
+    seconds = time.perf_counter() - start_time
+    sources = dataset.sources("train")
     data = fit_json(
-        result, sources, model.kind, settings.estimator, settings.seed, seconds, curves_json(model)
+        result, sources, model.kind, fit_options.estimator, fit_options.seed, seconds, curves_json(model)
     )
-    data["faults"] = [asdict(fault) for fault in material.faults()]
-    data["doubts"] = material.doubts(misfit=not result.adequacy.explained)
-    data["notes"] = [*material.notes(), *curve_note(start)]
-    data["untimed"] = material.untimed()
-    data["held_out"] = _held_out_spans(material)
-    return FitResult(result, material, data)
+    data["faults"] = [asdict(fault) for fault in dataset.faults()]
+    data["doubts"] = dataset.doubts(misfit=not result.adequacy.explained)
+    data["notes"] = [*dataset.notes(), *curve_note(start)]
+    data["untimed"] = dataset.untimed()
+    data["held_out"] = _held_out_spans(dataset)
+    return FitResult(result, dataset, data)
 
 
-def _with_per_recording_terms(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
-    """These terms, and those of which each recording has its own values.
+def _add_per_recording_terms(model: Model, terms: Sequence[str], *, stated: bool) -> tuple[str, ...]:
+    """Add the terms with values per recording to the names of terms.
 
-    Raises UsageError when the terms were ``stated`` without them, UnknownNameError for a term that does not
-    exist.
+    Raises OptionError where terms were ``stated`` without them, UnknownNameError for an unknown term.
     """
-    present = {term.key for term in terms_named(model, terms)}
+    model_terms = {term.key for term in terms_named(model, terms)}
     per_recording = dict.fromkeys(
         p.term for p in model.parameters if p.recording is not None and p.term is not None
     )
-    further = [term for term in per_recording if term not in present]
+    further = [term for term in per_recording if term not in model_terms]
     if further and stated:
         raise OptionError(
             "per-recording", f" {further[0]}: the fitted terms are {', '.join(terms)}; add it to --terms"
@@ -129,75 +136,79 @@ def _with_per_recording_terms(model: Model, terms: Sequence[str], *, stated: boo
 
 @linear_algebra_in_one_thread()
 def diagnose_study(
-    material: Dataset,
+    dataset: Dataset,
     *,
     baseline: Sequence[str] | None = None,
     reference: Reference | None = None,
     progress: Progress = lambda text: None,
 ) -> DiagnosisResult:
-    """Diagnose; ``reference`` is a fit file that stands for the user's simulation, like ``[nominal]``.
+    """Diagnose a data set.
 
-    A curve in the file is part of that simulation.
+    Args:
+        dataset: The data.
+        baseline: Names of the baseline's terms; by default those of ``reference`` or of the rig kind.
+        reference: A fit or diagnosis file that describes the user's simulation, curves included, instead of
+            ``[nominal]`` in the rig file.
+        progress: Called with a line of text at each stage.
     """
-    model = under_kept_curve(material.model, reference)
-    values = _reference_values(material, reference)
-    chosen = baseline
-    if chosen is None:
-        chosen = (
+    model = with_saved_curves(dataset.model, reference)
+    values = _reference_values(dataset, reference)
+    term_names = baseline
+    if term_names is None:
+        term_names = (
             terms_of(reference)
             if reference is not None
             else _observable_terms(model, rig_model(model.kind).baseline)
         )
-    terms_named(model, chosen)
-    with material.naming():
+    terms_named(model, term_names)
+    with dataset.naming():
         diagnosis = diagnose(
             model,
-            material.train,
-            material.test,
-            heldout_is_test=material.test_is_separate,
-            baseline=chosen,
+            dataset.train,
+            dataset.test,
+            heldout_is_test=dataset.test_is_separate,
+            baseline=term_names,
             reference=values,
             accepted=None if reference is None else accepted_of(reference),
-            measured=material.measured,
+            measured=dataset.measured,
             progress=progress,
         )
-    data = diagnosis_json(diagnosis, material.sources("search"))
-    data["doubts"] = material.doubts(misfit=diagnosis.verdict != "no_mismatch")
-    data["notes"] = [*material.notes(), *curve_note(reference)]
-    data["untimed"] = material.untimed()
-    data["held_out"] = _held_out_spans(material)
-    return DiagnosisResult(diagnosis, material, data)
+    data = diagnosis_json(diagnosis, dataset.sources("search"))
+    data["doubts"] = dataset.doubts(misfit=diagnosis.verdict != "no_mismatch")
+    data["notes"] = [*dataset.notes(), *curve_note(reference)]
+    data["untimed"] = dataset.untimed()
+    data["held_out"] = _held_out_spans(dataset)
+    return DiagnosisResult(diagnosis, dataset, data)
 
 
 def _observable_terms(model: Model, names: Sequence[str]) -> tuple[str, ...]:
-    """Of the default terms those that this recording can show."""
-    present = {term.name for term in model.terms.values()}
-    return tuple(name for name in names if name in present or name not in model.unobservable_terms)
+    """Default terms that this recording can show."""
+    model_terms = {term.name for term in model.terms.values()}
+    return tuple(name for name in names if name in model_terms or name not in model.unobservable_terms)
 
 
-def _held_out_spans(material: Dataset) -> list[list[float]]:
-    """Which stretch of each recording was held out of it, s; none where whole recordings were."""
-    if material.test_is_separate or not material.held_out:
+def _held_out_spans(dataset: Dataset) -> list[list[float]]:
+    """Begin and end of the part held out of each recording, s; empty where tests are separate recordings."""
+    if dataset.test_is_separate or not dataset.held_out:
         return []
-    return [[float(record.t[0]), float(record.t[-1])] for record in material.test.recordings()]
+    return [[float(record.t[0]), float(record.t[-1])] for record in dataset.test.recordings()]
 
 
-def _reference_values(material: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
+def _reference_values(dataset: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
+    """Values of the user's simulation: of a result, of ``[nominal]``, or of a simulator's file."""
     if reference is not None:
-        return for_every_recording(material.model, values_of(reference))
-    known = index_of(material.model.parameters)
-    file_nominal = (
-        material.model.nominal if isinstance(material.model, (ArmFileModel, SimulatorModel)) else {}
-    )
-    file_nominal = {name: value for name, value in file_nominal.items() if name in known}
-    nominal = for_every_recording(material.model, material.rig.nominal or file_nominal)
+        return for_every_recording(dataset.model, values_of(reference))
+    parameter_index = index_of(dataset.model.parameters)
+    file_nominal = dataset.model.nominal if isinstance(dataset.model, (ArmFileModel, SimulatorModel)) else {}
+    file_nominal = {name: value for name, value in file_nominal.items() if name in parameter_index}
+    nominal = for_every_recording(dataset.model, dataset.rig.nominal or file_nominal)
     for name, value in nominal.items():
-        if name not in known:
-            raise UnknownNameError(f"{material.rig.path}: [nominal] parameter", name, known)
-        parameter = material.model.parameters[known[name]]
+        if name not in parameter_index:
+            raise UnknownNameError(f"{dataset.rig.path}: [nominal] parameter", name, parameter_index)
+        parameter = dataset.model.parameters[parameter_index[name]]
         if not parameter.lower <= value <= parameter.upper:
             raise UsageError(
-                f"{material.rig.path}: [nominal] {name}: expected {parameter.lower:g} to {parameter.upper:g} "
+                f"{dataset.rig.path}: [nominal] {name}: expected {parameter.lower:g} to {parameter.upper:g} "
                 f"{parameter.unit}, found {value:g}"
             )
     return nominal or None

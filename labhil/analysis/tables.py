@@ -1,4 +1,4 @@
-"""Tables as recordings: of a file that others wrote, or of arrays, without a file on disk in between."""
+"""Tables and arrays as recordings in memory."""
 
 from __future__ import annotations
 
@@ -17,24 +17,39 @@ from labhil.rig import RigFile
 from labhil.signals import FloatArray, Stream
 
 Progress = Callable[[str], None]
-Read = tuple[Recording, list[str], bytes]
+ReadTable = tuple[Recording, list[str], bytes]
 """A recording, notes on how it was made, and the bytes of its file."""
 
 
-def read_table(path: Path, rig: RigFile, progress: Progress = lambda text: None) -> Read:
+def read_table(path: Path, rig: RigFile, progress: Progress = lambda text: None) -> ReadTable:
     """Read a table by the rules of a rig file, as ``labhil import`` does.
 
-    Raises TableError with the column, what was expected and what was found.
+    Args:
+        path: The table.
+        rig: The rig file.
+        progress: Called with a line of text before a long stage.
+
+    Raises:
+        TableError: A column is missing or has wrong values.
     """
     table = import_table(path, rig)
     table, findings = check_table(table, progress)
     return _as_recording(table, [*describe_import(table), *findings])
 
 
-def table_in_memory(
+def recording_of_samples(
     name: Path, sha256: str, rig: RigFile, stream: Stream, t: FloatArray, values: FloatArray
-) -> Read:
-    """Make a recording of samples: times (n,) s that increase, ``values`` (n, stream.width) in SI units."""
+) -> ReadTable:
+    """Make a recording of samples in memory.
+
+    Args:
+        name: Its name, in the place of a path.
+        sha256: Hash of the samples.
+        rig: The rig file.
+        stream: The stream of the samples.
+        t: Increasing times (n,), s.
+        values: Samples (n, stream.width) in SI units.
+    """
     table = ImportedTable(
         source=name,
         sha256=sha256,
@@ -53,8 +68,8 @@ def table_in_memory(
     return _as_recording(table, findings)
 
 
-def _as_recording(table: ImportedTable, notes: list[str]) -> Read:
-    """The recording as it is when it was written and read: there is one way from samples to a recording."""
+def _as_recording(table: ImportedTable, notes: list[str]) -> ReadTable:
+    """Write a table to a temporary recording and read it, so that every recording is made in the same way."""
     with tempfile.TemporaryDirectory(prefix="labhil-") as folder:
         path = write_import(table, Path(folder) / "recording.mcap")
         content, recording = path.read_bytes(), read_recording(path)

@@ -1,4 +1,7 @@
-"""A verification: from files to the answer and its JSON."""
+"""Verification of a model by a recording: from files to the answer and its JSON.
+
+The tests are in ``labhil.diagnose.verify``.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.dataset import RecordingLike, measured_of, refuse_holes
-from labhil.analysis.kept_curve import under_kept_curve
 from labhil.analysis.results import Source, finite, score_json
 from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.saved_curves import with_saved_curves
 from labhil.analysis.saved_model import Reference, accepted_of
 from labhil.analysis.schema import VerificationPart, validate
 from labhil.diagnose.intake import replace_outliers
@@ -28,7 +31,7 @@ from labhil.rig import RigFile
 
 @dataclass(frozen=True, slots=True)
 class VerificationResult:
-    """A verification with its JSON; ``losses`` are what the recording lacks, a line each."""
+    """A verification with its JSON; ``losses`` are lines on data that the recording lacks."""
 
     verification: Verification
     losses: tuple[str, ...]
@@ -36,7 +39,7 @@ class VerificationResult:
 
     @property
     def part(self) -> VerificationPart:
-        """What the JSON says, as it is printed."""
+        """The JSON as typed data."""
         return validate(VerificationPart, self.json, "the verification")
 
 
@@ -50,13 +53,24 @@ def verify_study(
     run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> VerificationResult:
-    """Test a recording, or one ``device`` or ``run`` of it, against a result's model.
+    """Test whether a recording contradicts the model of a result.
 
-    Raises UsageError (RecordingError, RigFileError, ModelFileError) with what is wrong and where.
+    Args:
+        path_or_recording: The recording.
+        model_file: The result.
+        rig_file: The rig file; by default the one in the recording.
+        alpha: Probability of a false alarm.
+        device: One of several devices in the recording.
+        run: One of several runs in the file.
+        progress: Called with a line of text at each stage.
+
+    Raises:
+        UsageError: Options or files do not fit together (also as RecordingError, RigFileError or
+            ModelFileError).
     """
     if not 0.0 < alpha < 0.5:
         raise OptionError("alpha", f": expected a probability above 0 and below 0.5, found {alpha:g}")
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     accepted = accepted_of(model_file)
     recording = (
         read_recording(path_or_recording, run) if isinstance(path_or_recording, Path) else path_or_recording
@@ -73,14 +87,14 @@ def verify_study(
         raise RecordingError(
             f"{path}: too short to verify: {len(record)} samples, at least {2 * FEWEST_SAMPLES} are needed"
         )
-    model = under_kept_curve(model_for(rig, record), model_file)
+    model = with_saved_curves(model_for(rig, record), model_file)
     verification = verify(
         model, model.prepare(replace_outliers(record)), accepted, alpha=alpha, progress=progress
     )
     source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start_time
     data = verification_json(verification, source, model_file, seconds)
-    # a recording may contradict a model because of what is wrong with the recording
+    # faults of the recording may be the reason for a contradiction
     data["faults"] = finite([asdict(fault) for fault in detect_all_faults(model, record)])
     doubts = doubts_of(record, rig, misfit=not verification.consistent, time_column=recording.time_column)
     data["doubts"] = [doubt.statement for doubt in doubts]
@@ -94,7 +108,7 @@ def _duration(record: Record) -> float:
 def verification_json(
     verification: Verification, source: Source, model_file: Reference, seconds: float
 ) -> Any:
-    """The whole answer as plain JSON data (`labhil.verification/1`): no NaN, no infinity, null instead."""
+    """Return the answer as plain JSON data (`labhil.verification/1`), with null for NaN and infinities."""
     return finite(
         {
             "schema": "labhil.verification/1",

@@ -1,4 +1,4 @@
-"""Acquiring: one device at hand, or a whole experiment."""
+"""Acquisition: ``connect`` for one device, ``Experiment`` and ``run`` for scripted recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from labhil.experiment.campaign import CampaignResult
     from labhil.experiment.result import Progress, RunResult
 
-DEVICE = "bench"
+DEVICE_NAME = "bench"
 RunProgress = bool | Callable[["Progress"], None] | None
 
 
@@ -44,18 +44,18 @@ def connect(
 
     Args:
         driver: A name of ``labhil devices``, such as ``"ball_beam"``.
-        address: Where it is: ``"/dev/ttyACM0"``, ``"socket://host:port"``, an IP address; ``"twin"`` starts a
-            simulated device and stops it afterwards.
-        rig: The path of a rig file, or a model, with the ``[limits]`` that hold; no limits when absent.
-        twin: How the simulated device is made: ``terms``, ``set``, ``seed``, ``speed``, …, as in an
+        address: ``"/dev/ttyACM0"``, ``"socket://host:port"`` or an IP address; ``"twin"`` starts a simulated
+            device and stops it afterwards.
+        rig: The path of a rig file, or a model, with the ``[limits]``; by default there are none.
+        twin: Settings of the simulated device: ``terms``, ``set``, ``seed``, ``speed``, …, as in an
             experiment file.
 
     Returns:
         The bench, to be used in a ``with`` statement: the device is safe when it ends, however it ends.
 
     Raises:
-        UsageError: There is no such driver, or the settings of the twin are none.
-        ConnectError: Nobody answers at the address; raised when the ``with`` statement begins.
+        UsageError: There is no such driver, or a setting of the twin is wrong.
+        ConnectError: No device answers at the address; raised when the ``with`` statement begins.
 
     Example:
         >>> import labhil as lh
@@ -67,13 +67,13 @@ def connect(
     """
     try:
         section = DeviceSection(plugin=driver, address=address, twin=TwinSection(**(twin or {})))
-        devices = WithDevices(devices={DEVICE: section}, path=Path("labhil.connect"))
+        devices = WithDevices(devices={DEVICE_NAME: section}, path=Path("labhil.connect"))
     except (ValidationError, TypeError) as error:
         fault = (
             explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
         )
         raise UsageError(fault) from error
-    plan, resolved_rig = device_plan(devices, DEVICE), rig_file(rig)
+    plan, resolved_rig = device_plan(devices, DEVICE_NAME), rig_file(rig)
     if resolved_rig is not None and resolved_rig.kind.name != plan.spec.rig:
         raise UsageError(
             f"rig: expected one of kind {plan.spec.rig!r}, as {driver}, found {resolved_rig.kind.name!r}"
@@ -82,7 +82,7 @@ def connect(
 
 
 class Experiment:
-    """A scripted acquisition: devices, what moves them, and for how long. Immutable.
+    """A scripted acquisition: devices and the steps that move them. Immutable.
 
     Its arguments are the tables of an experiment file; :meth:`load` reads one.
 
@@ -116,22 +116,22 @@ class Experiment:
         """Describe an acquisition.
 
         Args:
-            name: What it is called.
+            name: Its name.
             devices: ``plugin``, ``address`` and ``rig`` by the name of the device.
-            steps: ``device``, ``signal``, ``excitation``, ``duration`` and what the excitation needs, one
-                after another.
-            seed: Of whatever is drawn at random.
-            about: ``operator``, ``sample``, ``notes`` and ``tags``, which stand in the recording.
-            repeat: How many recordings of each run; see :meth:`run_all`.
-            sweep: ``over``, values by place: ``{"over": {"steps.0.level": [1.0, 2.0]}}``.
-            checks: ``condition``, ``at`` ("before" or "after" the steps) and ``within`` of each.
+            steps: ``device``, ``signal``, ``excitation``, ``duration`` and the excitation's settings of each
+                step.
+            seed: Seed of all random numbers.
+            about: ``operator``, ``sample``, ``notes`` and ``tags`` for the recording.
+            repeat: Number of recordings of each run; see :meth:`run_all`.
+            sweep: ``over``, values by key: ``{"over": {"steps.0.level": [1.0, 2.0]}}``.
+            checks: ``condition``, ``at`` ("before" or "after" the steps) and ``within`` of each check.
             hook: A function that is called with a :class:`RunContext` before and after each run, such as
                 ``"lab.py:tell"``.
             record: ``path``, the name of the recording's file.
-            directory: Where relative paths begin.
+            directory: The folder that relative paths start from.
 
         Raises:
-            ExperimentFileError: A key that is missing, misspelt or wrong.
+            ExperimentFileError: A key is missing, misspelt or wrong.
         """
         path = path_of(directory, "directory") / "labhil.Experiment"
         data: dict[str, Any] = {
@@ -154,19 +154,26 @@ class Experiment:
 
     @classmethod
     def load(cls, path: PathLike) -> Experiment:
-        """Read an experiment file; ExperimentFileError names the file, the field and what was expected."""
+        """Read an experiment file.
+
+        Args:
+            path: The TOML file.
+
+        Raises:
+            ExperimentFileError: The file cannot be read, or a key is missing, misspelt or wrong.
+        """
         experiment = cls.__new__(cls)
         experiment._file = load_experiment(path_of(path, "path"))
         return experiment
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Its name."""
         return self._file.experiment.name
 
     @property
     def duration(self) -> float:
-        """How long its steps take, s of the devices' clocks."""
+        """Duration of its steps, s of the devices' clocks."""
         return self._file.duration
 
     @cached_property
@@ -174,10 +181,10 @@ class Experiment:
         return make_plan(self._file)
 
     def plan(self) -> str:
-        """What it would do, as ``labhil run --dry-run`` prints it; no device is touched.
+        """Return a description of the run, as ``labhil run --dry-run`` prints it, without using a device.
 
         Raises:
-            UsageError: It cannot be run: no such driver or signal, or a step beyond the limits.
+            UsageError: It cannot be run: a driver or a signal does not exist, or a step exceeds a limit.
         """
         if not self.is_campaign:
             return self._planned.describe()
@@ -190,7 +197,7 @@ class Experiment:
 
     @property
     def is_campaign(self) -> bool:
-        """Whether it asks for several recordings, by ``repeat`` or a sweep: see :meth:`run_all`."""
+        """Whether it has several recordings, by ``repeat`` or a sweep: see :meth:`run_all`."""
         return is_campaign(self._file)
 
     def run_all(
@@ -201,15 +208,15 @@ class Experiment:
         announce: Callable[[str], None] | None = None,
         anew: bool = False,
     ) -> CampaignResult:
-        """Make every run of ``repeat`` and ``[sweep]`` that is not done yet.
+        """Do every run of ``repeat`` and ``[sweep]`` that is not complete yet.
 
-        The campaign file in ``out`` says which are done: an interrupted campaign goes on where it was.
+        The campaign file in ``out`` lists complete runs: an interrupted campaign is continued.
 
         Args:
             out: The folder for the recordings and the campaign file.
             progress: As for :meth:`execute`.
             announce: A function of a line about each run that begins.
-            anew: Begin a new campaign where one stands; its recordings stay.
+            anew: Whether to begin an existing campaign again; its recordings stay.
 
         Returns:
             ``recordings``, ``path`` of the campaign file, ``exit_status``, ``error``.
@@ -224,12 +231,11 @@ class Experiment:
     def run_plan(
         self, plan: Callable[[], PythonPlan], out: PathLike = ".", *, progress: RunProgress = None
     ) -> PlanResult:
-        """Let a generator decide what comes next: it yields steps, and is sent the recording of them.
+        """Run the steps that a generator yields, and send it their recordings.
 
-        Each yield is a run of its own with this experiment's devices, checks and hook, and a recording of its
-        own; the steps of this experiment itself are not run. What is yielded is checked against the limits
-        before a device moves. Between two runs every device is in its safe state, and a simulated one begins
-        anew.
+        Each yield is a run with this experiment's devices, checks and hook, and has its own recording; the
+        steps of this experiment are not run. Yielded steps are checked against the limits before a device
+        moves. Between two runs every device is in its safe state, and a simulated one starts again.
 
         Args:
             plan: A function without arguments that makes the generator. It yields a step, or a list of steps,
@@ -240,11 +246,11 @@ class Experiment:
             progress: As for :meth:`execute`.
 
         Returns:
-            ``recordings``, their paths, and ``value``, what the generator returned.
+            ``recordings``, their paths, and ``value``, the return value of the generator.
 
         Raises:
-            ExperimentFileError: What was yielded cannot be run.
-            RunError: A run failed and the plan did not take its error; its notes name the recordings.
+            ExperimentFileError: Yielded steps cannot be run.
+            RunError: A run failed, and the plan did not handle its error; its notes name the recordings.
 
         Example:
             >>> import tempfile
@@ -270,7 +276,7 @@ class Experiment:
             return run_plan(self._file, plan, path_of(out, "out"), report)
 
     def run(self, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
-        """Run it; see :func:`labhil.run`."""
+        """Run it, and return the recording; see :func:`labhil.run`."""
         from labhil.api.recording import read
 
         result = self.execute(out, progress=progress)
@@ -283,11 +289,11 @@ class Experiment:
         return read(result.path)
 
     def execute(self, out: PathLike = ".", *, progress: RunProgress = None) -> RunResult:
-        """Run it, and return what came of it, whatever that is: no error of the run is raised.
+        """Run it, and return its outcome; no error of the run is raised.
 
         Args:
             out: The folder for the recording.
-            progress: A function of how far the run has come, or True for a bar on stderr.
+            progress: A function of the progress of the run, or True for a bar on stderr.
 
         Returns:
             ``path`` of the recording, ``exit_status``, ``reason``, ``error``, ``streams``.
@@ -298,7 +304,7 @@ class Experiment:
             return run_experiment(self._file, path_of(out, "out"), report)
 
     def warnings(self) -> tuple[str, ...]:
-        """What is doubtful in its steps, a line each."""
+        """Return warnings about its steps, a line each."""
         if not self.is_campaign:
             return self._planned.warnings()
         per_point = (make_plan(point.experiment).warnings() for point in points_of(self._file))
@@ -311,7 +317,7 @@ class Experiment:
 
 @contextmanager
 def _progress_callback(progress: RunProgress) -> Iterator[Callable[[Progress], None]]:
-    """The function that ``progress`` stands for."""
+    """Yield the function of ``progress``."""
     if callable(progress):
         yield progress
     elif progress:
@@ -324,25 +330,25 @@ def _progress_callback(progress: RunProgress) -> Iterator[Callable[[Progress], N
 
 
 def _ignore_progress(progress: Progress) -> None:
-    """Progress that is not shown."""
+    """Ignore progress."""
 
 
 def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: RunProgress = None) -> Recording:
-    """Acquire: run the steps of an experiment and leave one recording.
+    """Run the steps of an experiment, and return the recording.
 
     However it ends, every device is brought to its safe state first. Ctrl+C ends it, too.
 
     Args:
         experiment: The path of an experiment file, or an :class:`Experiment`.
         out: The folder for the recording.
-        progress: A function of how far the run has come, or True for a bar on stderr.
+        progress: A function of the progress of the run, or True for a bar on stderr.
 
     Returns:
         The recording.
 
     Raises:
         ExperimentFileError: The experiment cannot be run; nothing was started.
-        RunError: A limit tripped, somebody stopped it, a device failed; its notes say where the recording is.
+        RunError: A limit tripped, somebody stopped it, or a device failed; its notes name the recording.
 
     Example:
         >>> import tempfile
@@ -356,5 +362,5 @@ def run(experiment: PathLike | Experiment, out: PathLike = ".", *, progress: Run
         >>> print(rec["voltage"].max())
         3.0
     """
-    ready = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
-    return ready.run(out, progress=progress)
+    loaded = experiment if isinstance(experiment, Experiment) else Experiment.load(experiment)
+    return loaded.run(out, progress=progress)

@@ -1,4 +1,4 @@
-"""Recordings made of arrays, and the errors about arrays that cannot be one."""
+"""``labhil.recording``: make a recording of arrays."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from labhil.signals import Direction, FloatArray, Signal, Stream
 if TYPE_CHECKING:
     from labhil.api.model import Model
 
-FEWEST_ROWS = 2
+MIN_ROWS = 2
 
 
 def recording(
@@ -34,12 +34,12 @@ def recording(
 
     Args:
         t: Times of the samples, (n,) s, increasing.
-        inputs: What acts on the rig, by signal name: each (n,), or (n, 6) for the joints of an arm, in the
-            SI units of the rig kind.
-        outputs: What is measured, likewise.
-        rig: A rig kind, the path of a rig file, or a model; it says which signals there are.
+        inputs: Inputs of the rig by signal name: each (n,), or (n, 6) for the joints of an arm, in the SI
+            units of the rig kind.
+        outputs: Measured signals, likewise.
+        rig: A rig kind, the path of a rig file, or a model; it defines the signals.
         others: Further channels of the rig kind, such as a temperature.
-        name: What messages and results call it.
+        name: Name in messages and results.
 
     Returns:
         The recording; :meth:`Recording.save` makes a file of it.
@@ -58,73 +58,79 @@ def recording(
         >>> rec
         <Recording of dc_motor: 500 samples, 4.99 s at 100 Hz; voltage, speed>
     """
-    from labhil.analysis.tables import table_in_memory
+    from labhil.analysis.tables import recording_of_samples
 
     resolved_rig = rig_file(rig)
     if resolved_rig is None:
         raise UsageError("rig: expected a rig kind, the path of a rig file or a model, found None")
     times = _times(t)
-    given = {**_mapping(inputs, "inputs"), **_mapping(outputs, "outputs"), **_mapping(others or {}, "others")}
+    arrays = {
+        **_mapping(inputs, "inputs"),
+        **_mapping(outputs, "outputs"),
+        **_mapping(others or {}, "others"),
+    }
     known = {signal.name: signal for signal in resolved_rig.kind.signals()}
-    for signal in given:
+    for signal in arrays:
         if signal not in known:
             raise UsageError(
                 f"{signal}: a {resolved_rig.kind.name} has no such signal{suggestion(signal, known)}; "
                 f"known: {', '.join(known)}"
             )
-    signals = tuple(signal for signal in resolved_rig.kind.signals() if signal.name in given)
-    _refuse_incomplete(resolved_rig, set(given))
-    values = np.hstack([_values(given[s.name], s, len(times)) for s in signals])
+    signals = tuple(signal for signal in resolved_rig.kind.signals() if signal.name in arrays)
+    _check_complete(resolved_rig, set(arrays))
+    values = np.hstack([_values(arrays[s.name], s, len(times)) for s in signals])
     stream = Stream("state", signals, float(1.0 / np.median(np.diff(times))))
     digest = hashlib.sha256(times.tobytes() + values.tobytes()).hexdigest()
-    file_recording, notes, content = table_in_memory(Path(name), digest, resolved_rig, stream, times, values)
+    file_recording, notes, content = recording_of_samples(
+        Path(name), digest, resolved_rig, stream, times, values
+    )
     return Recording(file_recording, tuple(notes), content)
 
 
-def _mapping(given: object, what: str) -> Mapping[str, object]:
-    if isinstance(given, Mapping):
-        return given
-    raise UsageError(f"{what}: expected a mapping of names to arrays, found {type(given).__name__}")
+def _mapping(value: object, argument: str) -> Mapping[str, object]:
+    if isinstance(value, Mapping):
+        return value
+    raise UsageError(f"{argument}: expected a mapping of names to arrays, found {type(value).__name__}")
 
 
-def _array(given: object, what: str) -> FloatArray:
+def _array(values: object, argument: str) -> FloatArray:
     try:
-        return np.asarray(given, dtype=np.float64)
+        return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise UsageError(f"{what}: expected an array of numbers, found {given!r:.80}: {error}") from error
+        raise UsageError(
+            f"{argument}: expected an array of numbers, found {values!r:.80}: {error}"
+        ) from error
 
 
 def _times(t: object) -> FloatArray:
     times = _array(t, "t")
-    if times.ndim != 1 or len(times) < FEWEST_ROWS:
+    if times.ndim != 1 or len(times) < MIN_ROWS:
+        raise UsageError(f"t: expected times of shape (n,), at least {MIN_ROWS}, found shape {times.shape}")
+    _check_finite("t", times)
+    not_increasing = np.flatnonzero(np.diff(times) <= 0.0)
+    if len(not_increasing):
+        i = int(not_increasing[0])
         raise UsageError(
-            f"t: expected times of shape (n,), at least {FEWEST_ROWS}, found shape {times.shape}"
-        )
-    _refuse_holes("t", times)
-    standing = np.flatnonzero(np.diff(times) <= 0.0)
-    if len(standing):
-        i = int(standing[0])
-        raise UsageError(
-            f"t: expected times that increase (s), found {len(standing)} that do not, the first "
+            f"t: expected times that increase (s), found {len(not_increasing)} that do not, the first "
             f"t[{i + 1}] = {times[i + 1]:g} after t[{i}] = {times[i]:g}"
         )
     return times
 
 
-def _values(given: object, signal: Signal, n: int) -> FloatArray:
-    values = _array(given, signal.name)
-    wanted = f"({n},)" if signal.width == 1 else f"({n}, {signal.width})"
+def _values(array: object, signal: Signal, n: int) -> FloatArray:
+    values = _array(array, signal.name)
+    expected_shape = f"({n},)" if signal.width == 1 else f"({n}, {signal.width})"
     columns = values[:, None] if values.ndim == 1 else values
     if columns.shape != (n, signal.width):
         raise UsageError(
-            f"{signal.name}: expected shape {wanted}, one row for each of the {n} times in t, "
+            f"{signal.name}: expected shape {expected_shape}, one row for each of the {n} times in t, "
             f"found {values.shape}"
         )
-    _refuse_holes(signal.name, columns)
+    _check_finite(signal.name, columns)
     return columns
 
 
-def _refuse_holes(name: str, values: FloatArray) -> None:
+def _check_finite(name: str, values: FloatArray) -> None:
     bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
     if len(bad):
         raise UsageError(
@@ -133,14 +139,18 @@ def _refuse_holes(name: str, values: FloatArray) -> None:
         )
 
 
-def _refuse_incomplete(rig: RigFile, given: set[str]) -> None:
+def _check_complete(rig: RigFile, names_found: set[str]) -> None:
     """Raise UsageError where an input or an output is missing that every model of this kind needs."""
     kind = rig.kind
-    if not any(given >= set(names) for names in kind.driven_by):
-        wanted = " or ".join(" with ".join(names) for names in kind.driven_by)
-        raise UsageError(f"inputs: a {kind.name} needs {wanted}, found {', '.join(sorted(given)) or 'none'}")
+    if not any(names_found >= set(names) for names in kind.driven_by):
+        expected = " or ".join(" with ".join(names) for names in kind.driven_by)
+        raise UsageError(
+            f"inputs: a {kind.name} needs {expected}, found {', '.join(sorted(names_found)) or 'none'}"
+        )
     outputs = [s.name for s in kind.outputs if s.direction is Direction.OUTPUT]
-    missing = [name for name in outputs if name not in given]
+    missing = [name for name in outputs if name not in names_found]
     if len(missing) == len(outputs) or (missing and not kind.any_output):
-        wanted = (" or " if kind.any_output else " and ").join(outputs)
-        raise UsageError(f"outputs: a {kind.name} needs {wanted}, found {', '.join(sorted(given)) or 'none'}")
+        expected = (" or " if kind.any_output else " and ").join(outputs)
+        raise UsageError(
+            f"outputs: a {kind.name} needs {expected}, found {', '.join(sorted(names_found)) or 'none'}"
+        )

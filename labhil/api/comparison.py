@@ -1,4 +1,4 @@
-"""Comparing models over the same recordings."""
+"""``labhil.compare``: compare models on the same recordings."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ if TYPE_CHECKING:
 
 
 class Comparison(Result):
-    """Several models over the same recordings. Made by :func:`labhil.compare` and :func:`labhil.load`;
-    immutable.
+    """A comparison of models on the same recordings, made by :func:`labhil.compare`. Immutable.
 
     ``print(it)`` is the report of ``labhil compare``.
 
@@ -60,12 +59,12 @@ class Comparison(Result):
 
     @property
     def part(self) -> ComparisonPart:
-        """All that the JSON says, with types."""
+        """The JSON as typed data."""
         return self._part
 
     @property
     def verdict(self) -> Literal["one_best", "alike"]:
-        """``one_best``, or ``alike`` where another model is as good as the best but for noise."""
+        """``one_best``, or ``alike`` where another model is as good as the best within noise."""
         return self._part.verdict
 
     @property
@@ -80,7 +79,7 @@ class Comparison(Result):
 
     @property
     def preferred(self) -> str:
-        """The name of the model to take: of those as good as the best the one with the fewest parameters."""
+        """The name of the preferred model: of those as good as the best, that with the fewest parameters."""
         return self._part.preferred
 
     @property
@@ -92,27 +91,31 @@ class Comparison(Result):
 
     @property
     def parameters(self) -> tuple[SharedParameter, ...]:
-        """The parameters that models share: ``values``, and whether they ``agree``."""
+        """Parameters that models share: ``values``, and whether they ``agree``."""
         return self._part.parameters
 
     @property
     def next_steps(self) -> tuple[str, ...]:
-        """What to do next, a sentence or two each."""
+        """The next steps, a sentence or two each."""
         return self._part.next_steps
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is doubtful in the comparison, a sentence or two each."""
+        """Notes on the comparison, a sentence or two each."""
         return self._part.notes
 
     @property
     def recordings(self) -> tuple[Source, ...]:
-        """The recordings that the models are compared on, with the stretch of each."""
+        """The recordings that the models are compared on, with the span of each."""
         return self._part.recordings
 
     @property
     def study(self) -> ComparisonResult:
-        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        """The computation with its samples.
+
+        Raises:
+            UsageError: The result was loaded or pickled.
+        """
         if self._study is None:
             raise no_samples_error("study")
         return self._study
@@ -137,7 +140,7 @@ class Comparison(Result):
         write_page(comparison_page(self._part, foot_of(self._part), drawn), file)
 
     def to_pandas(self) -> Any:
-        """A row for each model and output as a pandas DataFrame.
+        """Return a row for each model and output as a pandas DataFrame.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -165,21 +168,21 @@ def compare(
     """Compare models on the same recordings: which explains them best, by how much, and whether that is
     more than noise.
 
-    Every model is simulated in the same windows, each from the state that its lead-in suggests, as models
+    Every model is simulated in the same windows, each from the state estimated from its lead-in, as models
     are scored.
 
     Args:
         results: Two to eight models of one kind of rig: fits, diagnoses (their final model), verifications
             (the model that was verified), or their files.
-        recording: The recordings to compare on. Without them, what the first result was judged on: its test
-            recording, or the stretch that was held out.
-        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
-            recording carries when absent.
-        horizon: Length of the simulated windows, s; the longest that a model asks for when absent.
-        device: Which device, where a recording holds several.
-        run: Which run, from 1, where a file holds several.
-        progress: A function of a line about what is being done, or True for a line on stderr.
-        warn: A function of the lines that say what the recordings lack.
+        recording: The recordings to compare on; by default the test recording of the first result, or the
+            part that it held out.
+        model: A rig kind, the path of a rig file, or a :func:`labhil.model`; by default the rig file
+            in the recording.
+        horizon: Length of the simulated windows, s; by default the longest of the models' scored horizons.
+        device: The device, where a recording has several.
+        run: The run, from 1, where a file has several.
+        progress: A function of a line about the current stage, or True for a line on stderr.
+        warn: A function of lines about lost data of the recordings.
 
     Returns:
         The comparison: ``print`` it, read :attr:`Comparison.verdict` and :attr:`Comparison.models`, make a
@@ -217,5 +220,5 @@ def compare(
 
 
 def _model_of(result: Fit | Diagnosis | Verification | PathLike) -> Path | SavedModel:
-    """A result, or its file, as what stands for its model."""
+    """The model of a result, or the path of its file."""
     return result.as_reference if isinstance(result, Result) else path_of(result, "results")

@@ -1,4 +1,4 @@
-"""Finding what a model lacks."""
+"""``labhil.diagnose``: find the physics that a model lacks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
-    material_of,
+    load_inputs,
     names_of,
     number_or_none,
     progress_reporter,
@@ -51,8 +51,9 @@ if TYPE_CHECKING:
 
 
 class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
-    """What a model lacks, where, and how much better it is with it. Made by :func:`labhil.diagnose` and
-    :func:`labhil.load`; immutable.
+    """The physics that a model lacks, its location and the improvement by it. Immutable.
+
+    Made by :func:`labhil.diagnose` and :func:`labhil.load`.
 
     ``print(dx)`` is the report of ``labhil diagnose``.
 
@@ -91,22 +92,22 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
     @property
     def missing(self) -> tuple[MissingEffect, ...]:
-        """Every effect that was found, by evidence; see :class:`labhil.MissingEffect`."""
+        """Missing effects, by evidence; see :class:`labhil.MissingEffect`."""
         return self._part.missing
 
     @property
     def rivals(self) -> tuple[Rival, ...]:
-        """What would explain the data about as well as a found effect, and how to tell them apart."""
+        """Effects that explain the data about as well as a named one, and experiments to distinguish them."""
         return self._part.rivals
 
     @property
     def excluded(self) -> tuple[ExcludedEffect, ...]:
-        """Effects that are not there, each with the largest size that could hide in these data."""
+        """Absent effects, each with an upper limit of its size."""
         return self._part.excluded
 
     @property
     def undecided(self) -> tuple[UndecidedEffect, ...]:
-        """Effects of which these data cannot speak, with the reason and the channels that are needed."""
+        """Effects that these data cannot decide on, with the reason and the needed channels."""
         return self._part.undecided
 
     @property
@@ -116,22 +117,22 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
     @property
     def where(self) -> Location | None:
-        """Where the error is: channel, times, regimes, and a plain ``statement``."""
+        """Location of the mismatch: channel, times, regimes, and a ``statement``."""
         return self._part.location
 
     @property
     def improvement(self) -> Improvement | None:
-        """Errors before and after on data that the search never saw; see :class:`labhil.Improvement`."""
+        """Errors before and after on data that the search did not use; see :class:`labhil.Improvement`."""
         return self._part.improvement
 
     @property
     def baseline(self) -> FittedModel:
-        """The model that the search began with: ``terms`` and ``parameters``."""
+        """The model at the start of the search: ``terms`` and ``parameters``."""
         return self._part.baseline
 
     @property
     def final(self) -> FittedModel:
-        """The model with what was found: ``terms`` and ``parameters``."""
+        """The model with the missing effects: ``terms`` and ``parameters``."""
         return self._part.final
 
     @property
@@ -141,17 +142,17 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
 
     @property
     def curves(self) -> tuple[EstimatedCurve, ...]:
-        """Estimated forces that no named effect explains."""
+        """Estimated forces that no effect of the catalogue explains."""
         return tuple(curve for curve in (self._part.curve, *self._part.further_curves) if curve is not None)
 
     @property
     def next_steps(self) -> tuple[str, ...]:
-        """What to do next, the most useful first: a sentence or two each."""
+        """The next steps, the most useful first: a sentence or two each."""
         return self._part.next_steps
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is doubtful in the data, or was taken for known, a sentence each."""
+        """Doubts about the data and assumptions of the model, a sentence each."""
         return (*self._part.doubts, *self._part.notes)
 
     def __repr__(self) -> str:
@@ -164,7 +165,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         return [diagnosis_text(self._part)]
 
     def to_pandas(self) -> Any:
-        """The parameters of the final model as a pandas DataFrame, a row each.
+        """Return the parameters of the final model as a pandas DataFrame, a row each.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -172,7 +173,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         return parameter_frame(self.final.parameters)
 
     def to_xarray(self) -> Any:
-        """The parameters of the final model as an xarray Dataset.
+        """Return the parameters of the final model as an xarray Dataset.
 
         Raises:
             MissingExtraError: xarray is not installed.
@@ -186,55 +187,59 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         horizon: float | None = None,
         without: Iterable[str] = (),
     ) -> Simulation:
-        """Run the final model on a recording; as :meth:`labhil.Fit.simulate`."""
+        """Run the final model on a recording, like :meth:`labhil.Fit.simulate`."""
         rigs = {source.rig for source in self.recordings if source.rig}
         return simulate(
             self.saved, rec, rig=rigs.pop() if len(rigs) == 1 else None, horizon=horizon, without=without
         )
 
     def plot(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
-        """Draw measurement, baseline and final model on data that the search never saw.
+        """Draw measurement, baseline and final model on data that the search did not use.
 
         Args:
-            ax: Axes to draw into; new ones when absent.
-            channel: Which output, by name or by place, from 0; the one with the largest error when absent.
+            ax: Axes to draw into; by default new ones.
+            channel: The output, by name or by index; by default that with the largest error.
 
         Returns:
             The matplotlib axes.
 
         Raises:
-            UsageError: The result was loaded, and holds no samples.
+            UsageError: The result was loaded, and has no samples.
         """
         require("matplotlib", "a plot")
         from labhil.report.plots import draw_windows, worst_output
 
         diagnosis, axes = self._require_study("plot").diagnosis, axes_of(ax)
-        draw_windows(axes, diagnosis, worst_output(diagnosis) if channel is None else self._place(channel))
+        draw_windows(
+            axes, diagnosis, worst_output(diagnosis) if channel is None else self._channel_index(channel)
+        )
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str | None = None) -> Axes:
-        """Draw the errors before and after, with the noise floor; as :meth:`plot`."""
+        """Draw the errors before and after, with the noise floor, like :meth:`plot`."""
         require("matplotlib", "a plot")
         from labhil.report.plots import draw_errors, worst_output
 
         diagnosis, axes = self._require_study("plot_errors").diagnosis, axes_of(ax)
-        draw_errors(axes, diagnosis, worst_output(diagnosis) if channel is None else self._place(channel))
+        draw_errors(
+            axes, diagnosis, worst_output(diagnosis) if channel is None else self._channel_index(channel)
+        )
         return axes
 
     def plot_effect(self, term: str, ax: Axes | None = None) -> Axes:
-        """Draw what a found effect adds, over the coordinate where it shows best.
+        """Draw the contribution of a missing effect over the coordinate that shows it best.
 
         Args:
             term: Its name; with the joint in brackets where there are joints: ``"payload"``,
                 ``"coulomb_friction[2]"``.
-            ax: Axes to draw into; new ones when absent.
+            ax: Axes to draw into; by default new ones.
 
         Returns:
             The matplotlib axes.
 
         Raises:
-            UnknownNameError: No such effect was found.
-            UsageError: The result was loaded, and holds no samples.
+            UnknownNameError: There is no such missing effect.
+            UsageError: The result was loaded, and has no samples.
         """
         require("matplotlib", "a plot")
         from labhil.report.plots import draw_named_effect
@@ -247,7 +252,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         return axes
 
     def figure(self) -> Figure:
-        """All panels in one matplotlib figure, as ``labhil diagnose --plot`` writes it."""
+        """Draw all panels in one matplotlib figure, like ``labhil diagnose --plot``."""
         require("matplotlib", "a plot")
         from labhil.report.plots import diagnosis_figure
 
@@ -265,7 +270,7 @@ class Diagnosis(ComputedResult["DiagnosisPart", "DiagnosisResult"]):
         else:
             write_page(diagnosis_page(self._part, foot_of(self._part), Album()), file)
 
-    def _place(self, channel: int | str) -> int:
+    def _channel_index(self, channel: int | str) -> int:
         rows = self.improvement.after.scored if self.improvement is not None else ()
         return channel_of(channel, [keyed(row.channel, row.joint) for row in rows])
 
@@ -286,34 +291,34 @@ def diagnose(
     progress: Progress = None,
     warn: Warn = None,
 ) -> Diagnosis:
-    """Say where a model and a recording disagree, what physics is missing, and how much it helps.
+    """Find where model and recording disagree, which physics is missing, and how much it would improve.
 
-    Takes from seconds to minutes. Ctrl+C, or the end of ``seconds``, ends it with the best so far.
+    Takes from seconds to minutes. Ctrl+C, or the end of ``seconds``, ends it with the best result so far.
 
     Args:
         rec: A recording or its path; several of one rig are searched together.
-        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
-            recording carries when absent.
-        baseline: The effects that your simulation has; the rig kind's baseline when absent.
-        test: Recordings to judge on. Without them the last ``holdout`` of each recording is held out.
+        model: A rig kind, the path of a rig file, or a :func:`labhil.model`; by default the rig file
+            in the recording.
+        baseline: The effects that your simulation has; by default the rig kind's baseline.
+        test: Test recordings; by default the last ``holdout`` of each recording is held out.
         holdout: Share that is held out.
-        reference: A fit or a diagnosis, or its file, that stands for your simulation: only with one, or with
+        reference: A fit or a diagnosis, or its file, that describes your simulation: only with one, or with
             nominal values in the model, can a changed value be distinguished from missing physics.
-        per_recording: Terms, parameters or sizes that have a value of their own in each recording.
-        span: Use only this stretch of every recording, from … to, s.
-        device: Which device, where recordings hold several.
-        run: Which run, from 1, where a file holds several.
-        seconds: End after so many seconds, with the best so far.
-        progress: A function of a line about what is being done, or True for a line on stderr.
-        warn: A function of the lines that say, before the work begins, what the recordings lack.
+        per_recording: Terms, parameters or sizes with a separate value in each recording.
+        span: Begin and end of the part of every recording to use, s.
+        device: The device, where recordings have several.
+        run: The run, from 1, where a file has several.
+        seconds: Time limit, s; the answer is then the best result so far.
+        progress: A function of a line about the current stage, or True for a line on stderr.
+        warn: A function of lines about lost data of the recordings, called before the work begins.
 
     Returns:
         The diagnosis: ``print`` it, read :attr:`Diagnosis.missing` and :attr:`Diagnosis.improvement`.
 
     Raises:
-        RecordingError: The recording lacks what the model needs.
-        UnknownNameError: A term that does not exist.
-        RunStoppedError: It was ended before there was anything.
+        RecordingError: The recording lacks signals of the model, or cannot be used.
+        UnknownNameError: A term does not exist.
+        RunStoppedError: It was ended before there was a result.
 
     Example:
         >>> import labhil as lh
@@ -326,12 +331,12 @@ def diagnose(
     from labhil.analysis.early import ending_early
     from labhil.analysis.study import diagnose_study
 
-    material = material_of(
+    dataset = load_inputs(
         rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         study = diagnose_study(
-            material,
+            dataset,
             baseline=names_of(baseline, "baseline"),
             reference=reference_of(reference, "reference"),
             progress=say,

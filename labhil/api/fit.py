@@ -1,4 +1,4 @@
-"""Fitting a white-box model to recordings."""
+"""``labhil.fit``: fit a white-box model to recordings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
-    material_of,
+    load_inputs,
     names_of,
     number_or_none,
     progress_reporter,
@@ -47,8 +47,9 @@ if TYPE_CHECKING:
 
 
 class Fit(ComputedResult["FitPart", "FitResult"]):
-    """A fitted model, with errors that allow for correlated residuals. Made by :func:`labhil.fit` and
-    :func:`labhil.load`; immutable.
+    """A fitted model, with standard errors that allow for correlated residuals. Immutable.
+
+    Made by :func:`labhil.fit` and :func:`labhil.load`.
 
     ``print(fit)`` is the report of ``labhil fit``.
 
@@ -86,7 +87,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     @property
     def parameters(self) -> Parameters:
-        """The estimates, by name or by place; see :class:`labhil.Parameter`."""
+        """The estimates, by name or by index; see :class:`labhil.Parameter`."""
         return self._part.parameters
 
     @property
@@ -106,7 +107,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     @property
     def test(self) -> Score | None:
-        """Errors on data that it has not seen; None where nothing was held out."""
+        """Errors on test data; None where nothing was held out."""
         return self._part.test
 
     @property
@@ -116,12 +117,12 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of the estimates, (P, P), in SI units; NaN where it is not known."""
+        """Covariance of the estimates, (P, P), in SI units; NaN where it is unknown."""
         return np.array(self._part.covariance, dtype=np.float64).reshape(2 * [len(self.parameters)])
 
     @property
     def identifiability(self) -> Identifiability:
-        """What the data cannot know: ``rank`` ``of``, ``combinations``, ``would_help``."""
+        """Undetermined combinations of parameters: ``rank`` ``of``, ``combinations``, ``would_help``."""
         return self._part.identifiability
 
     @property
@@ -131,7 +132,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is doubtful in the data, or was taken for known, a sentence each."""
+        """Faults of the data, doubts and assumptions of the model, a sentence each."""
         return (*(fault.statement for fault in self._part.faults), *self._part.doubts, *self._part.notes)
 
     def __repr__(self) -> str:
@@ -144,7 +145,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         return [fit_text(self._part)]
 
     def to_pandas(self) -> Any:
-        """The parameters as a pandas DataFrame, a row each: value, unit, std_error, ci_low, ci_high, …
+        """Return the parameters as a pandas DataFrame, a row each: value, unit, std_error, ci_low, ci_high, …
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -152,7 +153,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         return parameter_frame(self.parameters)
 
     def to_xarray(self) -> Any:
-        """The parameters with their covariance as an xarray Dataset.
+        """Return the parameters with their covariance as an xarray Dataset.
 
         Raises:
             MissingExtraError: xarray is not installed.
@@ -170,8 +171,8 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
 
         Args:
             rec: A recording of the same kind of rig, or its path.
-            horizon: Length of the simulated windows, s; that of the score when absent.
-            without: Terms of the model that are switched off, by name; the other values stay as they are.
+            horizon: Length of the simulated windows, s; by default that of the score.
+            without: Names of terms that are switched off; the other values stay.
 
         Returns:
             Measurement and simulation; see :class:`labhil.Simulation`.
@@ -182,48 +183,48 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         return simulate(self.saved, rec, rig=self.kind, horizon=horizon, without=without)
 
     def plot(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
-        """Draw the model beside the measurement, on the data that it is judged on.
+        """Draw model and measurement on test data, or else training data.
 
         Args:
-            ax: Axes to draw into; new ones when absent.
-            channel: Which output, by name or by place, from 0.
+            ax: Axes to draw into; by default new ones.
+            channel: The output, by name or by index.
 
         Returns:
             The matplotlib axes.
 
         Raises:
-            UsageError: The result was loaded, and holds no samples.
+            UsageError: The result was loaded, and has no samples.
         """
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_simulation
 
         study, axes = self._require_study("plot"), axes_of(ax)
-        draw_simulation(axes, study.fit, study.material.test, self._place(channel))
+        draw_simulation(axes, study.fit, study.dataset.test, self._channel_index(channel))
         return axes
 
     def plot_errors(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
-        """Draw the errors of the simulation over time, with the noise floor; as :meth:`plot`."""
+        """Draw the errors of the simulation over time, with the noise floor, like :meth:`plot`."""
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_errors
 
         study, axes = self._require_study("plot_errors"), axes_of(ax)
-        draw_errors(axes, study.fit, study.material.test, self._place(channel))
+        draw_errors(axes, study.fit, study.dataset.test, self._channel_index(channel))
         return axes
 
     def plot_residuals(self, ax: Axes | None = None, *, channel: int | str = 0) -> Axes:
-        """Draw the autocorrelation of the fitted residuals, with white noise's 99 % band; as :meth:`plot`."""
+        """Draw the autocorrelation of the residuals, with the 99 % band of white noise, like :meth:`plot`."""
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import draw_autocorrelation
 
         study, axes = self._require_study("plot_residuals"), axes_of(ax)
-        draw_autocorrelation(axes, study.fit, self._place(channel))
+        draw_autocorrelation(axes, study.fit, self._channel_index(channel))
         return axes
 
     def plot_intervals(self, ax: Axes | None = None) -> Axes:
         """Draw every 99 % interval in per cent of its estimate.
 
         Args:
-            ax: Axes to draw into; new ones when absent.
+            ax: Axes to draw into; by default new ones.
 
         Returns:
             The matplotlib axes.
@@ -236,12 +237,12 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         return axes
 
     def figure(self) -> Figure:
-        """All panels of every output in one matplotlib figure, as ``labhil fit --plot`` writes it."""
+        """Draw all panels of every output in one matplotlib figure, like ``labhil fit --plot``."""
         require("matplotlib", "a plot")
         from labhil.report.fit_plot import fit_figure
 
         study = self._require_study("figure")
-        return fit_figure(study.fit, study.material.test)
+        return fit_figure(study.fit, study.dataset.test)
 
     def _write_page(self, file: Path) -> None:
         require("matplotlib", "a page with plots")
@@ -255,7 +256,7 @@ class Fit(ComputedResult["FitPart", "FitResult"]):
         else:
             write_page(fit_page(self._part, foot_of(self._part), Album()), file)
 
-    def _place(self, channel: int | str) -> int:
+    def _channel_index(self, channel: int | str) -> int:
         return channel_of(channel, [keyed(row.channel, row.joint) for row in self.train.scored])
 
 
@@ -281,41 +282,41 @@ def fit(
     progress: Progress = None,
     warn: Warn = None,
 ) -> Fit:
-    """Fit a white-box model to one recording or several, and test it on data that it has not seen.
+    """Fit a white-box model to one recording or several, and test it on other data.
 
-    Ctrl+C, or the end of ``seconds``, ends the work with the best so far; :attr:`Fit.complete` is False then.
+    Ctrl+C or the end of ``seconds`` ends it with the best result so far; :attr:`Fit.complete` is False then.
 
     Args:
         rec: A recording or its path; several of one rig are fitted together.
-        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
-            recording carries when absent.
-        terms: The effects that the model has, by name; the rig kind's general model when absent.
-        test: Recordings to judge on. Without them the last ``holdout`` of each recording is held out.
+        model: A rig kind, the path of a rig file, or a :func:`labhil.model`; by default the rig file
+            in the recording.
+        terms: Names of the model's effects; by default those of the rig kind's general model.
+        test: Test recordings; by default the last ``holdout`` of each recording is held out.
         holdout: Share that is held out, 0 for nothing.
-        start: A fit or a diagnosis, or its file, to begin at; its terms are taken when none are named.
-        per_recording: Terms, parameters or sizes that have a value of their own in each recording.
-        span: Use only this stretch of every recording, from … to, s.
-        estimator: Where the search begins: ``hybrid``, ``nlse``, ``pso``, ``cma_es``, ``mcmc``, …; all end
-            with least squares.
-        seed: Seed of the estimator's draws.
-        window: Length of the fitted windows, s; several are compared when absent.
+        start: A fit or a diagnosis, or its file, to start from; its terms are the default of ``terms``.
+        per_recording: Terms, parameters or sizes with a separate value in each recording.
+        span: Begin and end of the part of every recording to use, s.
+        estimator: The global search: ``hybrid``, ``nlse``, ``pso``, ``cma_es``, ``mcmc``, …; all end with
+            least squares.
+        seed: Seed of the estimator.
+        window: Length of the fitted windows, s; by default several are compared.
         intervals: ``auto``, ``wald``, ``profile`` or ``bootstrap``.
         simultaneous: Whether the intervals hold for all parameters together.
-        criterion: What is made small: ``windowed_simulation`` or ``inverse_dynamics``; the rig kind's own
-            when absent.
-        device: Which device, where recordings hold several.
-        run: Which run, from 1, where a file holds several.
-        seconds: End after so many seconds, with the best so far.
-        progress: A function of a line about what is being done, or True for a line on stderr.
-        warn: A function of the lines that say, before the work begins, what the recordings lack.
+        criterion: The error that is minimised: ``windowed_simulation`` or ``inverse_dynamics``; by default
+            that of the rig kind.
+        device: The device, where recordings have several.
+        run: The run, from 1, where a file has several.
+        seconds: Time limit, s; the answer is then the best result so far.
+        progress: A function of a line about the current stage, or True for a line on stderr.
+        warn: A function of lines about lost data of the recordings, called before the work begins.
 
     Returns:
         The fit: ``print`` it, read :attr:`Fit.parameters` and :attr:`Fit.scores`.
 
     Raises:
-        RecordingError: There is nothing to fit in the recording, or it lacks what the model needs.
-        UnknownNameError: A term, an estimator or a criterion that does not exist.
-        RunStoppedError: It was ended before there was anything.
+        RecordingError: The recording does not move, or lacks signals of the model.
+        UnknownNameError: A term, an estimator or a criterion does not exist.
+        RunStoppedError: It was ended before there was a result.
 
     Example:
         >>> import labhil as lh
@@ -332,7 +333,7 @@ def fit(
     from labhil.identify.intervals import interval_method
 
     method, metric = interval_method(intervals), criterion_named(criterion)
-    material = material_of(
+    dataset = load_inputs(
         rec,
         model,
         test,
@@ -348,6 +349,6 @@ def fit(
         length, draw = number_or_none(window, "window"), whole_number_of(seed, "seed")
         options = Options(length, method, simultaneous, check_estimator(estimator), draw, say, metric)
         study = fit_study(
-            material, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
+            dataset, terms=names_of(terms, "terms"), start=reference_of(start, "start"), options=options
         )
     return Fit(study.json, study, "" if study.fit.complete else deadline.reason)

@@ -1,4 +1,4 @@
-"""Arguments converted and checked: paths, rigs, names; each error says what was expected."""
+"""Conversion and checks of arguments: paths, rigs, names, numbers."""
 
 from __future__ import annotations
 
@@ -26,22 +26,24 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 Progress = bool | Callable[[str], None] | None
-"""Where progress goes: to a function of one text, with True to a line on stderr, with None nowhere."""
+"""Receiver of progress: a function of a text, True for a line on stderr, or None."""
 Warn = Callable[[Iterable[str]], object] | None
-"""Where warnings of what recordings lack go: to a function of some lines, or nowhere."""
-
-SHORTEST_LIKENESS = 0.6
+"""Receiver of warnings about lost data: a function of lines, or None."""
 
 
-def path_of(value: object, what: str) -> Path:
-    """The path that was given for ``what``; UsageError where it is none."""
+def path_of(value: object, argument: str) -> Path:
+    """Return an argument as a path.
+
+    Raises:
+        UsageError: It is no path.
+    """
     if isinstance(value, (str, os.PathLike)) and str(value):
         return Path(value)
-    raise UsageError(f"{what}: expected a path, found {value!r:.80} ({type(value).__name__})")
+    raise UsageError(f"{argument}: expected a path, found {value!r:.80} ({type(value).__name__})")
 
 
 def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
-    """The rig file that a kind, a path, a simulator's file or a model stands for; None for None.
+    """Return the rig file of a kind, a path, a simulator's file or a model; None for None.
 
     Raises:
         UsageError: It is none of these, or neither a kind nor a file.
@@ -56,8 +58,8 @@ def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
         return default_rig(rig)
     path = path_of(rig, "rig")
     if not path.exists() and not is_simulator(str(path)):
-        near = difflib.get_close_matches(str(rig), kind_names(), n=1, cutoff=SHORTEST_LIKENESS)
-        hint = f" (did you mean {near[0]!r}?)" if near else ""
+        matches = difflib.get_close_matches(str(rig), kind_names(), n=1)
+        hint = f" (did you mean {matches[0]!r}?)" if matches else ""
         raise UsageError(
             f"rig: expected a rig kind ({', '.join(kind_names())}) or the path of a rig file, found "
             f"{str(rig)!r}, which is neither{hint}"
@@ -65,59 +67,79 @@ def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
     return load_rig(path)
 
 
-def names_of(value: Iterable[str] | str | None, what: str) -> tuple[str, ...] | None:
-    """Names as a tuple; a text is split at its commas; UsageError where one is no text."""
+def names_of(value: Iterable[str] | str | None, argument: str) -> tuple[str, ...] | None:
+    """Return names as a tuple; a text is split at its commas.
+
+    Raises:
+        UsageError: A name is no text.
+    """
     if value is None:
         return None
     if isinstance(value, str):
         return tuple(name.strip() for name in value.split(",") if name.strip())
     names = tuple(value) if isinstance(value, Iterable) else None
     if names is None or not all(isinstance(name, str) for name in names):
-        raise UsageError(f"{what}: expected names, found {value!r:.80}")
+        raise UsageError(f"{argument}: expected names, found {value!r:.80}")
     return names
 
 
-def number_of(value: object, what: str) -> float:
-    """A number; OptionError where it is none."""
+def number_of(value: object, argument: str) -> float:
+    """Return an argument as a number.
+
+    Raises:
+        OptionError: It is no number.
+    """
     if isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool):
         return float(value)
-    raise OptionError(what, f": expected a number, found {value!r:.80} ({type(value).__name__})")
+    raise OptionError(argument, f": expected a number, found {value!r:.80} ({type(value).__name__})")
 
 
-def number_or_none(value: object, what: str) -> float | None:
-    """A number, or None for None."""
-    return None if value is None else number_of(value, what)
+def number_or_none(value: object, argument: str) -> float | None:
+    """Return an argument as a number, None for None."""
+    return None if value is None else number_of(value, argument)
 
 
-def whole_number_of(value: object, what: str) -> int:
-    """A whole number; OptionError where it is none."""
+def whole_number_of(value: object, argument: str) -> int:
+    """Return an argument as an integer.
+
+    Raises:
+        OptionError: It is no integer.
+    """
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool):
         return int(value)
-    raise OptionError(what, f": expected a whole number, found {value!r:.80} ({type(value).__name__})")
+    raise OptionError(argument, f": expected a whole number, found {value!r:.80} ({type(value).__name__})")
 
 
 def span_of(value: object) -> tuple[float, float] | None:
-    """A stretch of time, s; OptionError where it is no two numbers of which the second is larger."""
+    """Return begin and end of a span of time, s; None for None.
+
+    Raises:
+        OptionError: It is not two numbers.
+    """
     if value is None:
         return None
-    ends = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else ()
-    if len(ends) != 2:
+    limits = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else ()
+    if len(limits) != 2:
         raise OptionError("span", f": expected two times, from … to, s, found {value!r:.80}")
-    first, last = (number_of(end, "span") for end in ends)
+    first, last = (number_of(limit, "span") for limit in limits)
     return first, last
 
 
 def recordings_of(
-    given: PathLike | Recording | Sequence[PathLike | Recording], what: str
+    values: PathLike | Recording | Sequence[PathLike | Recording], argument: str
 ) -> list[Path | FileRecording]:
-    """One recording or several, given by path or read already."""
-    several = list(given) if isinstance(given, (list, tuple)) else [given]
-    if not several:
-        raise UsageError(f"{what}: expected a recording, found an empty list")
-    return [_recording_of(each, what) for each in several]
+    """Return one recording or several as paths or as recordings that were read.
+
+    Raises:
+        UsageError: There is none, or an item is no recording.
+    """
+    recordings = list(values) if isinstance(values, (list, tuple)) else [values]
+    if not recordings:
+        raise UsageError(f"{argument}: expected a recording, found an empty list")
+    return [_recording_of(recording, argument) for recording in recordings]
 
 
-def material_of(
+def load_inputs(
     rec: PathLike | Recording | Sequence[PathLike | Recording],
     model: PathLike | Model | RigFile | None,
     test: PathLike | Recording | Sequence[PathLike | Recording] | None,
@@ -130,10 +152,10 @@ def material_of(
     warn: Warn,
     allow_no_holdout: bool = False,
 ) -> Dataset:
-    """The data that a fit or a diagnosis is made from; ``warn`` gets what they lack."""
+    """Load the data of a fit or a diagnosis from the arguments of :func:`labhil.fit`."""
     from labhil.analysis.dataset import load_dataset
 
-    material = load_dataset(
+    dataset = load_dataset(
         recordings_of(rec, "rec"),
         rig_file(model),
         None if test is None else recordings_of(test, "test"),
@@ -145,27 +167,27 @@ def material_of(
         run=run,
     )
     if warn is not None:
-        warn(material.losses())
-    return material
+        warn(dataset.losses())
+    return dataset
 
 
-def _recording_of(given: object, what: str) -> Path | FileRecording:
+def _recording_of(value: object, argument: str) -> Path | FileRecording:
     from labhil.api.recording import Recording
 
-    if isinstance(given, Recording):
-        return given.file
-    if isinstance(given, (str, os.PathLike)):
-        return Path(given)
+    if isinstance(value, Recording):
+        return value.file
+    if isinstance(value, (str, os.PathLike)):
+        return Path(value)
     raise UsageError(
-        f"{what}: expected a recording (`labhil.read`, `labhil.recording`) or its path, found "
-        f"{type(given).__name__}; arrays become a recording with "
+        f"{argument}: expected a recording (`labhil.read`, `labhil.recording`) or its path, found "
+        f"{type(value).__name__}; arrays become a recording with "
         "`labhil.recording(t, inputs, outputs, rig=…)`"
     )
 
 
 @contextmanager
 def progress_reporter(progress: Progress) -> Iterator[Callable[[str], None]]:
-    """What is called with a text about each stage of the work."""
+    """Yield a function that reports the stages of the work."""
     if callable(progress):
         yield progress
     elif progress:
@@ -178,12 +200,12 @@ def progress_reporter(progress: Progress) -> Iterator[Callable[[str], None]]:
 
 
 def _ignore_progress(text: str) -> None:
-    """Progress that is not shown."""
+    """Ignore progress."""
 
 
-def reference_of(result: Fit | Diagnosis | PathLike | None, what: str) -> Path | SavedModel | None:
-    """A result, or its file, as a model to start from or to compare with."""
+def reference_of(result: Fit | Diagnosis | PathLike | None, argument: str) -> Path | SavedModel | None:
+    """Return a result, or its file, as a model to start from or to compare with."""
     if result is None:
         return None
     saved = getattr(result, "saved", None)
-    return path_of(result, what) if saved is None else saved
+    return path_of(result, argument) if saved is None else saved

@@ -1,4 +1,4 @@
-"""The white-box model of a rig, and the catalogue of effects that it may have."""
+"""``labhil.model``: the white-box model of a rig, and its catalogue of effects."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Terms(Mapping[str, "Term"]):
         return html_of(self._renderables())
 
     def to_pandas(self) -> Any:
-        """A pandas DataFrame with a row for each term."""
+        """Return a pandas DataFrame with a row for each term."""
         rows = self._terms.values()
         columns = {
             "enters": [term.enters.value for term in rows],
@@ -92,8 +92,7 @@ def _parameters(term: Term) -> str:
 
 
 class Model:
-    """What is fitted: the white-box model of a rig, with what is known of this one. Made by
-    :func:`labhil.model`. Immutable.
+    """The white-box model of a rig, with its known values. Made by :func:`labhil.model`. Immutable.
 
     Example:
         >>> import labhil as lh
@@ -111,7 +110,7 @@ class Model:
 
     @property
     def rig_file(self) -> RigFile:
-        """The rig file that it stands for."""
+        """The rig file of the model."""
         return self._rig
 
     @property
@@ -121,27 +120,27 @@ class Model:
 
     @property
     def known(self) -> Mapping[str, Any]:
-        """What is known of the rig, by name, in SI units; the rest is estimated."""
+        """Known values of the rig by name, in SI units; all others are estimated."""
         return dict(self._rig.known)
 
     @property
     def nominal(self) -> Mapping[str, float]:
-        """The values of the user's own simulation, to which a diagnosis compares."""
+        """Values of the user's simulation, to which a diagnosis compares."""
         return dict(self._rig.nominal)
 
     @property
     def inputs(self) -> tuple[Signal, ...]:
-        """Signals that may drive it."""
+        """Input signals."""
         return self._rig.kind.inputs
 
     @property
     def outputs(self) -> tuple[Signal, ...]:
-        """Signals that it predicts."""
+        """Predicted signals."""
         return self._rig.kind.outputs
 
     @property
     def baseline(self) -> tuple[str, ...]:
-        """The terms with which :func:`labhil.diagnose` begins when none are named."""
+        """The default baseline of :func:`labhil.diagnose`."""
         require_analysis("a model")
         from labhil.physics.rigs import rig_model
 
@@ -149,7 +148,7 @@ class Model:
 
     @property
     def general(self) -> tuple[str, ...]:
-        """The terms that :func:`labhil.fit` estimates when none are named."""
+        """The default terms of :func:`labhil.fit`."""
         require_analysis("a model")
         from labhil.physics.rigs import rig_model
 
@@ -181,23 +180,23 @@ def model(
     nominal: Mapping[str, float] | None = None,
     horizon: float | None = None,
 ) -> Model:
-    """Describe the rig whose model is to be fitted.
+    """Make the model of a rig.
 
     Args:
         rig: A rig kind (``"ball_beam"``, ``"dc_motor"``, ``"solenoid"``, ``"axis"``, ``"ur5"``), the path of
-            a rig file, or a recording that carries one.
-        known: What is known of the rig, in SI units, beside or in place of what the rig file says: sizes by
-            name, or the path of a table (``links``, ``force_map``).
-        nominal: Values of your own simulation, by parameter, for a diagnosis to compare with.
-        horizon: Length of the simulated windows by which models are scored, s; the rig kind's own when
-            absent.
+            a rig file, or a recording with one.
+        known: Known sizes of the rig by name, in SI units, or the path of a table (``links``, ``force_map``);
+            they replace those in the rig file.
+        nominal: Values of your simulation by parameter, for a diagnosis to compare with.
+        horizon: Length of the simulated windows by which models are scored, s; by default that of the rig
+            kind.
 
     Returns:
         The model; :attr:`Model.terms` is its catalogue.
 
     Raises:
         UsageError: There is no such rig kind and no such file.
-        RigFileError: A name that the rig kind does not have, or a value that it cannot have.
+        RigFileError: A name or a value is wrong for the rig kind.
 
     Example:
         >>> import labhil as lh
@@ -206,14 +205,14 @@ def model(
         ('viscous_friction', 'coulomb_friction', 'stribeck_friction', 'quadratic_viscous_friction',
         'cubic_viscous_friction')
     """
-    carried = getattr(rig, "model", None)
-    if isinstance(carried, Model):
-        base = carried.rig_file
+    recording_model = getattr(rig, "model", None)
+    if isinstance(recording_model, Model):
+        base = recording_model.rig_file
     else:
-        resolved = rig_file(rig)  # type: ignore[arg-type]
-        if resolved is None:
+        rig_from_argument = rig_file(rig)  # type: ignore[arg-type]
+        if rig_from_argument is None:
             raise UsageError("rig: expected a rig kind, the path of a rig file or a recording, found None")
-        base = resolved
+        base = rig_from_argument
     if known is None and nominal is None and horizon is None:
         return Model(base)
     data = base.model_dump(mode="json", exclude_defaults=True)
@@ -229,7 +228,7 @@ def model(
 
 
 def _plain(value: object) -> object:
-    """A value of ``[known]`` as TOML has it."""
+    """Return a value of ``[known]`` as a type of TOML."""
     if isinstance(value, (bool, str)) or value is None:
         return value
     if isinstance(value, (int, float, np.integer, np.floating)):

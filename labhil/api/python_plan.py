@@ -1,4 +1,4 @@
-"""Plans in Python: a generator yields steps, is sent their recording, and decides what comes next."""
+"""Plans in Python: a generator yields steps, receives their recording, and decides on the next steps."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 
 Steps = Mapping[str, Any] | Sequence[Mapping[str, Any]]
 PythonPlan = Generator[Steps, "Recording", Any]
-ENDS_THE_PLAN = (RunStoppedError, EmergencyStopError)
+ENDING_ERRORS = (RunStoppedError, EmergencyStopError)
 """Errors that end a plan without being thrown into it: a person has ended the run."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanResult:
-    """What a plan has made: its recordings in their order, and what it returned."""
+    """The recordings of a plan in their order, and its return value."""
 
     recordings: tuple[Path, ...]
     value: Any = None
@@ -35,10 +35,7 @@ class PlanResult:
 def run_plan(
     base: ExperimentFile, plan: Callable[[], PythonPlan], out: Path, report: Callable[[Progress], None]
 ) -> PlanResult:
-    """Run what a plan yields, one recording for each, until it returns.
-
-    See :meth:`labhil.Experiment.run_plan`.
-    """
+    """Run the steps that a plan yields until it returns; see :meth:`labhil.Experiment.run_plan`."""
     from labhil.api.recording import read
 
     name = getattr(plan, "__name__", "plan")
@@ -50,10 +47,10 @@ def run_plan(
             experiment = _with_steps(base, steps, f"{name}, step {len(paths) + 1}")
             try:
                 paths.append(_record(experiment, out, report, {"name": name, "number": str(len(paths) + 1)}))
-            except ENDS_THE_PLAN:
+            except ENDING_ERRORS:
                 raise
             except RunError as error:
-                steps = generator.throw(error)  # the plan may go on by another way; else this ends it
+                steps = generator.throw(error)  # the plan may handle it; otherwise this ends the plan
             else:
                 steps = generator.send(read(paths[-1]))
     except StopIteration as stop:
@@ -67,12 +64,12 @@ def run_plan(
 
 
 def _with_steps(base: ExperimentFile, yielded: Steps, where: str) -> ExperimentFile:
-    """The experiment with the steps that were yielded; they are checked against the limits when it is run."""
-    given = [yielded] if isinstance(yielded, Mapping) else list(yielded)
-    only = next(iter(base.devices)) if len(base.devices) == 1 else None
-    data = [{**({} if only is None else {"device": only}), **step} for step in given]
+    """Return the experiment with the yielded steps, which are checked against the limits when it is run."""
+    steps_data = [yielded] if isinstance(yielded, Mapping) else list(yielded)
+    device = next(iter(base.devices)) if len(base.devices) == 1 else None
+    complete_steps = [{**({} if device is None else {"device": device}), **step} for step in steps_data]
     try:
-        steps = tuple(Step.model_validate(step) for step in data)
+        steps = tuple(Step.model_validate(step) for step in complete_steps)
         fields = {name: getattr(base, name) for name in type(base).model_fields if name != "sweep"}
         return ExperimentFile.model_validate({**fields, "steps": steps})
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Recordings, and how they are read from files."""
+"""``labhil.Recording``, and ``labhil.read``, which reads one from a file."""
 
 from __future__ import annotations
 
@@ -48,24 +48,25 @@ class Recording:
 
     @property
     def file(self) -> FileRecording:
-        """All that the file holds: streams, clocks, attachments."""
+        """The content of the file: streams, clocks, attachments."""
         return self._file
 
     @property
     def path(self) -> Path:
-        """Where it was read from; for arrays, their name."""
+        """The path of its file; for arrays, their name."""
         return self._file.path
 
     @property
     def model(self) -> Model | None:
-        """The model of the rig file that the recording carries; None where it carries none."""
+        """The model of the rig file in the recording; None where it has none."""
         return None if self._file.rig is None else Model(self._file.rig)
 
     @property
     def main(self) -> StreamData:
         """The stream with the rig's outputs; without a rig file the longest one.
 
-        RecordingError where the recording holds no stream.
+        Raises:
+            RecordingError: The recording has no stream.
         """
         streams = [data for data in self._file.streams if len(data)] or list(self._file.streams)
         if not streams:
@@ -95,27 +96,27 @@ class Recording:
 
     @property
     def duration(self) -> float:
-        """From the first sample to the last, s."""
+        """Time from the first sample to the last, s."""
         return self._file.duration
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """What happened on the way, each with ``t`` (s), ``device``, ``topic`` and ``body``."""
+        """Events during the recording, each with ``t`` (s), ``device``, ``topic`` and ``body``."""
         return self._file.events
 
     @property
     def lost(self) -> int:
-        """How many samples are missing in all streams."""
+        """Number of missing samples of all streams."""
         return sum(data.lost for data in self._file.streams)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is to be known of it, a line each: how it was imported, what is missing, faulty clocks."""
+        """Notes, a line each: how it was imported, missing data, faulty clocks."""
         return (*self._notes, *self._file.warnings())
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What the physics of the rig calls implausible: units, signs, times or columns, a sentence each."""
+        """Implausible units, signs, times or columns, by the physics of the rig, a sentence each."""
         from labhil.analysis.doubts import doubts_in
 
         return tuple(doubts_in(self._file))
@@ -136,11 +137,11 @@ class Recording:
         )
 
     def __repr__(self) -> str:
-        of = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
+        kind = "" if self._file.rig is None else f" of {self._file.rig.kind.name}"
         if not self._file.streams:
-            return f"<Recording{of}: {self._file.describe_missing_streams()}>"
+            return f"<Recording{kind}: {self._file.describe_missing_streams()}>"
         return (
-            f"<Recording{of}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
+            f"<Recording{kind}: {len(self)} samples, {self.duration:.4g} s at {self.rate:.4g} Hz; "
             f"{', '.join(self.signals)}>"
         )
 
@@ -155,7 +156,7 @@ class Recording:
         return dict(zip(main.stream.columns(), main.values.T, strict=True))
 
     def to_pandas(self) -> Any:
-        """The samples as a pandas DataFrame: index ``t`` (s), a column for each signal (SI units).
+        """Return the samples as a pandas DataFrame: index ``t`` (s), a column for each signal (SI units).
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -163,7 +164,7 @@ class Recording:
         return data_frame(self._columns(), index=self.t, index_name="t")
 
     def to_xarray(self) -> Any:
-        """The samples as an xarray Dataset over ``t`` (s); each variable has its ``units``.
+        """Return the samples as an xarray Dataset over ``t`` (s); each variable has its ``units``.
 
         Raises:
             MissingExtraError: xarray is not installed.
@@ -176,8 +177,8 @@ class Recording:
         """Draw a signal over time.
 
         Args:
-            name: Which signal; the rig's first output when absent.
-            ax: Axes to draw into; new ones when absent.
+            name: The signal; by default the rig's first output.
+            ax: Axes to draw into; by default new ones.
 
         Returns:
             The matplotlib axes.
@@ -201,7 +202,7 @@ class Recording:
         return axes
 
     def save(self, path: PathLike) -> Path:
-        """Write the recording as an MCAP file with its rig file; other tools can open it, too.
+        """Write the recording as an MCAP file with its rig file.
 
         Args:
             path: A new file that ends in ``.mcap``.
@@ -224,7 +225,7 @@ class Recording:
 
 
 def _read_only(values: FloatArray) -> FloatArray:
-    """A read-only view of the same numbers."""
+    """Return a read-only view of an array."""
     view = values.view()
     view.flags.writeable = False
     return view
@@ -240,24 +241,24 @@ def read(
 ) -> Recording:
     """Read a recording from a file.
 
-    MCAP files need nothing more. Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a
-    rig file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
+    Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a rig file: its ``[table]`` and
+    ``[channels]`` define signal and unit of each column. MCAP files need no rules.
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
-        rig: A rig kind, the path of a rig file, or a model; needed for anything but MCAP, where the recording
-            carries its own.
-        device: Which device, where a recording holds several.
-        run: Which run, from 1, where a file holds several of one stream.
-        progress: A function of a line about what is being done, or True for a line on stderr.
+        rig: A rig kind, the path of a rig file, or a model; needed for every format but MCAP, where the
+            recording has its own.
+        device: The device, where a recording has several.
+        run: The run, from 1, where a file has several of one stream.
+        progress: A function of a line about the current stage, or True for a line on stderr.
 
     Returns:
         The recording, in SI units.
 
     Raises:
-        RecordingError: The file does not exist, is no recording, or lacks what is asked for.
+        RecordingError: The file does not exist, is no recording, or lacks the device or the run.
         TableError: A table lacks a column, or its rows cannot be used.
-        UsageError: A table without ``rig``.
+        UsageError: The file is a table, and there is no ``rig``.
 
     Example:
         >>> import labhil as lh
@@ -284,7 +285,7 @@ def read(
 
 
 def _is_table(path: Path) -> bool:
-    """Whether a file is anything but a recording; a missing one is judged by its name."""
+    """Whether a file is a table, not a recording; of a missing file, by its name."""
     from labhil.recording.chunks import is_mcap
 
     if path.is_dir():

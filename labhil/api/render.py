@@ -1,4 +1,4 @@
-"""Results as text and as HTML of a notebook, and as frames of pandas and xarray."""
+"""Conversion of results to text, HTML for notebooks, and data of pandas and xarray."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 WIDTH = 140
-"""Characters of a line, as the commands write where there is no terminal."""
+"""Characters of a line, as in the output of commands without a terminal."""
 
 HTML = "<pre style=\"font-family:'DejaVu Sans Mono',monospace;line-height:1.25;overflow-x:auto\">{code}</pre>"
 
 
 def text_of(renderables: Iterable[RenderableType], width: int = WIDTH) -> str:
-    """What the command line prints, without colours and without spaces at the ends of lines."""
-    written = io.StringIO()
-    console = terminal(width=width, file=written, color_system=None)
+    """Return the output of the command line, without colours and trailing spaces."""
+    output = io.StringIO()
+    console = terminal(width=width, file=output, color_system=None)
     for renderable in renderables:
         console.print(renderable)
-    return "\n".join(line.rstrip() for line in written.getvalue().splitlines())
+    return "\n".join(line.rstrip() for line in output.getvalue().splitlines())
 
 
 def html_of(renderables: Iterable[RenderableType], width: int = WIDTH) -> str:
-    """The same with its colours, for a notebook; every value is escaped."""
+    """Return the output of the command line with its colours as HTML; every value is escaped."""
     console = terminal(width=width, file=io.StringIO(), record=True)
     for renderable in renderables:
         console.print(renderable)
@@ -38,7 +38,11 @@ def html_of(renderables: Iterable[RenderableType], width: int = WIDTH) -> str:
 
 
 def data_frame(columns: Mapping[str, Any], index: Any = None, index_name: str | None = None) -> Any:
-    """A pandas DataFrame; MissingExtraError says what to install where pandas is not there."""
+    """Make a pandas DataFrame.
+
+    Raises:
+        MissingExtraError: pandas is not installed.
+    """
     pd = load_optional("pandas", "to_pandas")
     frame = pd.DataFrame(dict(columns), index=index)
     frame.index.name = index_name
@@ -50,7 +54,11 @@ def data_set(
     coordinates: Mapping[str, Any],
     attributes: Mapping[str, Any],
 ) -> Any:
-    """An xarray Dataset; MissingExtraError says what to install where xarray is not there."""
+    """Make an xarray Dataset.
+
+    Raises:
+        MissingExtraError: xarray is not installed.
+    """
     xr = load_optional("xarray", "to_xarray")
     return xr.Dataset(
         {
@@ -63,7 +71,11 @@ def data_set(
 
 
 def channel_of(channel: int | str, names: Sequence[str]) -> int:
-    """The place of an output that is given by its place or its name."""
+    """Return the index of an output by its index or name.
+
+    Raises:
+        UsageError: There is no such output (also as UnknownNameError).
+    """
     if isinstance(channel, str):
         if channel not in names:
             raise UnknownNameError("output", channel, names)
@@ -77,9 +89,12 @@ def channel_of(channel: int | str, names: Sequence[str]) -> int:
 
 
 def axes_of(ax: Axes | None, size: tuple[float, float] = (9.0, 4.0)) -> Axes:
-    """The axes to draw into: the given ones, or new ones.
+    """Return the axes to draw into: ``ax``, or new ones.
 
-    New ones belong to pyplot where it is imported, so that a notebook shows them; else they need no display.
+    New ones belong to pyplot if it is imported, so that a notebook shows them; else they need no display.
+
+    Raises:
+        UsageError: ``ax`` are no axes.
     """
     if ax is not None:
         if not hasattr(ax, "plot"):

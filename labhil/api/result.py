@@ -1,4 +1,4 @@
-"""What all results have in common: they print themselves, compare, are saved, and do not change."""
+"""The base of all results: they are printed, compared, saved and immutable."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ if TYPE_CHECKING:
 
 
 class Result(ABC):
-    """A result with its JSON. ``print`` shows the report of the command line, a notebook does in colours."""
+    """A result with its JSON. ``print`` shows the report of the command line; notebooks show it in colour."""
 
     def __init__(self, data: Mapping[str, Any], name: str) -> None:
         self._data, self._name = data, name
 
     @abstractmethod
     def _renderables(self) -> Sequence[RenderableType]:
-        """What is printed."""
+        """Return the parts of the report."""
 
     @property
     @abstractmethod
     def recordings(self) -> tuple[Source, ...]:
-        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
+        """The recordings of the result: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole result as plain data, as it is saved."""
+        """Return the complete result as plain data, as it is saved."""
         return copy.deepcopy(dict(self._data))
 
     @property
     def as_reference(self) -> SavedModel:
-        """Its data under its name, as what reads files of results takes them."""
+        """Its data under its name, in the place of a file of the result."""
         require_analysis("a model")
         from labhil.analysis.saved_model import SavedModel
 
@@ -51,7 +51,7 @@ class Result(ABC):
 
     @classmethod
     def load(cls, path: PathLike) -> Self:
-        """Read a saved result of this kind; :func:`labhil.load` reads any.
+        """Read a saved result of this kind; :func:`labhil.load` reads every kind.
 
         Args:
             path: The JSON file.
@@ -70,10 +70,10 @@ class Result(ABC):
         return result
 
     def save(self, path: PathLike) -> Path:
-        """Write the whole result as JSON, the same that ``--json`` writes; :func:`labhil.load` reads it.
+        """Write the complete result as JSON, as ``--json`` does; :func:`labhil.load` reads it.
 
         Args:
-            path: The file; one that is there is replaced.
+            path: The file; an existing one is replaced.
 
         Returns:
             The path.
@@ -90,7 +90,7 @@ class Result(ABC):
         return file
 
     def report(self, path: PathLike) -> Path:
-        """Write one HTML page about it, complete in itself.
+        """Write an HTML page about the result, in a single file.
 
         Args:
             path: The file to write.
@@ -107,10 +107,10 @@ class Result(ABC):
 
     @abstractmethod
     def _write_page(self, file: Path) -> None:
-        """Write the page of :meth:`report`."""
+        """Write the HTML page."""
 
     def text(self, width: int = WIDTH) -> str:
-        """The report as text.
+        """Return the report as text.
 
         Args:
             width: Characters of a line.
@@ -129,7 +129,7 @@ class Result(ABC):
         return html_of([*self._early_note(), *self._renderables()])
 
     def _early_note(self) -> list[str]:
-        """The first line of the report of a result that was ended early."""
+        """First line of the report of a result that was ended early."""
         if self._data.get("complete", True):
             return []
         return ["ENDED EARLY: the best so far; more time may change it."]
@@ -141,19 +141,19 @@ class Result(ABC):
         return hash((type(self).__name__, *(source.sha256 for source in self.recordings)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _restored, (type(self), self._data, self._name)
+        return _restore, (type(self), self._data, self._name)
 
 
 class ComputedPart(Protocol):
-    """What the JSON of a computed result says, with types."""
+    """The JSON of a computed result as typed data."""
 
     @property
     def recordings(self) -> tuple[Source, ...]:
-        """The recordings that it comes from."""
+        """The recordings of the result."""
 
     @property
     def complete(self) -> bool:
-        """False where it was ended early."""
+        """Whether it was not ended early."""
 
 
 P = TypeVar("P", bound=ComputedPart)
@@ -161,7 +161,7 @@ S = TypeVar("S")
 
 
 class ComputedResult(Result, Generic[P, S]):
-    """A result that long work has made, with that work's samples until it is saved or pickled."""
+    """A result of a long computation, with its samples until it is saved or pickled."""
 
     def __init__(self, data: Mapping[str, Any], part: P, study: S | None, ended: str, name: str) -> None:
         super().__init__(data, name)
@@ -169,50 +169,50 @@ class ComputedResult(Result, Generic[P, S]):
 
     @property
     def part(self) -> P:
-        """All that the JSON says, with types."""
+        """The JSON as typed data."""
         return self._part
 
     @property
     def recordings(self) -> tuple[Source, ...]:
-        """The recordings that it comes from: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
+        """The recordings of the result: ``path``, ``sha256``, ``samples``, ``duration`` (s) of each."""
         return self._part.recordings
 
     @property
     def complete(self) -> bool:
-        """False where it was ended early, with the best so far."""
+        """False where it was ended early, with the best result so far."""
         return self._part.complete
 
     @property
     def ended(self) -> str:
-        """Why it was ended early; empty where it was not, or where that is not known."""
+        """Why it was ended early; empty where it was not, or where the reason is unknown."""
         return self._ended
 
     @property
     def saved(self) -> SavedModel:
-        """The (final) model, to start from or to compare with."""
+        """The (final) model, as the start of a fit or a reference."""
         return self.as_reference
 
     def patch(
         self, into: PathLike, out: PathLike, *, rig: PathLike | None = None, holdout: float = 0.3
     ) -> Patch:
-        """Write a repaired copy of the MuJoCo file that was fitted or diagnosed; as ``labhil patch``.
+        """Write a repaired copy of the MuJoCo file that was fitted or diagnosed, like ``labhil patch``.
 
-        The new file is loaded and run by MuJoCo on the held-out data. What the format cannot hold goes into a
+        MuJoCo runs the new file on the held-out data. Effects that the format cannot describe go into a
         Python file beside it.
 
         Args:
-            into: The MuJoCo file as it was.
-            out: The new file; nothing may be there.
-            rig: The rig file of the work, where it had one.
+            into: The original MuJoCo file.
+            out: The new file; it must not exist.
+            rig: The rig file of the fit or diagnosis, where it had one.
             holdout: The share of the recordings that was held out.
 
         Returns:
-            What was changed (``changes``, ``diff``), what was left to the Python file (``left``,
-            ``companion``), and the errors before and after; ``to_dict()`` is what ``--json`` writes.
+            The changes (``changes``, ``diff``), the effects in the Python file (``left``, ``companion``), and
+            the errors before and after; ``to_dict()`` is what ``--json`` writes.
 
         Raises:
-            UsageError: Something is there already, the files do not belong together, or the repaired file's
-                error is more than 1.05 times the model's. Nothing is written then.
+            UsageError: The new file exists, the files do not belong together, or the repaired file's error is
+                more than 1.05 times the model's. Nothing is written then.
         """
         require_analysis("a patch")
         from labhil.analysis.patching import patch
@@ -224,30 +224,34 @@ class ComputedResult(Result, Generic[P, S]):
 
     @property
     def study(self) -> S:
-        """The computation behind it, with its samples; UsageError of a result that was loaded or pickled."""
+        """The computation with its samples.
+
+        Raises:
+            UsageError: The result was loaded or pickled.
+        """
         return self._require_study("study")
 
-    def _require_study(self, what: str) -> S:
+    def _require_study(self, action: str) -> S:
         if self._study is None:
-            raise no_samples_error(what)
+            raise no_samples_error(action)
         return self._study
 
 
-def _restored(kind: Any, data: Mapping[str, Any], name: str) -> Result:
+def _restore(kind: Any, data: Mapping[str, Any], name: str) -> Result:
     result: Result = kind(data, name=name)
     return result
 
 
-def no_samples_error(what: str) -> UsageError:
-    """The refusal of what a saved result cannot do, since it holds numbers and no samples."""
+def no_samples_error(action: str) -> UsageError:
+    """Return the error of an action that needs samples, which a saved result does not have."""
     return UsageError(
-        f"{what}: a result that was loaded or pickled holds no samples; `simulate(recording).plot()` draws "
+        f"{action}: a result that was loaded or pickled holds no samples; `simulate(recording).plot()` draws "
         "its model beside a recording"
     )
 
 
 def parameter_columns(parameters: Parameters) -> dict[str, list[Any]]:
-    """Parameters by columns, in the order of the report."""
+    """Return parameters by columns, in the order of the report."""
     from labhil.report.parameter_columns import COLUMNS
 
     frames = [entry for column in COLUMNS for entry in column.frame]
@@ -255,12 +259,12 @@ def parameter_columns(parameters: Parameters) -> dict[str, list[Any]]:
 
 
 def parameter_frame(parameters: Parameters) -> Any:
-    """A pandas DataFrame with a row for each parameter."""
+    """Return a pandas DataFrame with a row for each parameter."""
     return data_frame(parameter_columns(parameters), index=parameters.keys(), index_name="parameter")
 
 
 def parameter_set(parameters: Parameters, covariance: Any, attributes: Mapping[str, Any]) -> Any:
-    """An xarray Dataset over the parameters."""
+    """Return an xarray Dataset over the parameters."""
     import numpy as np
 
     numbers = ("value", "std_error", "ci_low", "ci_high", "p_value")

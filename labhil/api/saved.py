@@ -1,4 +1,4 @@
-"""Results from their files."""
+"""``labhil.load``: read a saved result."""
 
 from __future__ import annotations
 
@@ -25,18 +25,17 @@ KINDS: Mapping[str, type[Fit | Diagnosis | Verification | Comparison]] = {
 
 
 def load(path: PathLike) -> Fit | Diagnosis | Verification | Comparison:
-    """Read a result that was saved, by Python or by a command's ``--json``.
+    """Read a result that was saved in Python or by a command's ``--json``.
 
     Args:
         path: The JSON file.
 
     Returns:
-        What its schema says: :class:`Fit`, :class:`Diagnosis`, :class:`Verification` or :class:`Comparison`.
-        It holds numbers and no samples: it prints, simulates and makes pages, but does not draw the recording
-        that it came from.
+        A :class:`Fit`, :class:`Diagnosis`, :class:`Verification` or :class:`Comparison`, by its schema.
+        It has no samples: it prints, simulates and makes pages, but does not draw its recording.
 
     Raises:
-        ModelFileError: The file cannot be read, or is none of these.
+        ModelFileError: The file cannot be read, or is no result.
 
     Example:
         >>> import labhil as lh

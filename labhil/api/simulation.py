@@ -1,4 +1,4 @@
-"""A model with values, run on a recording."""
+"""``labhil.Simulation``: the model of a result, run on a recording."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """What a model predicts of a recording, beside what was measured.
+    """Prediction of a recording by a model, with the measurement.
 
-    The recording is cut into windows of ``horizon`` s. Each is simulated from the state that its lead-in
-    suggests, as models are scored; inverse dynamics has no state, and ``horizon`` is None.
+    The recording is split into windows of ``horizon`` s. Each is simulated from the state estimated from its
+    lead-in, as models are scored; inverse dynamics has no state, and ``horizon`` is None.
 
     Attributes:
         t: Times of the samples, (n,) s.
-        measured: What was measured, by output, each (n,).
-        simulated: What the model predicts, likewise; NaN in the lead-ins, which are not scored.
+        measured: Measured values by output, each (n,).
+        simulated: Predicted values, likewise; NaN in the lead-ins, which are not scored.
         units: Units by output.
-        errors: Figures by output: ``rmse``, ``max_abs_error``, ``r2`` (a fraction), ``noise_floor``.
+        errors: Errors by output: ``rmse``, ``max_abs_error``, ``r2`` (a fraction), ``noise_floor``.
         horizon: Length of the windows, s.
-        window: Number of the window that each sample belongs to, (n,); −1 in the lead-ins.
-        name: What the recording is called.
+        window: Index of each sample's window, (n,); −1 in the lead-ins.
+        name: Name of the recording.
 
     Example:
         >>> import labhil as lh
@@ -60,15 +60,15 @@ class Simulation:
     name: str = ""
 
     def __repr__(self) -> str:
-        how = "inverse dynamics" if self.horizon is None else f"windows of {self.horizon:.3g} s"
+        method = "inverse dynamics" if self.horizon is None else f"windows of {self.horizon:.3g} s"
         figures = ", ".join(
             f"{name} RMSE {row.rmse or 0.0:.3g} {row.unit}, noise floor {row.noise_floor or 0.0:.3g}"
             for name, row in self.errors.items()
         )
-        return f"<Simulation of {self.name}, {how}: {figures}>"
+        return f"<Simulation of {self.name}, {method}: {figures}>"
 
     def to_pandas(self) -> Any:
-        """A pandas DataFrame over ``t`` (s): columns ``NAME`` as measured and ``NAME_simulated``.
+        """Return a pandas DataFrame over ``t`` (s), with columns ``NAME`` (measured) and ``NAME_simulated``.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -77,22 +77,22 @@ class Simulation:
         return data_frame(columns, index=self.t, index_name="t")
 
     def to_xarray(self) -> Any:
-        """The same as an xarray Dataset.
+        """Return measured and simulated values as an xarray Dataset over ``t`` (s).
 
         Raises:
             MissingExtraError: xarray is not installed.
         """
-        both = [(name, name, x) for name, x in self.measured.items()]
-        both += [(f"{name}_simulated", name, x) for name, x in self.simulated.items()]
-        variables = {label: (("t",), x, {"units": self.units[name]}) for label, name, x in both}
+        columns = [(name, name, x) for name, x in self.measured.items()]
+        columns += [(f"{name}_simulated", name, x) for name, x in self.simulated.items()]
+        variables = {label: (("t",), x, {"units": self.units[name]}) for label, name, x in columns}
         return data_set(variables, {"t": self.t}, {"horizon": self.horizon})
 
     def plot(self, ax: Axes | None = None, *, name: str | None = None) -> Axes:
         """Draw measurement and simulation.
 
         Args:
-            ax: Axes to draw into; new ones when absent.
-            name: Which output; the first when absent.
+            ax: Axes to draw into; by default new ones.
+            name: The output; by default the first.
 
         Returns:
             The matplotlib axes.

@@ -1,4 +1,4 @@
-"""Holding a recording against an accepted model."""
+"""``labhil.verify``: test whether a recording contradicts an accepted model."""
 
 from __future__ import annotations
 
@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 
 
 class Verification(Result):
-    """Whether a recording contradicts a model. Made by :func:`labhil.verify` and :func:`labhil.load`;
-    immutable.
+    """The test whether a recording contradicts a model. Immutable.
+
+    Made by :func:`labhil.verify` and :func:`labhil.load`.
 
     ``print(it)`` is the report of ``labhil verify``.
 
@@ -51,7 +52,7 @@ class Verification(Result):
 
     @property
     def part(self) -> VerificationPart:
-        """All that the JSON says, with types."""
+        """The JSON as typed data."""
         return self._part
 
     @property
@@ -61,37 +62,37 @@ class Verification(Result):
 
     @property
     def p_value(self) -> float | None:
-        """Probability of a recording as far off as this one, if the model were right."""
+        """Probability of a deviation at least as large as this one, if the model were right."""
         return self._part.p_value
 
     @property
     def alpha(self) -> float:
-        """Probability that a recording of the model itself is refused."""
+        """Level of the test: the probability of a false alarm."""
         return self._part.alpha
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What contradicts the model, a sentence each."""
+        """Reasons of a contradiction, a sentence each."""
         return self._part.reasons
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the answer had to do without, a sentence each."""
+        """Notes on missing information, a sentence each."""
         return self._part.notes
 
     @property
     def channels(self) -> tuple[ChannelVerdict, ...]:
-        """Each output against the model: RMSE, noise floor, their ratio and its limit."""
+        """The tests of each output: RMSE, noise floor, their ratio and its limit."""
         return self._part.channels
 
     @property
     def changes(self) -> tuple[ValueChange, ...]:
-        """Each parameter as accepted and as this recording would have it."""
+        """Each parameter as accepted and as refitted to this recording."""
         return self._part.parameters
 
     @property
     def recordings(self) -> tuple[Source, ...]:
-        """The recording that was held against the model."""
+        """The recording of the test."""
         return self._part.recordings
 
     def __repr__(self) -> str:
@@ -111,7 +112,7 @@ class Verification(Result):
         write_page(verification_page(self._part, foot_of(self._part)), file)
 
     def to_pandas(self) -> Any:
-        """The parameters, accepted and refitted, as a pandas DataFrame.
+        """Return the parameters, accepted and refitted, as a pandas DataFrame.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -132,28 +133,28 @@ def verify(
     progress: Progress = None,
     warn: Warn = None,
 ) -> Verification:
-    """Hold a recording against an accepted model: a gate for simulations.
+    """Test whether a recording contradicts an accepted model.
 
-    Asks whether the simulation with the values as they are is worse than noise and the values' own errors
-    explain, whether the refitted model leaves residuals that go with the input, and whether refitted values
-    differ.
+    Three tests share the level: is the simulation with the accepted values worse than noise and the errors of
+    the values explain, are residuals of the refitted model correlated with the input, and do refitted values
+    differ?
 
     Args:
         rec: A recording or its path.
         accepted: The accepted model: a fit or a diagnosis, or its file.
-        model: A rig kind, the path of a rig file, or what :func:`labhil.model` made; the rig file that the
-            recording carries when absent.
-        alpha: Probability that a recording of the model itself is refused.
-        device: Which device, where the recording holds several.
-        run: Which run, from 1, where the file holds several.
-        progress: A function of a line about what is being done, or True for a line on stderr.
-        warn: A function of the lines that say what the recording lacks.
+        model: A rig kind, the path of a rig file, or a :func:`labhil.model`; by default the rig file
+            in the recording.
+        alpha: Probability of a false alarm.
+        device: The device, where the recording has several.
+        run: The run, from 1, where the file has several.
+        progress: A function of a line about the current stage, or True for a line on stderr.
+        warn: A function of lines about lost data of the recording.
 
     Returns:
         The verification; :attr:`Verification.contradicted` is the answer.
 
     Raises:
-        UsageError: The recording is too short or of another rig, or the accepted model is none.
+        UsageError: The recording is too short or of another rig, or ``accepted`` is no model.
 
     Example:
         >>> import labhil as lh

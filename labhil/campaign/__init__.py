@@ -1,1 +1,1 @@
-"""What needs both wings."""
+"""What needs acquisition and analysis together: the worker of a lab, studies, sealed trials and the demo."""

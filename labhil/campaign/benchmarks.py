@@ -1,7 +1,7 @@
-"""The way to the project's benchmarks, which measure labhil and are no part of the package.
+"""Import of the project's benchmarks, which measure labhil and are not part of the package.
 
-They come with the source, in ``benchmarks/``, and run from the checkout that labhil was installed from. What
-needs them is a few commands and one method of sealed trials; nothing else in labhil knows of them.
+They are in ``benchmarks/`` of the checkout that labhil was installed from. Only a few commands and one method
+of sealed trials need them.
 """
 
 from __future__ import annotations
@@ -22,27 +22,31 @@ PACKAGE = "labhil_benchmarks"
 
 
 def benchmark_module(name: str, purpose: str) -> ModuleType:
-    """Import a module of the benchmarks; ``purpose`` is what needs it, as a person typed it.
+    """Import a module of the benchmarks, which stay on the path.
 
-    Once imported they stay on the path, also for processes that this one starts. MissingBenchmarksError where
-    labhil was not installed from a checkout, or the checkout is gone.
+    Args:
+        name: of the module in the package of the benchmarks.
+        purpose: the command or option that needs it, for the message.
+
+    Raises:
+        MissingBenchmarksError: labhil was not installed from a checkout, or the checkout is gone.
     """
     if find_spec(PACKAGE) is None:
-        folder = _folder_of_the_checkout()
+        folder = _benchmarks_folder()
         if folder is None:
             raise MissingBenchmarksError(purpose)
         sys.path.append(str(folder))
     return import_module(f"{PACKAGE}.{name}")
 
 
-def _folder_of_the_checkout() -> Path | None:
-    """``benchmarks/`` of the folder that ``pip install`` was given, as pip itself noted it (PEP 610)."""
+def _benchmarks_folder() -> Path | None:
+    """Return ``benchmarks/`` of the folder that pip installed labhil from (PEP 610)."""
     try:
-        noted = distribution("labhil").read_text("direct_url.json")
+        origin = distribution("labhil").read_text("direct_url.json")
     except PackageNotFoundError:
         return None
-    address = urlsplit(json.loads(noted)["url"]) if noted else None
-    if address is None or address.scheme != "file":
+    url = urlsplit(json.loads(origin)["url"]) if origin else None
+    if url is None or url.scheme != "file":
         return None
-    folder = Path(url2pathname(address.path)) / "benchmarks"
+    folder = Path(url2pathname(url.path)) / "benchmarks"
     return folder if (folder / PACKAGE / "__init__.py").is_file() else None

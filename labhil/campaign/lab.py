@@ -1,4 +1,4 @@
-"""``labhil serve``: devices, recorder and worker, from the first process to the last."""
+"""``labhil serve``: run the devices, the recorder and the worker of a lab."""
 
 from __future__ import annotations
 
@@ -18,51 +18,61 @@ from labhil.memory import keep_few_arenas
 from labhil.supervised import SupervisedThread
 from labhil.terminal import show
 
-LOOK = 0.3
-"""How often the worker looks for something to do, s."""
-
 
 def serve_lab(
     config: Path | None, folder: Path | None, connect: str | None, say: Callable[[str], None]
 ) -> int:
-    """Serve until SIGINT, SIGTERM or SIGHUP; returns 0, or 1 where a device was lost on the way.
+    """Serve a lab until SIGINT, SIGTERM or SIGHUP, and print the endpoint of the bus.
 
-    Prints the bus's endpoint. Raises ExperimentFileError, RigFileError or UsageError before anything starts.
+    Args:
+        config: the lab file; None for the example of a simulated lab.
+        folder: folder of the recordings; None for that of the lab file.
+        connect: endpoint of a bus on this machine to join; None to open one.
+        say: is called with lines of text.
+
+    Returns:
+        Exit status: 0, or 1 where a device was lost.
+
+    Raises:
+        ExperimentFileError, RigFileError, UsageError: before anything starts.
     """
-    lab = load_lab(config) if config is not None else _example()
+    lab = load_lab(config) if config is not None else _example_lab()
     check_policies(lab)
-    # without a file nothing is known of where its user keeps things
-    place = make_recordings_folder(lab, folder if folder is not None or config is not None else Path())
+    # without a lab file the recordings go to the current folder
+    recordings_folder = make_recordings_folder(lab, folder if folder is not None or config is not None else Path())
     endpoint = None if connect is None else check_loopback(connect)
     keep_few_arenas()
     with Interruption() as interrupted, open_bus(endpoint) as bus:
-        worker = Worker(place, Policies.of(lab).tasks, bus, say)
-        show(bus.endpoint)  # what appears in the folder from now on is studied
+        worker = Worker(recordings_folder, Policies.of_lab(lab).tasks, bus, say)
+        show(bus.endpoint)  # recordings that appear in the folder from now on are studied
         done = threading.Event()
-        at_work = SupervisedThread(lambda: _work(worker, done, say), "worker")
-        bus.watch(at_work)  # the service ends in order where nothing is analysed any more
-        at_work.start()
-        service = LabService(lab, bus, place, say)
+        worker_thread = SupervisedThread(lambda: _poll_until(worker, done, say), "worker")
+        bus.watch(worker_thread)  # the service ends in order when this thread fails
+        worker_thread.start()
+        service = LabService(lab, bus, recordings_folder, say)
         try:
             service.run(interrupted)
         finally:
-            at_work.end()
-            bus.unwatch(at_work)
+            worker_thread.end()
+            bus.unwatch(worker_thread)
             done.set()
-            at_work.join()
+            worker_thread.join()
             worker.close()
     return 1 if service.failed else 0
 
 
-def _example() -> Lab:
+def _example_lab() -> Lab:
     with as_file(files("labhil.experiment") / "examples" / "lab.toml") as path:
         return load_lab(path)
 
 
-def _work(worker: Worker, done: threading.Event, say: Callable[[str], None]) -> None:
-    while not done.wait(LOOK):
+def _poll_until(
+    worker: Worker, done: threading.Event, say: Callable[[str], None], period: float = 0.3
+) -> None:
+    """Poll the worker every ``period`` s until ``done`` is set."""
+    while not done.wait(period):
         try:
-            worker.look()
+            worker.poll()
         except Exception as error:  # noqa: BLE001
-            # devices are served and recorded whatever becomes of an analysis
+            # devices are served and recorded even if every analysis fails
             say(f"the worker: {error}")

@@ -1,4 +1,4 @@
-"""What the worker of a lab does with a recording: as the lab file says for its kind of rig."""
+"""Policies of a lab: which studies its worker does of a recording, by the kind of rig."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from labhil.recording.metadata import read_rig_kinds
 
 @dataclass(frozen=True, slots=True)
 class Policies:
-    """The policies of a lab by the kind of rig, and what a recording of any other kind gets."""
+    """The policies of a lab by kind of rig, and the default for other kinds."""
 
     by_kind: Mapping[str, Policy]
     default: Policy
 
     @classmethod
-    def of(cls, lab: Lab) -> Policies:
-        """Read those of a lab file; paths in them are relative to that file."""
+    def of_lab(cls, lab: Lab) -> Policies:
+        """Return the policies of a lab file; their paths are relative to that file."""
         default = Policy(analyse=lab.lab.analyse)
         folder = lab.path.parent
         return cls(
@@ -43,14 +43,14 @@ class Policies:
         )
 
     def of_kind(self, kind: str | None) -> Policy:
-        """The policy for a kind of rig."""
+        """Return the policy for a kind of rig."""
         return self.by_kind.get(kind or "", self.default)
 
     def tasks(self, recording: Path) -> Iterator[Task]:
-        """Yield what is done with a recording: for each of its devices, each study of its policy.
+        """Yield the studies of a recording: for each of its devices, those of its policy.
 
         Raises:
-            RecordingError: The recording cannot be read.
+            RecordingError: the recording cannot be read.
         """
         kinds = read_rig_kinds(recording)
         for device, kind in kinds.items():
@@ -65,7 +65,7 @@ def tasks_of(policy: Policy, recording: Path, device: str | None) -> Iterator[Ta
         yield Task(
             kind,
             (recording,),
-            # what is fitted is not to depend on what was accepted before
+            # a fit does not depend on an earlier model
             model=None if kind == "fit" else model,
             terms=terms,
             estimator=policy.estimator if kind == "fit" else None,
@@ -75,51 +75,51 @@ def tasks_of(policy: Policy, recording: Path, device: str | None) -> Iterator[Ta
 
 
 def check_policies(lab: Lab) -> None:
-    """Look at what a lab file's policies name, before anything starts.
+    """Check the terms, estimators and models of a lab file's policies.
 
     Raises:
-        ExperimentFileError: A term or an estimator that the rig kind does not have, or a model that is none,
-            or one of another kind of rig.
+        ExperimentFileError: the rig kind does not have a term or an estimator, or a model cannot be read or
+            is of another kind of rig.
     """
-    for kind, policy in Policies.of(lab).by_kind.items():
+    for kind, policy in Policies.of_lab(lab).by_kind.items():
         where = f"{lab.path}: policies.{kind}"
         if policy.model is not None:
             _check_model(Path(policy.model), kind, f"{where}.model")
         if policy.terms or policy.baseline or policy.estimator:
-            known = _catalogue(kind, where)
-            terms = [effect.name for effect in known.effects]
+            catalogue = _read_catalogue(kind, where)
+            terms = [effect.name for effect in catalogue.effects]
             _check_names(policy.terms or (), terms, "term", f"{where}.terms")
             _check_names(policy.baseline or (), terms, "term", f"{where}.baseline")
-            chosen = () if policy.estimator is None else (policy.estimator,)
-            _check_names(chosen, known.estimators, "estimator", f"{where}.estimator")
+            estimators = () if policy.estimator is None else (policy.estimator,)
+            _check_names(estimators, catalogue.estimators, "estimator", f"{where}.estimator")
 
 
 def _check_model(path: Path, kind: str, where: str) -> None:
     try:
-        part = result_of(json_of(path.read_bytes(), str(path)), str(path))
+        result = result_of(json_of(path.read_bytes(), str(path)), str(path))
     except OSError as error:
         raise ExperimentFileError(
             f"{where}: expected a fit or a diagnosis (JSON), found {path}: {error.strerror}"
         ) from error
     except LabhilError as error:
         raise ExperimentFileError(f"{where}: {error}") from error
-    kinds = {source.rig for source in part.recordings if source.rig}
+    kinds = {source.rig for source in result.recordings if source.rig}
     if kinds and kind not in kinds:
         raise ExperimentFileError(
             f"{where}: expected a model of {kind}, found one of {', '.join(kinds)}: {path}"
         )
 
 
-def _check_names(names: Sequence[str], known: Sequence[str], what: str, where: str) -> None:
+def _check_names(names: Sequence[str], known: Sequence[str], noun: str, where: str) -> None:
     for name in names:
         if name not in known:
             raise ExperimentFileError(
-                f"{where}: unknown {what} {name!r}{suggestion(name, known)}; known: {', '.join(known)}"
+                f"{where}: unknown {noun} {name!r}{suggestion(name, known)}; known: {', '.join(known)}"
             )
 
 
-def _catalogue(kind: str, where: str) -> Catalogue:
-    """Read the catalogue in a process of its own: this one loads no models."""
+def _read_catalogue(kind: str, where: str) -> Catalogue:
+    """Read the catalogue in another process: this one loads no models."""
     lines: Queue[dict[str, Any]] = Queue()
     helper = Helper("the catalogue", MODULE, {"rig": kind}, lines.put)
     try:

@@ -1,4 +1,4 @@
-"""What became of each recording of a lab: a line of JSON for every study, beside the recordings."""
+"""The result log of a lab: a line of JSON for every study, in ``results.jsonl`` beside the recordings."""
 
 from __future__ import annotations
 
@@ -19,31 +19,35 @@ from labhil.version import __version__
 RESULT_LOG = "results.jsonl"
 SCHEMA = "labhil.catalogued/1"
 PACKAGES = ("numpy", "scipy", "numba", "mcap")
-"""What a number may depend on besides labhil itself."""
+"""Packages besides labhil that results depend on."""
 
 
 @cache
 def versions() -> Mapping[str, str]:
-    """The versions of the packages that results depend on."""
-    by_package = {"labhil": __version__, "python": platform.python_version(), "platform": platform.platform()}
+    """Return the versions of the packages that results depend on."""
+    package_versions = {
+        "labhil": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+    }
     for name in PACKAGES:
         try:
-            by_package[name] = version(name)
+            package_versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return by_package
+    return package_versions
 
 
-def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
-    """Add a line about a study to the folder's ``results.jsonl``, and force it to the disk.
+def append_entry(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
+    """Append a line about a study to the folder's ``results.jsonl``, and sync it to the disk.
 
     Args:
-        folder: Where recordings and results are.
-        entry: What was done and what came of it.
-        recording: What it was done with; its checksum says later whether it is still the same.
+        folder: folder of recordings and results.
+        entry: the study and its outcome.
+        recording: the recording; the line holds its checksum.
 
     Raises:
-        OSError: The line cannot be written.
+        OSError: the line cannot be written.
     """
     line = {
         "schema": SCHEMA,
@@ -54,7 +58,7 @@ def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
         "versions": dict(versions()),
     }
     data = json.dumps(line, ensure_ascii=False, allow_nan=False).encode() + b"\n"
-    # one write at the end of the file: a killed service leaves no half of an earlier line
+    # a single write at the end of the file cannot damage earlier lines
     descriptor = os.open(folder / RESULT_LOG, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
     try:
         os.write(descriptor, data)
@@ -64,23 +68,23 @@ def catalogue(folder: Path, entry: Mapping[str, Any], recording: Path) -> None:
 
 
 def unstudied_recordings(folder: Path) -> list[Path]:
-    """Recordings that were finished while no worker ran, or that a worker did not reach.
+    """Return recordings that no worker has studied.
 
-    They are newer than the folder's first entry and have none of their own. A folder without any entry has
+    They are newer than the first entry of the folder's log and have no entry. A folder without any entry has
     none: no worker ever ran there. Lines that cannot be read are ignored.
     """
     entries = list(_entries(folder))
     if not entries:
         return []
-    began = min(datetime.fromisoformat(entry["time"]).timestamp() for entry in entries)
+    first_time = min(datetime.fromisoformat(entry["time"]).timestamp() for entry in entries)
     known = {entry["recording"] for entry in entries}
     return sorted(
-        path for path in folder.glob("*.mcap") if path.name not in known and _changed_at(path) > began
+        path for path in folder.glob("*.mcap") if path.name not in known and _changed_at(path) > first_time
     )
 
 
 def _changed_at(path: Path) -> float:
-    """When a file was written last, s; long ago for one that is gone by now."""
+    """Time of a file's last change, s; −∞ for a file that does not exist any more."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -103,7 +107,7 @@ def _entries(folder: Path) -> Iterator[dict[str, str]]:
 
 
 def verdict_of(result: Path) -> str | None:
-    """The verdict that a result states; None where it has none or cannot be read."""
+    """Return the verdict of a result file; None where it has none or cannot be read."""
     try:
         verdict = parse_json(result.read_text(encoding="utf-8")).get("verdict")
     except (OSError, ValueError, AttributeError):

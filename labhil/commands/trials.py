@@ -13,7 +13,7 @@ from labhil.cores import cores
 from labhil.terminal import show, status
 
 if TYPE_CHECKING:
-    from labhil.campaign.trials.card import Card
+    from labhil.campaign.trials.card import ScoreCard
 
 FIRST = "Number of the first trial, where earlier trials of the seed are known already."
 METHOD = "diagnose, or stepwise (forward selection by the extended BIC, for comparison)."
@@ -64,9 +64,9 @@ def trial_make(
     "hidden" draws an effect that is in no catalogue, "some" any sort with effects, "mixed" any sort, also
     without effects.
     """
-    from labhil.campaign.trials.make import Order, answers_beside, make_trials
+    from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trials
 
-    order = Order(
+    options = TrialSetOptions(
         rig,
         trials,
         effects,
@@ -78,10 +78,10 @@ def trial_make(
         disturbed=disturbed,
     )
     with status() as progress:
-        index = make_trials(order, jobs or cores(), progress)
+        index = make_trials(options, jobs or cores(), progress)
     if index.fixed_seed:
         show(f"Drawn from the fixed seed {seed}: for tests only, since whoever knows it knows the answers.")
-    show(f"{len(index.trials)} trials of {rig} in {order.out}, answers in {order.answers}")
+    show(f"{len(index.trials)} trials of {rig} in {options.out}, answers in {options.answers}")
 
 
 def trial_run(
@@ -125,7 +125,7 @@ def trial_score(
     deliver_card(card, json_path, plot_path)
 
 
-def deliver_card(card: Card, json_path: Path | None, plot_path: Path | None) -> None:
+def deliver_card(card: ScoreCard, json_path: Path | None, plot_path: Path | None) -> None:
     """Print a score card, and write and draw it where a path is given."""
     from labhil.campaign.trials.show import show
 

@@ -1,6 +1,6 @@
 """A force curve that a diagnosis estimated and saved, applied to a model on other recordings.
 
-``extended`` is the model in which such a curve is estimated; ``analysis.kept_curve`` reads and writes the
+``extended`` is the model in which such a curve is estimated; ``analysis.saved_curves`` reads and writes the
 file.
 """
 

@@ -239,7 +239,7 @@ class OverlayScreen(Overlay):
     def on_selection_list_selected_changed(self, _event: Any) -> None:
         """Simulate with the selected terms."""
         if self.shown is not None and self._helper is not None:
-            self._helper.tell({"without": sorted(self._deselected())})
+            self._helper.send({"without": sorted(self._deselected())})
             self._show_progress()
 
 

@@ -55,7 +55,7 @@ def commands(app: LabApp, pane: ExperimentPane) -> Iterator[SystemCommand]:
     for number, name in enumerate(TABS, start=1):
         if name != app.tab:
             yield SystemCommand(f"show: {name}", f"Tab {number}", partial(app.action_tab, name))
-    for job in app.studies.jobs.at_work:
+    for job in app.studies.jobs.running:
         yield SystemCommand(
             f"cancel: {job.title}", "Files stay as they were", partial(app.studies.jobs.cancel, job)
         )

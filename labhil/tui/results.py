@@ -190,8 +190,8 @@ class ResultsPane(Vertical, Pane):
             remaining = (
                 "" if limit is None else f", at most {format_duration(max(limit - elapsed, 0.0))} left"
             )
-            return f"{format_duration(elapsed)}{remaining}: {job.said}"
-        return str(job.said).splitlines()[0] if job.said else job.state
+            return f"{format_duration(elapsed)}{remaining}: {job.message}"
+        return str(job.message).splitlines()[0] if job.message else job.state
 
     def _chosen_key(self) -> str | None:
         table = self.query_one(DataTable)
@@ -246,7 +246,7 @@ class ResultsPane(Vertical, Pane):
             )
             text.append(answer, style="not bold")
         else:
-            text.append(job.said, style="not bold")
+            text.append(job.message, style="not bold")
         self.query_one("#result-text", Static).update(text)
 
     async def _show_part(self, path: Path, part: ResultPart | str) -> None:
@@ -334,7 +334,7 @@ class ResultsPane(Vertical, Pane):
         """End the chosen job with its best result so far."""
         job = self._job(self._chosen_key())
         if job is not None:
-            self._jobs.end(job)
+            self._jobs.finish_early(job)
             self.refresh_view()
 
     def action_cancel(self) -> None:

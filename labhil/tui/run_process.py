@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import CommandRefusedError, LabhilError
 from labhil.experiment.control import RunControl
 from labhil.experiment.experiment import load_experiment
@@ -45,7 +45,7 @@ def dispatch(control: RunControl, line: dict[str, Any]) -> None:
             case "mark":
                 control.mark(str(line["text"]), steady_ns() - int(line["steady_ns"]))
     except CommandRefusedError as error:
-        say({"refused": str(error)})
+        write_line({"refused": str(error)})
 
 
 def abort_run(control: RunControl) -> None:
@@ -65,7 +65,7 @@ def main() -> int:
     refusals = {""}
 
     def report(progress: Progress) -> None:
-        say(
+        write_line(
             {
                 "state": progress.state.value,
                 "elapsed": progress.elapsed,
@@ -75,16 +75,16 @@ def main() -> int:
         )
         if control.refusal not in refusals:
             refusals.add(control.refusal)
-            say({"refused": control.refusal})
+            write_line({"refused": control.refusal})
 
     try:
         experiment = load_experiment(Path(request["experiment"]))
-        on_further_lines(lambda line: dispatch(control, line), lambda: abort_run(control))
+        read_further_lines(lambda line: dispatch(control, line), lambda: abort_run(control))
         result = run_experiment(experiment, Path(request["out"]), report, control)
     except LabhilError as error:
-        say({"result": None, "error": str(error)})
+        write_line({"result": None, "error": str(error)})
         return error.exit_status
-    say({"result": result.to_json(), "error": None if result.error is None else str(result.error)})
+    write_line({"result": result.to_json(), "error": None if result.error is None else str(result.error)})
     return result.exit_status
 
 

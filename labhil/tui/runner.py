@@ -61,7 +61,7 @@ class Runner:
             reason: Reason in the recording.
         """
         if self._helper is not None:
-            self._helper.tell({"do": what, "reason": reason or f"{what} in the terminal UI"})
+            self._helper.send({"do": what, "reason": reason or f"{what} in the terminal UI"})
 
     def abort_if_unseen(self, failure: str) -> None:
         """Abort the run where the view of its devices has failed (``failure``, or empty)."""
@@ -76,7 +76,7 @@ class Runner:
             at_ns: Its time by the steady clock of the machine.
         """
         if self._helper is not None:
-            self._helper.tell({"do": "mark", "text": text, "steady_ns": at_ns})
+            self._helper.send({"do": "mark", "text": text, "steady_ns": at_ns})
 
     def handle_line(self, line: dict[str, Any]) -> None:
         """Follow a line of the run process; lines of an earlier run are ignored."""

@@ -21,7 +21,7 @@ from labhil.api.diagnosis import Diagnosis
 from labhil.api.fit import Fit
 from labhil.api.saved import load
 from labhil.bus.session import Bus, open_bus
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import BusError, LabhilError, ModelFileError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
@@ -116,7 +116,7 @@ class StreamSimulator:
         self._shadow.take(np.asarray((t_hw[new] - self._begin_hw_ns) * 1e-9, dtype=np.float64), values[new])
         while (stretch := self._shadow.step()) is not None:
             if not len(stretch.t):
-                say({"unjudged": self._shadow.unjudged})
+                write_line({"unjudged": self._shadow.unjudged})
                 continue
             t_acq, t_hw, _ = stream_watch.ring.newest(HISTORY)
             self._report(stretch, t_hw, t_acq, stream_watch)
@@ -152,7 +152,7 @@ class StreamSimulator:
                     "residual": np.round(np.nan_to_num(y, nan=1e6), 3).tolist(),
                 }
             )
-        say(
+        write_line(
             {
                 "base_ns": base_ns,
                 "ahead_ns": stream_watch.ahead_ns,
@@ -175,14 +175,14 @@ def _open_bus(endpoint: str) -> AbstractContextManager[Bus]:
 def main() -> int:
     """Run the process; return its exit status."""
     request = read_request()
-    on_further_lines(lambda _line: None, lambda: os._exit(0))
+    read_further_lines(lambda _line: None, lambda: os._exit(0))
     try:
         model = Path(str(request["model"]))
         result = load(model)
         if not isinstance(result, (Fit, Diagnosis)):
             raise ModelFileError(f"{model}: expected a fit or a diagnosis")
         follower = StreamSimulator(model, result)
-        say({"validated": follower.validated})
+        write_line({"validated": follower.validated})
         with _open_bus(str(request["endpoint"])) as bus, BusWatch(bus) as watch:
             while not (failure := watch.failure()):
                 stream_watch = watch.stream(str(request["device"]), str(request["stream"]))
@@ -191,7 +191,7 @@ def main() -> int:
                 time.sleep(SAMPLE_INTERVAL)
             raise BusError(failure)
     except LabhilError as error:
-        say({"failed": str(error)})
+        write_line({"failed": str(error)})
         return error.exit_status
 
 

@@ -33,7 +33,7 @@ class Studies:
     @property
     def at_work(self) -> list[Job]:
         """The studies that have not ended."""
-        return list(self.jobs.at_work)
+        return list(self.jobs.running)
 
     def start(self, message: StudyRequested) -> bool:
         """Start a study; return whether it is shown in the list of results."""
@@ -44,13 +44,13 @@ class Studies:
     def follow(self, message: StudyLine) -> tuple[Job, bool]:
         """Handle a line of a process; return its job, and whether its state has changed."""
         before = self.jobs.all[message.number].state
-        job = self.jobs.take(message.number, message.line)
+        job = self.jobs.handle_line(message.number, message.line)
         return job, job.state != before
 
     def announce(self, job: Job) -> None:
         """Announce the end of a job: a failure with its reason, a verification with its answer."""
         if job.state == "failed":
-            self._app.notify(job.said, title=job.title, severity="error", timeout=10)
+            self._app.notify(job.message, title=job.title, severity="error", timeout=10)
         elif job.task.kind == "verify":
             self._app.push_screen(Notice(job.title, str(job.done)))
         elif job.state == "done":

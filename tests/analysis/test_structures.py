@@ -129,9 +129,9 @@ def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
 @pytest.mark.long
 @pytest.mark.timeout(600)
 def test_the_terms_of_a_shipped_recording_are_found() -> None:
-    material = load_dataset(
+    dataset = load_dataset(
         ROOT / "recordings" / "ball_beam_identify.mcap", test_path=ROOT / "recordings" / "ball_beam_test.mcap"
     )
-    data = prepare_data(material.model, material.train, material.test)
+    data = prepare_data(dataset.model, dataset.train, dataset.test)
     found = search_structures(data, fit_baseline(data, ["viscous_friction"]), lambda text: None)
     assert {step.terms[0] for step in found.missing} == {"coulomb_friction", "stribeck_friction", "dead_zone"}

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.analysis.kept_curve import curves_json, under_kept_curve
 from labhil.analysis.results import diagnosis_json
+from labhil.analysis.saved_curves import curves_json, with_saved_curves
 from labhil.diagnose.adequacy import exceeds_noise, residual_rms
 from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.diagnosis import diagnose
@@ -141,7 +141,7 @@ def test_curves_of_a_file_are_part_of_the_model(tmp_path: Path) -> None:
     path = tmp_path / "d.json"
     whole = {"curve": stated[0], "further_curves": stated[1:]}
     path.write_text(json.dumps(whole, default=lambda values: values.tolist()))
-    read = under_kept_curve(ArmModel(RIG, plain(1)), path)
+    read = with_saved_curves(ArmModel(RIG, plain(1)), path)
     assert isinstance(read, ModelUnderCurves)
     assert [each["joint"] for each in curves_json(read)] == [curve.joint for curve in curves]
     theta = start_theta(read, {row.key: row.value for row in curves[-1].rows})
@@ -179,7 +179,7 @@ def test_a_curve_on_no_joint_of_the_arm_is_refused(joint: int | None, tmp_path: 
     curve = {"depends_on": ["actual_q_1"], "acts": "position", "x": [[0.0, 1.0]], "value": [0.0, 1.0]}
     path.write_text(json.dumps({"curve": {**curve, "joint": joint}}))
     with pytest.raises(ModelFileError, match="expected one of 0, 1"):
-        under_kept_curve(ArmModel(RIG), path)
+        with_saved_curves(ArmModel(RIG), path)
 
 
 @pytest.mark.parametrize(

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from labhil.campaign.share import Share
+from labhil.campaign.proportion import Proportion
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
-from labhil.campaign.trials.card import count
-from labhil.campaign.trials.compose import compose
+from labhil.campaign.trials.card import make_score_card
+from labhil.campaign.trials.compose import compose_trial
 from labhil.campaign.trials.folder import STEPWISE
 from labhil.campaign.trials.judge import judge
-from labhil.campaign.trials.make import Order, answers_beside, make_trials
+from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trials
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, write_envelope
 from labhil.campaign.trials.secret import Secret
 from labhil.campaign.trials.show import show
-from labhil.campaign.trials.stated_answer import stated_answer_in
+from labhil.campaign.trials.stated_answer import parse_stated_answer
 from labhil.campaign.trials.truth import model_values
 from labhil.diagnose.contradiction import structure_p_value
 from labhil.identify.fitted import covariances, fit_terms
@@ -47,12 +47,12 @@ def model(tmp_path_factory):
     return model_for(parse_rig(bench_of("ur5").rig, tmp_path_factory.mktemp("rig") / "ur5.toml"))
 
 
-def drawn(seed, model, sort="1"):
+def drawn(seed, model, trial_type="1"):
     """A setup, its baseline's numbers, and the first effect of that seed."""
-    random = np.random.default_rng(seed)
-    setup = bench_of("ur5").setup(random)
-    base = setup.draw_base(random)
-    return setup, base, setup.draw_effect(model, sort == "hidden", [], random)
+    rng = np.random.default_rng(seed)
+    setup = bench_of("ur5").draw_setup(rng)
+    base = setup.draw_baseline_parameters(rng)
+    return setup, base, setup.draw_effect(model, trial_type == "hidden", [], rng)
 
 
 def true_effect(term, joint, catalogue=True):
@@ -67,7 +67,7 @@ def answer(*effects):
 def said(*claims):
     missing = [{"term": term, "joint": joint, "probability": 0.9} for term, joint in claims]
     located = {"joint": claims[0][1], "regimes": []}
-    return stated_answer_in(
+    return parse_stated_answer(
         {
             "schema": "labhil.diagnosis/1",
             "verdict": "missing_physics",
@@ -102,7 +102,7 @@ def test_hidden_effects_of_an_arm_stand_in_no_list(model):
 def test_what_a_plant_is_made_of_is_what_its_model_calls_it(model):
     setup, base, effect = drawn((4, 0), model)
     assert effect.key == "torque_constant[0]"
-    numbers = setup.numbers(Secret(setup, base, (effect.scaled(2.0),)))
+    numbers = setup.plant_parameters(Secret(setup, base, (effect.scaled(2.0),)))
     values = model_values(model, numbers)
     gain = 2.0 * effect.parameters["sensor_gain.gain[0]"]
     assert values["torque_constant.gain[0]"] == pytest.approx(gain)
@@ -131,8 +131,8 @@ def test_an_effect_of_a_joint_keeps_it_in_its_envelope(tmp_path):
 
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_noise_after_a_filter_is_as_it_is_computed(correlation):
-    low_pass, random = LowPass(9.0, 0.008), np.random.default_rng(1)
-    noise = random.standard_normal((2500, 200))
+    low_pass, rng = LowPass(9.0, 0.008), np.random.default_rng(1)
+    noise = rng.standard_normal((2500, 200))
     for k in range(1, len(noise)):
         noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
     passed = low_pass(noise)[200:-200]
@@ -147,10 +147,10 @@ def test_the_right_name_in_the_wrong_joint_is_wrong():
     right, wrong = (judge(truth, said(("load_dependent_friction", j)), lambda e, r: 0.0) for j in (1, 2))
     assert right.exact
     assert not wrong.exact
-    assert wrong.confused == (("load_dependent_friction[1]", "load_dependent_friction[2]"),)
-    card = count([right, wrong], "ur5", True)
-    assert card.joints == Share(1, 2)
-    assert card.to_json()["right_joint"] == card.joints.to_json()
+    assert wrong.confusions == (("load_dependent_friction[1]", "load_dependent_friction[2]"),)
+    card = make_score_card([right, wrong], "ur5", True)
+    assert card.right_joints == Proportion(1, 2)
+    assert card.to_json()["right_joint"] == card.right_joints.to_json()
 
 
 def test_what_has_no_name_has_to_be_found_in_its_joint():
@@ -170,7 +170,7 @@ def test_what_pulls_at_several_joints_may_have_a_curve_on_each_of_them():
 
 def test_a_confusion_of_joints_is_printed_pair_by_pair():
     pairs = [(f"stribeck_friction[{j}]", f"{term}[{j}]") for j in range(6) for term in ("a", "b", "c")]
-    card = count([judge(answer(), said(("a", 0)), lambda e, r: 0.0)], "ur5", True)
+    card = make_score_card([judge(answer(), said(("a", 0)), lambda e, r: 0.0)], "ur5", True)
     out = StringIO()
     show(replace(card, confusion=dict.fromkeys(pairs, 2)), Console(file=out, width=80))
     lines = [line.split() for line in out.getvalue().splitlines()]
@@ -180,7 +180,7 @@ def test_a_confusion_of_joints_is_printed_pair_by_pair():
 @pytest.fixture(scope="module")
 def null():
     """An arm without any concealed effect."""
-    return compose("ur5", "0", np.random.default_rng((6, 0)))
+    return compose_trial("ur5", "0", np.random.default_rng((6, 0)))
 
 
 def test_the_noise_of_an_arm_is_read_from_what_its_model_leaves(null):
@@ -212,7 +212,7 @@ def test_the_truth_leaves_noise_as_it_is_known(null):
     judged = np.count_nonzero(oracle.residual_noise.judged)
     assert -2.0 * oracle.log_likelihood(refit.theta) == pytest.approx(judged, rel=0.1)
     setup, secret = found.secret.setup, found.secret
-    record = setup.record(setup.silent(secret, found.walks[1], 1))
+    record = setup.to_record(setup.simulate_noiseless(secret, found.runs[1], 1))
     assert -2.0 * oracle.log_likelihood_of_truth(refit.theta, record) == pytest.approx(judged, rel=0.1)
 
 
@@ -221,19 +221,19 @@ def test_the_truth_leaves_noise_as_it_is_known(null):
 def test_three_trials_of_an_arm_from_drawing_to_score(tmp_path):
     """A null, an effect of one joint, a payload."""
     cards = {}
-    for name, sort, seed in (("null", "0", 6), ("joint", "1", 20), ("payload", "1", 29)):
+    for name, trial_type, seed in (("null", "0", 6), ("joint", "1", 20), ("payload", "1", 29)):
         folder = tmp_path / name
-        order = Order("ur5", 1, sort, folder, answers_beside(folder), seed)
-        make_trials(order, 1, silent)
+        options = TrialSetOptions("ur5", 1, trial_type, folder, answers_beside(folder), seed)
+        make_trials(options, 1, silent)
         run_trials(folder, 1, silent)
-        cards[name] = score_trials(folder, order.answers, silent)
+        cards[name] = score_trials(folder, options.answers, silent)
     # a method that does not say where an effect is
     run_trials(folder, 1, silent, STEPWISE)
-    stepwise = score_trials(folder, order.answers, silent, STEPWISE)
+    stepwise = score_trials(folder, options.answers, silent, STEPWISE)
     assert (stepwise.trials, stepwise.failures) == (1, 0)
-    assert stepwise.joints == Share(0, 0)
-    assert cards["null"].false_alarms == Share(0, 1)
+    assert stepwise.right_joints == Proportion(0, 0)
+    assert cards["null"].false_alarms == Proportion(0, 1)
     assert cards["joint"].confusion == {("torque_constant[3]", "torque_constant[3]"): 1}
-    assert cards["joint"].joints == Share(1, 1)
+    assert cards["joint"].right_joints == Proportion(1, 1)
     assert cards["payload"].confusion == {("payload", "payload"): 1}
-    assert cards["payload"].naming["one effect"]["any"] == Share(1, 1)
+    assert cards["payload"].naming["one effect"]["any"] == Proportion(1, 1)

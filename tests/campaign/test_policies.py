@@ -83,7 +83,7 @@ baseline = ["viscous_friction", "coulomb_friction"]
 model = "accepted.json"
 seconds = 60.0
 """
-    tasks = list(Policies.of(load_lab(lab_file(tmp_path, text))).tasks(two_rigs(tmp_path)))
+    tasks = list(Policies.of_lab(load_lab(lab_file(tmp_path, text))).tasks(two_rigs(tmp_path)))
     told = [(task.kind, task.device, task.terms, task.model, task.seconds) for task in tasks]
     model = tmp_path / "accepted.json"
     assert told == [
@@ -136,14 +136,18 @@ def test_a_recording_that_cannot_be_read_and_a_study_that_does_not_end_stop_noth
     with open_bus() as bus:
         # no fit of this recording is done within a hundredth of a second
         worker = Worker(
-            tmp_path, Policies.of(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append, longest=0.01
+            tmp_path,
+            Policies.of_lab(load_lab(lab_file(tmp_path, ""))).tasks,
+            bus,
+            said.append,
+            time_limit=0.01,
         )
         try:
             (tmp_path / "a_bad.mcap").write_bytes(b"no recording at all")
             shutil.copyfile(SHIPPED, tmp_path / "b_good.mcap")
             deadline = time.monotonic() + PATIENCE
             while len(entries(tmp_path)) < 3 and time.monotonic() < deadline:
-                worker.look()
+                worker.poll()
                 time.sleep(0.05)
         finally:
             worker.close()
@@ -169,11 +173,11 @@ def test_what_came_while_no_worker_was_there_is_studied_and_nothing_older(tmp_pa
         os.utime(path, (now - age, now - age))
     said: list[str] = []
     with open_bus() as bus:
-        worker = Worker(tmp_path, Policies.of(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
-        worker.look()
+        worker = Worker(tmp_path, Policies.of_lab(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
+        worker.poll()
         worker.close()
-        again = Worker(tmp_path, Policies.of(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
-        again.look()
+        again = Worker(tmp_path, Policies.of_lab(load_lab(lab_file(tmp_path, ""))).tasks, bus, said.append)
+        again.poll()
         again.close()
     assert said[0] == "recorded while nobody studied what came in, so now: late.mcap, missed.mcap"
     assert [line.partition(":")[0] for line in said[1:]] == ["late.mcap", "missed.mcap"]

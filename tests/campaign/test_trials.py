@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from labhil.campaign.share import Share
+from labhil.campaign.proportion import Proportion
 from labhil.campaign.trials import run
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
-from labhil.campaign.trials.card import count, reliabilities
-from labhil.campaign.trials.compose import compose, record_secret
+from labhil.campaign.trials.card import make_score_card, reliability_bins
+from labhil.campaign.trials.compose import compose_trial, record_secret
 from labhil.campaign.trials.folder import read_index
 from labhil.campaign.trials.judge import judge
-from labhil.campaign.trials.make import Order, answers_beside, make_trial, make_trials
+from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trial, make_trials
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.plot import plot
-from labhil.campaign.trials.regime import agreement, inside, level_set
+from labhil.campaign.trials.regime import intersection_over_union, samples_in_regimes, smallest_level_set
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
-from labhil.campaign.trials.secret import Drawn, Secret
-from labhil.campaign.trials.stated_answer import Regime, stated_answer_in
+from labhil.campaign.trials.secret import DrawnEffect, Secret
+from labhil.campaign.trials.stated_answer import Regime, parse_stated_answer
 from labhil.cli import app
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.fitted import fit_by_continuation, start_theta
@@ -69,7 +69,7 @@ def rival(term, instead_of, probability=0.1):
 def said(*terms, verdict="missing_physics", rivals=(), **more):
     items = [one_item(term) for term in terms]
     final = {"terms": ["viscous_friction", *terms], "parameters": more.pop("parameters", [])}
-    return stated_answer_in(
+    return parse_stated_answer(
         {**NOTHING, "verdict": verdict, "missing": items, "rivals": list(rivals), "final": final, **more}
     )
 
@@ -89,31 +89,31 @@ def answer(*effects, truth=None):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trials") / "set"
-    order = Order("ball_beam", 1, "1", folder, answers_beside(folder), seed=2)
+    options = TrialSetOptions("ball_beam", 1, "1", folder, answers_beside(folder), seed=2)
     folder.mkdir()
-    order.answers.mkdir()
-    return order, make_trial(order, "001", (2,))
+    options.answers.mkdir()
+    return options, make_trial(options, "001", (2,))
 
 
 def test_a_seed_makes_the_same_trial_again():
-    first, second = (compose("ball_beam", "0", np.random.default_rng((4, 0))) for _ in range(2))
+    first, second = (compose_trial("ball_beam", "0", np.random.default_rng((4, 0))) for _ in range(2))
     assert first.secret == second.secret
-    for one, other in zip(first.walks, second.walks, strict=True):
+    for one, other in zip(first.runs, second.runs, strict=True):
         assert np.array_equal(one.signals["ball_position"], other.signals["ball_position"])
 
 
 def test_an_answer_tells_what_each_effect_is_worth(made):
-    order, listed = made
-    found = Answer.from_json(open_envelope(order.answers / "001.json", listed.seal))
+    options, entry = made
+    found = Answer.from_json(open_envelope(options.answers / "001.json", entry.seal))
     assert len(found.effects) == 1
     assert found.effects[0].strength > 1.0
-    assert found.recordings == listed.recordings
+    assert found.recordings == entry.recordings
     assert Answer.from_json(json.loads(json.dumps(found.to_json()))) == found
 
 
 def test_a_recording_tells_nothing_of_the_secret(made):
-    order, _ = made
-    recording = read_recording(order.out / "001" / "search.mcap")
+    options, _ = made
+    recording = read_recording(options.out / "001" / "search.mcap")
     assert recording.rig is not None
     assert set(recording.metadata) == {"end"}
     assert set(recording.attachments) == {"rig.toml"}
@@ -140,47 +140,49 @@ def test_a_seal_hangs_on_its_nonce():
         ({"kind": "balloon"}, UnknownNameError),
         ({"trials": 0}, UsageError),
         ({"first": 0}, UsageError),
-        ({"sort": "4"}, UsageError),
+        ({"trial_type": "4"}, UsageError),
     ],
 )
 def test_a_wrong_order_is_refused(tmp_path, changed, error):
-    given = {"kind": "axis", "trials": 1, "sort": "1", "out": tmp_path / "a", "answers": tmp_path / "b"}
+    given = {"kind": "axis", "trials": 1, "trial_type": "1", "out": tmp_path / "a", "answers": tmp_path / "b"}
     with pytest.raises(error):
-        make_trials(Order(**{**given, **changed}), 1, silent)
+        make_trials(TrialSetOptions(**{**given, **changed}), 1, silent)
 
 
 def test_answers_within_reach_of_a_diagnosis_are_refused(tmp_path):
     with pytest.raises(UsageError, match="outside"):
-        make_trials(Order("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
+        make_trials(TrialSetOptions("axis", 1, "1", tmp_path / "a", tmp_path / "a" / "answers"), 1, silent)
 
 
 @pytest.mark.extended
 def test_a_trial_is_the_same_bytes_however_long_a_loaded_machine_takes(tmp_path, monkeypatch):
-    order = Order("axis", 1, "0", tmp_path / "a", tmp_path / "b", 4)
-    at_once = make_trials(order, 1, silent)
+    options = TrialSetOptions("axis", 1, "0", tmp_path / "a", tmp_path / "b", 4)
+    at_once = make_trials(options, 1, silent)
     hours = count_up(step=3600.0)
     monkeypatch.setattr("labhil.recording.writer.time.monotonic", lambda: next(hours))
-    late = make_trials(replace(order, out=tmp_path / "c", answers=tmp_path / "d"), 1, silent)
+    late = make_trials(replace(options, out=tmp_path / "c", answers=tmp_path / "d"), 1, silent)
     assert late.trials[0].recordings == at_once.trials[0].recordings
 
 
 @pytest.mark.extended
 def test_making_goes_on_where_it_was_interrupted(tmp_path):
     out, answers = tmp_path / "a", tmp_path / "b"
-    order = Order("axis", 1, "0", out, answers, 4, resume=True)
-    first = make_trials(order, 1, silent)
+    options = TrialSetOptions("axis", 1, "0", out, answers, 4, resume=True)
+    first = make_trials(options, 1, silent)
     (out / "002").mkdir()
     (out / "002" / "search.mcap.part").write_bytes(b"half")
-    both = make_trials(replace(order, trials=2), 1, silent)
-    assert [listed.name for listed in both.trials] == ["001", "002"]
+    both = make_trials(replace(options, trials=2), 1, silent)
+    assert [entry.name for entry in both.trials] == ["001", "002"]
     assert both.trials[0] == first.trials[0]
     assert not (out / "002" / "search.mcap.part").exists()
-    later = make_trials(Order("axis", 1, "0", tmp_path / "c", tmp_path / "d", 4, first=2), 1, silent)
+    later = make_trials(
+        TrialSetOptions("axis", 1, "0", tmp_path / "c", tmp_path / "d", 4, first=2), 1, silent
+    )
     assert later.trials == both.trials[1:]
     with pytest.raises(UsageError, match="found 2 of axis"):
-        make_trials(order, 1, silent)
+        make_trials(options, 1, silent)
     with pytest.raises(UsageError, match="drawn from randomness"):
-        make_trials(replace(order, trials=2, seed=None), 1, silent)
+        make_trials(replace(options, trials=2, seed=None), 1, silent)
 
 
 @pytest.fixture
@@ -206,7 +208,7 @@ def here(monkeypatch):
     def diagnose_all(results, names, hashes, jobs, progress):
         for name in names:
             asked.append(name)
-            path = results.of(name)
+            path = results.path_of(name)
             path.write_text(json.dumps(NOTHING))
             hashes[name] = run.sha256_of(path)
             results.write_hashes(hashes)
@@ -223,7 +225,7 @@ def test_a_run_goes_on_where_it_was_interrupted(listed_set, here):
     (folder / "results.sha256").write_text(lines[0] + "\n")
     assert run_trials(folder, 1, silent) == first
     assert here == ["001", "002", "002"]
-    assert score_trials(folder, answers, silent).false_alarms == Share(0, 2)
+    assert score_trials(folder, answers, silent).false_alarms == Proportion(0, 2)
     assert claimed_in(folder) == []
 
 
@@ -232,7 +234,7 @@ def test_methods_answer_the_same_trials_beside_each_other(listed_set, here):
     run_trials(folder, 1, silent, "stepwise")
     with pytest.raises(UsageError, match="expected results of 2 trials, found 0"):
         score_trials(folder, answers, silent)
-    assert score_trials(folder, answers, silent, "stepwise").false_alarms == Share(0, 2)
+    assert score_trials(folder, answers, silent, "stepwise").false_alarms == Proportion(0, 2)
     with pytest.raises(UnknownNameError, match="--method"):
         run_trials(folder, 1, silent, "guess")
 
@@ -256,19 +258,19 @@ def test_the_extended_criterion_counts_the_ways_to_choose():
 )  # fmt: skip
 def test_no_alarm_is_raised_where_noise_is_not_what_it_is_taken_for(tmp_path, kind, first):
     folder = tmp_path / "set"
-    order = Order(kind, 1, "0", folder, answers_beside(folder), 94, first=first)
-    make_trials(order, 1, silent)
+    options = TrialSetOptions(kind, 1, "0", folder, answers_beside(folder), 94, first=first)
+    make_trials(options, 1, silent)
     run_trials(folder, 1, silent)
-    assert score_trials(folder, order.answers, silent).false_alarms.hits == 0
+    assert score_trials(folder, options.answers, silent).false_alarms.hits == 0
 
 
 @pytest.mark.long
 def test_forward_steps_name_a_strong_effect_and_are_scored(tmp_path):
     folder = tmp_path / "set"
-    order = Order("axis", 3, "1", folder, answers_beside(folder), 4)
-    make_trials(order, 2, silent)
+    options = TrialSetOptions("axis", 3, "1", folder, answers_beside(folder), 4)
+    make_trials(options, 2, silent)
     run_trials(folder, 2, silent, "stepwise")
-    card = score_trials(folder, order.answers, silent, "stepwise")
+    card = score_trials(folder, options.answers, silent, "stepwise")
     assert (card.trials, card.failures) == (3, 0)
     assert sum(card.confusion.values()) >= 3
 
@@ -303,7 +305,7 @@ def test_a_failing_diagnosis_is_recorded(tmp_path):
     result = run.diagnose_trial(tmp_path, "001")
     assert result["verdict"] is None
     assert "RecordingError" in result["error"]
-    assert stated_answer_in(result).verdict is None
+    assert parse_stated_answer(result).verdict is None
 
 
 def test_a_diagnosis_opens_no_envelope(tmp_path):
@@ -316,8 +318,8 @@ def test_a_diagnosis_opens_no_envelope(tmp_path):
 def test_one_effect_named_alone_is_an_exact_and_single_answer():
     j = judge(answer(effect("dead_zone")), said("dead_zone"), lossless)
     assert j.exact
-    assert j.single
-    assert j.confused == (("dead_zone", "dead_zone"),)
+    assert j.unrivalled
+    assert j.confusions == (("dead_zone", "dead_zone"),)
     assert j.claims == ((0.9, True),)
 
 
@@ -326,7 +328,7 @@ def test_a_pair_is_honest_only_while_its_rival_explains_the_data():
     truth = answer(effect("dead_zone"))
     near, far = judge(truth, pair, lossless), judge(truth, pair, lambda effect, rival: 5.0)
     assert near.exact
-    assert not near.single
+    assert not near.unrivalled
     assert not far.exact
     assert near.claims == ((0.9, False), (0.1, True))
 
@@ -337,7 +339,7 @@ def test_two_effects_need_both_names_and_nothing_else():
     assert not judge(truth, said("time_delay"), lossless).exact
     three = judge(truth, said("time_delay", "dead_zone", "backlash"), lossless)
     assert not three.exact
-    assert ("none", "backlash") in three.confused
+    assert ("none", "backlash") in three.confusions
 
 
 def test_a_small_effect_may_be_named_or_not():
@@ -355,26 +357,28 @@ def test_a_null_is_what_the_oracle_does_not_tell_either():
         judge(null, said(verdict="no_mismatch"), lossless),
         judge(null, said(verdict="not_decidable"), lossless),
     ]
-    card = count([*judged, judge(answer(), said("dead_zone"), lossless)], "ball_beam", False)
-    assert card.false_alarms == Share(3, 4)
-    assert card.with_nothing == Share(1, 1)
-    assert card.single.of == 0
+    card = make_score_card([*judged, judge(answer(), said("dead_zone"), lossless)], "ball_beam", False)
+    assert card.false_alarms == Proportion(3, 4)
+    assert card.false_alarms_when_empty == Proportion(1, 1)
+    assert card.unrivalled.total == 0
 
 
 def test_exact_answers_with_rivals_are_counted_apart():
     pair = said("dead_zone", rivals=[rival("time_delay", "dead_zone")])
     truth = answer(effect("dead_zone", strength=3.5))
-    card = count([judge(truth, each, lossless) for each in (pair, said("dead_zone"))], "ball_beam", False)
-    assert card.naming["one effect"]["full"] == Share(2, 2)
-    assert card.alone["one effect"]["full"] == Share(1, 2)
+    card = make_score_card(
+        [judge(truth, each, lossless) for each in (pair, said("dead_zone"))], "ball_beam", False
+    )
+    assert card.naming["one effect"]["full"] == Proportion(2, 2)
+    assert card.naming_unrivalled["one effect"]["full"] == Proportion(1, 2)
 
 
 def test_between_three_and_ten_nats_only_detection_counts():
     j = judge(answer(effect("dead_zone", gain=6.0, strength=1.2)), said(verdict="not_decidable"), lossless)
-    card = count([j], "ball_beam", False)
-    assert card.false_alarms.of == 0
-    assert card.naming["one effect"]["any"].of == 0
-    assert card.detection["1.1 to 1.3"] == Share(0, 1)
+    card = make_score_card([j], "ball_beam", False)
+    assert card.false_alarms.total == 0
+    assert card.naming["one effect"]["any"].total == 0
+    assert card.detection["1.1 to 1.3"] == Proportion(0, 1)
     assert card.confusion == {}
 
 
@@ -383,15 +387,15 @@ def test_what_no_name_fits_is_right_as_unmodelled():
     assert judge(truth, said("unmodelled_force"), lossless).exact
     assert judge(truth, said(verdict="unexplained_mismatch"), lossless).exact
     wrong = judge(truth, said("spring_force"), lossless)
-    assert wrong.confused == (("outside the catalogue", "spring_force"),)
+    assert wrong.confusions == (("outside the catalogue", "spring_force"),)
     assert not wrong.exact
 
 
 def test_a_failure_counts_as_nothing_found():
-    failed = stated_answer_in({"verdict": None, "error": "KeyError", "seconds": 1.0})
-    card = count([judge(answer(effect("dead_zone")), failed, lossless)], "ball_beam", False)
+    failed = parse_stated_answer({"verdict": None, "error": "KeyError", "seconds": 1.0})
+    card = make_score_card([judge(answer(effect("dead_zone")), failed, lossless)], "ball_beam", False)
     assert card.failures == 1
-    assert card.naming["one effect"]["any"] == Share(0, 1)
+    assert card.naming["one effect"]["any"] == Proportion(0, 1)
     assert card.confusion == {("dead_zone", "failed"): 1}
 
 
@@ -410,27 +414,29 @@ def test_intervals_count_where_the_model_is_complete():
     truth = {"viscous_friction.coefficient": 0.2}
     full = judge(answer(effect("dead_zone"), truth=truth), said("dead_zone", parameters=[row]), lossless)
     short = judge(answer(effect("backlash"), truth=truth), said("dead_zone", parameters=[row]), lossless)
-    card = count([full, short], "ball_beam", False)
-    assert (card.covered, card.covered_apart) == (Share(1, 1), Share(1, 1))
+    card = make_score_card([full, short], "ball_beam", False)
+    assert (card.coverage, card.coverage_incomplete) == (Proportion(1, 1), Proportion(1, 1))
 
 
 def test_a_regime_is_the_smallest_set_that_holds_four_fifths_of_the_excess():
     own, excess = np.array([0.0, 1.0, 5.0, 4.0, 3.0]), np.array([0.1, 0.1, 4.0, 4.0, 1.0])
-    true = level_set(own, excess)
+    true = smallest_level_set(own, excess)
     assert true is not None
     assert true.tolist() == [False, False, True, True, False]
-    told = inside({"v": np.arange(5.0)}, [Regime("v", 2.0, 2.5)])
-    assert agreement(true, told) == pytest.approx(0.5)
-    own_force = inside({"ripple": np.arange(-2.0, 3.0)}, [Regime("ripple", 0.5, 1.5)], "ripple")
+    told = samples_in_regimes({"v": np.arange(5.0)}, [Regime("v", 2.0, 2.5)])
+    assert intersection_over_union(true, told) == pytest.approx(0.5)
+    own_force = samples_in_regimes({"ripple": np.arange(-2.0, 3.0)}, [Regime("ripple", 0.5, 1.5)], "ripple")
     assert own_force.tolist() == [False, False, False, True, True]
-    assert level_set(own, np.ones(5)) is None
+    assert smallest_level_set(own, np.ones(5)) is None
 
 
 def test_reliability_is_counted_in_tenths():
     claims = [(0.95, True)] * 9 + [(0.95, False), (1.0, True)]
-    (row,) = reliabilities(claims)
-    assert row.right == Share(10, 11)
-    card = count([judge(answer(effect("backlash")), said("dead_zone"), lossless)], "ball_beam", False)
+    (row,) = reliability_bins(claims)
+    assert row.right == Proportion(10, 11)
+    card = make_score_card(
+        [judge(answer(effect("backlash")), said("dead_zone"), lossless)], "ball_beam", False
+    )
     assert card.calibration_error == pytest.approx(0.9)
     assert json.dumps(card.to_json(), allow_nan=False)
 
@@ -442,29 +448,29 @@ def test_answers_are_counted_by_strength_and_every_trial_is_told():
         judge(full, said("dead_zone"), lossless),
         judge(full, said("backlash"), lossless),
     ]
-    card = count(judged, "ball_beam", False)
-    assert card.undecided == Share(1, 3)
-    assert (card.named["1.3 to 1.6"], card.named["3 to 5"]) == (Share(0, 1), Share(1, 2))
-    first, _, last = card.to_json()["each"]
+    card = make_score_card(judged, "ball_beam", False)
+    assert card.undecided == Proportion(1, 3)
+    assert (card.named["1.3 to 1.6"], card.named["3 to 5"]) == (Proportion(0, 1), Proportion(1, 2))
+    first, _, sort_key = card.to_json()["each"]
     assert (first["verdict"], first["effects"]) == ("not_decidable", [["dead_zone", 1.4, 100.0]])
-    assert last["named"] == [["dead_zone", "backlash"]]
+    assert sort_key["named"] == [["dead_zone", "backlash"]]
 
 
 def test_a_score_is_drawn(tmp_path):
     judged = [judge(answer(effect("dead_zone")), said("backlash"), lossless)]
     path = tmp_path / "score.png"
-    plot(count(judged, "ball_beam", False), path)
+    plot(make_score_card(judged, "ball_beam", False), path)
     assert path.read_bytes().startswith(b"\x89PNG")
-    plot(count([], "ball_beam", False), path)
+    plot(make_score_card([], "ball_beam", False), path)
     with pytest.raises(UsageError, match="cannot be written"):
-        plot(count(judged, "ball_beam", False), tmp_path / "score.nothing")
+        plot(make_score_card(judged, "ball_beam", False), tmp_path / "score.nothing")
 
 
 def test_score_cards_stand_side_by_side(tmp_path):
     truth = answer(effect("dead_zone", strength=4.0))
     names = {"right": "dead_zone", "wrong": "backlash"}
     for name, term in names.items():
-        card = count([judge(truth, said(term), lossless)], "ball_beam", False)
+        card = make_score_card([judge(truth, said(term), lossless)], "ball_beam", False)
         (tmp_path / f"{name}.json").write_text(json.dumps(card.to_json()))
     done = CliRunner().invoke(app, ["trial", "compare", *(str(tmp_path / f"{name}.json") for name in names)])
     table = [line.split(" | ") for line in done.output.splitlines()]
@@ -487,8 +493,8 @@ def test_the_commands_explain_themselves(tmp_path):
 
 def test_a_set_made_by_the_command_says_that_its_seed_is_fixed(tmp_path):
     out = tmp_path / "set"
-    order = ["trial", "make", "--rig", "ball_beam", "--trials", "1", "--effects", "0", "-o", str(out)]
-    done = CliRunner().invoke(app, [*order, "--seed", "2", "--jobs", "1"])
+    options = ["trial", "make", "--rig", "ball_beam", "--trials", "1", "--effects", "0", "-o", str(out)]
+    done = CliRunner().invoke(app, [*options, "--seed", "2", "--jobs", "1"])
     assert done.exit_code == 0, done.output
     assert "fixed seed" in done.output
     index = read_index(out)
@@ -501,8 +507,8 @@ def test_a_set_made_by_the_command_says_that_its_seed_is_fixed(tmp_path):
 
 @pytest.mark.extended
 def test_an_oracle_learns_from_whole_recordings():
-    random = np.random.default_rng(7)
-    oracle = compose("axis", "0", random).oracle
+    rng = np.random.default_rng(7)
+    oracle = compose_trial("axis", "0", rng).oracle
     baseline = rig_model("axis").baseline
     refit = oracle.refit(baseline)
     truth = start_theta(oracle.model, oracle.values)
@@ -518,11 +524,13 @@ def test_an_oracle_learns_from_whole_recordings():
 @pytest.mark.extended
 @pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.extended) for seed in (0, 3)), 4, 8])
 def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
-    random = np.random.default_rng(seed)
-    setup = bench_of("ball_beam").setup(random)
-    bare = Secret(setup, setup.draw_base(random))
-    sticks = Drawn("static_friction", {"static_friction.level": 0.08}, {"static_friction.level": 1}, 3.0)
-    oracle = record_secret(replace(bare, effects=(sticks,)), setup.noise_scale(bare)).oracle
+    rng = np.random.default_rng(seed)
+    setup = bench_of("ball_beam").draw_setup(rng)
+    bare = Secret(setup, setup.draw_baseline_parameters(rng))
+    sticks = DrawnEffect(
+        "static_friction", {"static_friction.level": 0.08}, {"static_friction.level": 1}, 3.0
+    )
+    oracle = record_secret(replace(bare, effects=(sticks,)), setup.true_noise(bare)).oracle
     truth = oracle.log_likelihood(start_theta(oracle.model, oracle.values))
     baseline = rig_model("ball_beam").baseline
     assert oracle.refit([*baseline, "static_friction"]).likelihood > truth - 30.0
@@ -531,11 +539,11 @@ def test_an_oracle_finds_the_right_minimum_of_a_ball_that_sticks(seed):
 
 @pytest.mark.extended
 def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
-    random = np.random.default_rng(3)
-    setup = bench_of("solenoid").setup(random)
-    bare = Secret(setup, setup.draw_base(random))
-    delay = Drawn("time_delay", {"time_delay.delay": 0.012}, {"time_delay.delay": 1}, 3.0)
-    oracle = record_secret(replace(bare, effects=(delay,)), setup.noise_scale(bare)).oracle
+    rng = np.random.default_rng(3)
+    setup = bench_of("solenoid").draw_setup(rng)
+    bare = Secret(setup, setup.draw_baseline_parameters(rng))
+    delay = DrawnEffect("time_delay", {"time_delay.delay": 0.012}, {"time_delay.delay": 1}, 3.0)
+    oracle = record_secret(replace(bare, effects=(delay,)), setup.true_noise(bare)).oracle
     # what a delay holds as a recording begins is as recorded: else the first window is off by far more
     theta, windows = start_theta(oracle.model, oracle.values), fit_windows(oracle.search, oracle.horizon)
     found = estimate_states_at(oracle.model, theta, oracle.search, windows, oracle.sigma)
@@ -545,13 +553,15 @@ def test_a_rig_stands_at_the_centre_of_its_excitation_before_it_is_recorded():
 @pytest.mark.extended
 @pytest.mark.parametrize(("rig", "period"), [("solenoid", 1e-3), ("ball_beam", 0.01)])
 def test_recordings_are_as_long_as_they_are_ordered(tmp_path, rig, period):
-    make_trials(Order(rig, 1, "0", tmp_path / "set", tmp_path / "answers", seed=5, seconds=6.0), 1, str)
+    make_trials(
+        TrialSetOptions(rig, 1, "0", tmp_path / "set", tmp_path / "answers", seed=5, seconds=6.0), 1, str
+    )
     for role in ("search", "test"):
         t = read_recording(tmp_path / "set" / "001" / f"{role}.mcap").streams[0].t
         assert t[-1] - t[0] == pytest.approx(6.0, abs=2.0 * period)
 
 
 def test_a_recording_of_no_length_is_refused(tmp_path):
-    order = Order("axis", 1, "0", tmp_path / "set", tmp_path / "answers", seconds=0.5)
+    options = TrialSetOptions("axis", 1, "0", tmp_path / "set", tmp_path / "answers", seconds=0.5)
     with pytest.raises(UsageError, match=r"--seconds: expected at least 2, found 0\.5"):
-        make_trials(order, 1, str)
+        make_trials(options, 1, str)

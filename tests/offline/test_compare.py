@@ -16,7 +16,7 @@ from PIL import Image
 import labhil as lh
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.schema import Parameter
-from labhil.analysis.shared_parameters import agreement
+from labhil.analysis.shared_parameters import compare_values
 from labhil.report.html.overlay import COLOURS
 
 ROOT = Path(__file__).parents[2]
@@ -254,12 +254,12 @@ def test_values_agree_within_their_errors():
     def row(value: float | None, error: float | None, **more: Any) -> Parameter:
         return Parameter(name="x", value=value, std_error=error, **more)
 
-    assert agreement([row(1.0, 0.1), row(1.2, 0.1)])[2] is True
-    z, p_value, agree = agreement([row(1.0, 0.1), row(2.0, 0.1), row(1.1, 0.1)])
+    assert compare_values([row(1.0, 0.1), row(1.2, 0.1)])[2] is True
+    z, p_value, agree = compare_values([row(1.0, 0.1), row(2.0, 0.1), row(1.1, 0.1)])
     assert (z, agree) == (pytest.approx(7.0710678), False)
     assert p_value is not None
     assert p_value < 1e-10
-    assert agreement([row(1.0, None), row(2.0, 0.1)])[2] is None
-    assert agreement([row(1.0, 0.1, identifiable=False), row(2.0, 0.1)])[2] is None
-    assert agreement([row(1.0, None, held=True), row(1.0, None, held=True)])[2] is True
-    assert agreement([row(1.0, None, held=True), row(1.1, None, held=True)])[2] is False
+    assert compare_values([row(1.0, None), row(2.0, 0.1)])[2] is None
+    assert compare_values([row(1.0, 0.1, identifiable=False), row(2.0, 0.1)])[2] is None
+    assert compare_values([row(1.0, None, held=True), row(1.0, None, held=True)])[2] is True
+    assert compare_values([row(1.0, None, held=True), row(1.1, None, held=True)])[2] is False

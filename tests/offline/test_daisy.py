@@ -77,10 +77,10 @@ def test_the_gain_stands_on_windows_of_one_and_two_seconds(labhil, recording, wi
 def test_the_second_half_is_held_out_after_a_gap(labhil, recording):
     from labhil.analysis.dataset import load_dataset
 
-    material = load_dataset(recording, holdout=0.5)
-    assert material.test.t[0] == pytest.approx(49.95, abs=0.11)
-    assert material.test.t[0] - material.train.t[-1] >= 4.0
-    assert material.test.t[-1] == pytest.approx(99.9)
+    dataset = load_dataset(recording, holdout=0.5)
+    assert dataset.test.t[0] == pytest.approx(49.95, abs=0.11)
+    assert dataset.test.t[0] - dataset.train.t[-1] >= 4.0
+    assert dataset.test.t[-1] == pytest.approx(99.9)
 
 
 def the_gain_has_changed(found) -> None:

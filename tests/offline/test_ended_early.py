@@ -24,13 +24,13 @@ LABHIL = [sys.executable, "-P", "-m", "labhil"]
 
 
 @pytest.fixture(scope="module")
-def material() -> Dataset:
+def dataset() -> Dataset:
     return load_dataset([RECORDING], span=(0.0, 20.0))
 
 
 @pytest.mark.extended
 @pytest.mark.parametrize("moment", ["fitting", "looking for other", "looking for lower", "statistics"])
-def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, moment: str) -> None:
+def test_a_fit_that_is_ended_early_gives_the_best_so_far(dataset: Dataset, moment: str) -> None:
     with Deadline() as deadline:
 
         def progress(text: str) -> None:
@@ -38,7 +38,7 @@ def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, mome
                 deadline.reason = "a test"
 
         options = Options(estimator="nlse", progress=progress)
-        result = fit_study(material, terms=["viscous_friction"], options=options)
+        result = fit_study(dataset, terms=["viscous_friction"], options=options)
     assert result.json["complete"] is False
     assert len(result.json["by_window"]) == {"fitting": 1, "looking for other": 1}.get(moment, 4)
     assert result.json["train"]["rmse"] > 0.0
@@ -46,14 +46,14 @@ def test_a_fit_that_is_ended_early_gives_the_best_so_far(material: Dataset, mome
 
 @pytest.mark.extended
 @pytest.mark.parametrize("moment", ["fitting the baseline", "evidence of all"])
-def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(material: Dataset, moment: str) -> None:
+def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(dataset: Dataset, moment: str) -> None:
     with Deadline() as deadline:
 
         def progress(text: str) -> None:
             if text.startswith(moment):
                 deadline.reason = "a test"
 
-        result = diagnose_study(material, baseline=["viscous_friction"], progress=progress)
+        result = diagnose_study(dataset, baseline=["viscous_friction"], progress=progress)
     assert result.json["complete"] is False
     assert result.json["missing"] == []
     assert result.json["verdict"] in ("not_decidable", "no_mismatch")

@@ -70,5 +70,5 @@ def test_one_run_among_others_is_taken_as_it_is(two_runs: Path, labhil, tmp_path
     assert labhil("export", "two.mcap", "-o", "one.csv", "--run", "1").status == 0
     (tmp_path / "rig.toml").write_text(RIG)
     assert labhil("import", "one.csv", "--rig", "rig.toml", "-o", "one.mcap").status == 0
-    material = load_dataset(two_runs, test_path=tmp_path / "one.mcap", run=2)
-    assert len(material.measured) == COUNTS[1]
+    dataset = load_dataset(two_runs, test_path=tmp_path / "one.mcap", run=2)
+    assert len(dataset.measured) == COUNTS[1]

@@ -9,7 +9,7 @@ from typing import get_args
 import pytest
 
 import labhil as lh
-from labhil.analysis.diagnosis_words import UNNAMED
+from labhil.analysis.next_steps import FORCE_CURVE
 from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, Verdict
 from labhil.identify.extended import UNMODELLED_FORCE
 
@@ -50,13 +50,13 @@ def test_rivals_come_first_and_a_curve_has_no_law(example):
         term="backlash", instead_of="dead_zone", probability=0.3, delta_bic=1.0, distinguishable=False,
         experiment="excite with small reversals",
     )  # fmt: skip
-    curve = example.missing[0].model_copy(update={"term": UNNAMED})
+    curve = example.missing[0].model_copy(update={"term": FORCE_CURVE})
     found = example.model_copy(update={"rivals": (rival,), "missing": (*example.missing, curve)})
     first, second, third, *_ = found.next_steps
     assert first.startswith("To tell backlash from dead_zone, excite with small reversals, record that")
-    assert UNNAMED not in second
+    assert FORCE_CURVE not in second
     assert "add-a-law" in third
-    assert UNNAMED == UNMODELLED_FORCE
+    assert FORCE_CURVE == UNMODELLED_FORCE
 
 
 def test_a_search_that_was_ended_early_is_to_be_finished_first(example):

@@ -104,9 +104,9 @@ def test_r2_is_one_less_the_share_of_squares_that_is_left(fit, shipped):
     from labhil.analysis.study import fit_study
     from labhil.identify.fit import Options
 
-    material = load_dataset(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
-    score = fit_study(material, terms=("viscous_friction",), options=Options(window=1.0)).fit.test
-    measured = material.test.outputs[score.rows, 0]
+    dataset = load_dataset(shipped / "ball_beam_identify.mcap", test_path=shipped / "ball_beam_test.mcap")
+    score = fit_study(dataset, terms=("viscous_friction",), options=Options(window=1.0)).fit.test
+    measured = dataset.test.outputs[score.rows, 0]
     left = np.sum(score.errors[:, 0] ** 2) / np.sum((measured - measured.mean()) ** 2)
     assert score.r2 == pytest.approx(1.0 - left)
     assert score.mse == pytest.approx(np.mean(score.errors[:, 0] ** 2))

@@ -53,7 +53,7 @@ def struck_lab(folder: Path, monkeypatch: pytest.MonkeyPatch, module: str, owner
 
 @pytest.mark.extended
 def test_a_lab_ends_with_what_its_worker_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = struck_lab(tmp_path, monkeypatch, "labhil.campaign.worker", "Worker", "look")
+    said = struck_lab(tmp_path, monkeypatch, "labhil.campaign.worker", "Worker", "poll")
     assert "'worker' has died: SystemExit('struck')" in said
     (path,) = tmp_path.glob("*.mcap")
     recording = read_recording(path)

@@ -22,7 +22,7 @@ STRUCK = {
     "labhil/bus/subscribe.py Subscription": (BUS, "test_one_that_listens"),
     "labhil/campaign/lab.py serve_lab": (SERVE, "test_a_lab_ends_with_what_its_worker_raised"),
     "labhil/campaign/studies/process.py Helper": (SCREEN, "test_a_process_that_is_not_heard_is_ended"),
-    "labhil/campaign/studies/process.py on_further_lines": (
+    "labhil/campaign/studies/process.py read_further_lines": (
         SCREEN,
         "test_a_process_that_hears_nothing_ends",
     ),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import labhil as lh
-from labhil.analysis.patch import KEPT
+from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.arm.tree import Tree
@@ -160,7 +160,7 @@ def test_a_diagnosis_is_put_into_the_file_and_mujoco_keeps_its_promise(
     out = tmp_path / f"fixed_{name}"
     fixed = found.patch(tmp_path / name, out, rig=rig)
     assert (tmp_path / name).read_text(encoding="utf-8") == text
-    assert fixed.attempts[-1].ratio < KEPT
+    assert fixed.attempts[-1].ratio < MAX_ERROR_RATIO
     assert all(joint.after < 0.02 * joint.before for joint in fixed.joints)
     repaired = mujoco.MjModel.from_xml_path(str(out))
     np.testing.assert_allclose(repaired.dof_damping, DAMPING, rtol=0.02)

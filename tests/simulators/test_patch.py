@@ -10,7 +10,7 @@ import mujoco
 import pytest
 
 import labhil as lh
-from labhil.analysis.patch import KEPT
+from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, UsageError
 from labhil.simulators.companion import companion_text, sort_effects
@@ -111,7 +111,7 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_repaired_file_keeps_the_promise_and_the_old_one_stays(fitted: Path, tmp_path: Path) -> None:
     out = tmp_path / "fixed.xml"
     found = patch(fitted / "fit.json", fitted / "rod.xml", out, fitted / "rig.toml")
-    assert found.attempts[-1].ratio <= KEPT
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
     assert found.before > 3.0 * found.attempts[-1].rmse
     assert (fitted / "rod.xml").read_text(encoding="utf-8") == FILE
     text = out.read_text(encoding="utf-8")

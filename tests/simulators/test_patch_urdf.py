@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import labhil as lh
-from labhil.analysis.patch import KEPT
+from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.simulators.companion import companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step
@@ -104,7 +104,7 @@ def test_a_repaired_urdf_keeps_the_promise(tmp_path: Path, rig: Path) -> None:
     lh.recording(t, {"torque": torque}, {"angle": angle}, rig=rig).save(run)
     found = lh.fit(run, rig, terms=["viscous_friction", "coulomb_friction", "added_inertia"])
     fixed = found.patch(tmp_path / "rod.urdf", tmp_path / "fixed.urdf", rig=rig)
-    assert fixed.attempts[-1].ratio <= KEPT
+    assert fixed.attempts[-1].ratio <= MAX_ERROR_RATIO
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.urdf"))
     assert model.dof_damping[0] == pytest.approx(DRAG, rel=0.05)
     assert model.dof_frictionloss[0] == pytest.approx(0.03, rel=0.05)

@@ -24,7 +24,7 @@ class StillHelper:
         for stretch in range(10):
             on_line(stretch_line(stretch, left=stretch >= 7))
 
-    def tell(self, _line: Mapping[str, Any]) -> None:
+    def send(self, _line: Mapping[str, Any]) -> None:
         """Take no notice."""
 
     def close(self, _patience: float = 0.0) -> None:

@@ -84,7 +84,7 @@ def test_a_fit_takes_what_was_chosen(folder: Path) -> None:
         listed.deselect_all()
         await pilot.press("home", "space", "down", "space", "e", "t", "g")
         await until(pilot, lambda: app.studies.jobs.all and app.studies.jobs.all[0].state != "at work")
-        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].said
+        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].message
         found = json.loads(Path(app.studies.jobs.all[0].done).read_text(encoding="utf-8"))
         assert found["terms"] == ["viscous_friction", "coulomb_friction"]
         assert found["estimator"] == "nlse"
@@ -101,7 +101,7 @@ def test_a_diagnosis_that_is_ended_leaves_the_best_so_far(folder: Path) -> None:
     deadline = time.monotonic() + PATIENCE
     while sum("progress" in line for line in said) < 6 and time.monotonic() < deadline:
         time.sleep(0.02)
-    helper.tell({"end": True})
+    helper.send({"end": True})
     while helper.running and time.monotonic() < deadline:
         time.sleep(0.02)
     helper.close(5.0)

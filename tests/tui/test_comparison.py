@@ -90,7 +90,7 @@ def test_two_marks_and_a_key_compare_two_models(folder: Path) -> None:
             async with asyncio.timeout(PATIENCE):
                 while not app.studies.jobs.all or app.studies.jobs.all[0].state == "at work":
                     await pilot.pause(0.1)
-            assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].said
+            assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].message
             await pilot.pause(0.5)
             table = app.query_one("#results-table", DataTable)
             assert table.row_count == 3

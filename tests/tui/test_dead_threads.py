@@ -16,7 +16,7 @@ import pytest
 from textual.app import App
 
 from labhil.bus.session import open_bus
-from labhil.campaign.studies.process import Helper, on_further_lines
+from labhil.campaign.studies.process import Helper, read_further_lines
 from labhil.recording.reader import read_recording
 from labhil.service.replay import Replay
 from labhil.tui import shutdown
@@ -71,7 +71,7 @@ def test_a_process_that_hears_nothing_ends(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(sys, "stdin", io.StringIO('{"do": "pause"}\n'))
     monkeypatch.setattr(threading, "excepthook", lambda _: None)
     ended = threading.Event()
-    on_further_lines(dies, ended.set)
+    read_further_lines(dies, ended.set)
     assert ended.wait(PATIENCE)
 
 

@@ -137,8 +137,8 @@ def test_a_study_that_is_over_holds_nothing_open(tmp_path: Path) -> None:
     line: dict[str, Any] = {}
     while "ended" not in line:
         number, line = said.get(timeout=60.0)
-        jobs.take(number, line)
-    assert (job.state, "nothing.mcap" in job.said) == ("failed", True)
+        jobs.handle_line(number, line)
+    assert (job.state, "nothing.mcap" in job.message) == ("failed", True)
     assert psutil.Process().num_fds() == before
 
 

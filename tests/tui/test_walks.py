@@ -46,7 +46,7 @@ class QuietHelper:
     ) -> None:
         self.running = True
 
-    def tell(self, _line: Mapping[str, Any]) -> None:
+    def send(self, _line: Mapping[str, Any]) -> None:
         """Take no notice."""
 
     def close(self, _patience: float = 0.0) -> None:

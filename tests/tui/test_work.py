@@ -132,7 +132,7 @@ def test_x_writes_the_samples_as_csv_and_says_so(folder: Path, size: tuple[int, 
         await recordings(pilot, app)
         await pilot.press("x")
         await until(pilot, lambda: bool(app.studies.jobs.all) and app.studies.jobs.all[0].state != "at work")
-        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].said
+        assert app.studies.jobs.all[0].state == "done", app.studies.jobs.all[0].message
         assert [note.title for note in app._notifications if note.message == "done"]
 
     work(folder, drive, size=size)
@@ -153,7 +153,7 @@ def test_an_export_that_fails_is_told_and_leaves_nothing(folder: Path) -> None:
         (folder / "ball_beam_identify.mcap").unlink()
         await pilot.press("x")
         await until(pilot, lambda: bool(app.studies.jobs.all) and app.studies.jobs.all[0].state == "failed")
-        assert "ball_beam_identify.mcap" in app.studies.jobs.all[0].said
+        assert "ball_beam_identify.mcap" in app.studies.jobs.all[0].message
 
     work(folder, drive)
     left = [path for path in before if path.name != "ball_beam_identify.mcap"]

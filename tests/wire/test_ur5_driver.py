@@ -18,7 +18,7 @@ from labhil.testing import DriverContract
 from labhil_ur5 import Ur5Cb3Driver, Ur5Driver
 from labhil_ur5.fault import fault_of
 from labhil_ur5.motion import MotionState
-from labhil_ur5.rtde import Packages
+from labhil_ur5.rtde import PackageParser
 
 PROGRAM = """
 import sys
@@ -211,7 +211,7 @@ def test_the_other_series_is_told_which_plugin_it_needs(twin) -> None:
 def test_packages_are_cut_wherever_the_bytes_are_split() -> None:
     stream = b"".join(struct.pack(">HB", 3 + len(body), ord("U")) + body for body in (b"", b"a", b"bc" * 300))
     for size in (1, 2, 7, 1000):
-        packages = Packages("somewhere")
+        packages = PackageParser("somewhere")
         found = [
             body
             for start in range(0, len(stream), size)
@@ -219,7 +219,7 @@ def test_packages_are_cut_wherever_the_bytes_are_split() -> None:
         ]
         assert found == [b"", b"a", b"bc" * 300]
     with pytest.raises(ProtocolError, match="is this a UR"):
-        list(Packages("somewhere").feed(b"\0\1V"))
+        list(PackageParser("somewhere").feed(b"\0\1V"))
 
 
 def test_what_stops_an_arm_is_named() -> None:

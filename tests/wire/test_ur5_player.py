@@ -6,7 +6,7 @@ import random
 import numpy as np
 import pytest
 
-from labhil_ur5.player import DELAY, FASTEST, Player, TooFastError
+from labhil_ur5.player import DEFAULT_OPTIONS, Player, TooFastError
 
 DT, PERIOD = 0.002, 0.01
 
@@ -23,7 +23,7 @@ def played(waypoints, seconds, stop_at=math.inf):
     for tick in range(round(seconds / DT)):
         now = tick * DT
         while rest and rest[0][0] <= now:
-            player.take(rest[0][1], path(rest.pop(0)[1]))
+            player.add(rest[0][1], path(rest.pop(0)[1]))
         if now >= stop_at:
             player.stop()
         targets.append(player.tick(DT))
@@ -42,7 +42,7 @@ def test_the_path_goes_through_its_waypoints_as_smoothly_as_it_is_meant_to_be() 
     assert max(distance) < 8e-4
     # the greatest acceleration of the path itself is 4.7; at the start the clock's ramp adds to it
     assert np.abs(np.diff(targets[500:], n=2, axis=0)).max() / DT**2 < 8.0
-    assert np.abs(np.diff(targets, axis=0)).max() / DT < 1.1 * FASTEST / 3
+    assert np.abs(np.diff(targets, axis=0)).max() / DT < 1.1 * DEFAULT_OPTIONS.max_speed / 3
 
 
 def test_waypoints_that_stay_away_bring_it_to_rest_on_the_path_and_it_goes_on_after() -> None:
@@ -66,7 +66,7 @@ def test_a_stop_ends_at_rest_on_the_path() -> None:
 def test_it_waits_until_enough_is_known_and_stands_until_then() -> None:
     targets, _ = played([(0.0, 0.0)], 1.0)
     assert np.all(targets == targets[0])
-    targets, _ = played(even(1.0), DELAY - 0.02)
+    targets, _ = played(even(1.0), DEFAULT_OPTIONS.delay - 0.02)
     assert np.all(targets == targets[0])
 
 
@@ -81,4 +81,4 @@ def test_a_small_distance_to_the_first_waypoint_is_closed_without_a_step() -> No
 def test_what_no_joint_can_do_is_refused() -> None:
     player = Player((0.0, 0.0), 0.0, (0.0, 0.0))
     with pytest.raises(TooFastError, match="joint 1 for 50 rad/s"):
-        player.take(0.01, (0.0, 0.5))
+        player.add(0.01, (0.0, 0.5))

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from labhil.campaign.share import Share
+from labhil.campaign.proportion import Proportion
 from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.fit import Options, fit
 from labhil.identify.fitted import free_parameter_indices, start_theta
@@ -59,10 +59,10 @@ class Arrivals:
         return min(each.cost for each in self.arrivals)
 
     @property
-    def reached(self) -> Share:
+    def reached(self) -> Proportion:
         """How many of the random starts ended there."""
         costs = [each.cost for each in self.arrivals if each.number]
-        return Share(sum(cost <= self.lowest + SAME for cost in costs), len(costs))
+        return Proportion(sum(cost <= self.lowest + SAME for cost in costs), len(costs))
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON data."""

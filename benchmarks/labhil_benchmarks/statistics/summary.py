@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from labhil.campaign.share import Share
+from labhil.campaign.proportion import Proportion
 from labhil_benchmarks.statistics.trial import Case, Row, Trial
 
 NORMAL_MEDIAN = 0.6745
@@ -31,7 +31,7 @@ class ParameterSummary:
     ratio: float
     bias: float
     bias_error: float
-    coverage: Share
+    coverage: Proportion
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,11 +42,11 @@ class Summary:
     coloured: bool
     trials: int
     parameters: tuple[ParameterSummary, ...]
-    pooled: Share
-    absent_kept: Share
-    present_kept: Share
-    declared: Share
-    never_narrow: Share
+    pooled: Proportion
+    absent_kept: Proportion
+    present_kept: Proportion
+    declared: Proportion
+    never_narrow: Proportion
     r2_gap: float
     seconds: float
 
@@ -73,8 +73,8 @@ def summarise(case: Case, trials: Sequence[Trial]) -> Summary:
         pooled=_total([p.coverage for p in summaries]),
         absent_kept=_absent_kept(trials),
         present_kept=_present_kept(trials, case),
-        declared=Share(sum(not row.identifiable for row in unknown), len(unknown)),
-        never_narrow=Share(sum(not row.identifiable or _covers(row) for row in unknown), len(unknown)),
+        declared=Proportion(sum(not row.identifiable for row in unknown), len(unknown)),
+        never_narrow=Proportion(sum(not row.identifiable or _covers(row) for row in unknown), len(unknown)),
         r2_gap=float(np.median([trial.r2_truth - trial.r2 for trial in trials])),
         seconds=float(np.median([trial.seconds for trial in trials])),
     )
@@ -88,7 +88,7 @@ def _parameter(key: str, rows: Sequence[Row]) -> ParameterSummary:
         ratio=float(np.median(np.abs(errors)) / NORMAL_MEDIAN),
         bias=float(errors.mean()),
         bias_error=float(errors.std() / np.sqrt(len(errors))),
-        coverage=Share(sum(_covers(row) for row in rows), len(rows)),
+        coverage=Proportion(sum(_covers(row) for row in rows), len(rows)),
     )
 
 
@@ -96,17 +96,17 @@ def _covers(row: Row) -> bool:
     return row.low <= row.truth <= row.high
 
 
-def _total(shares: Sequence[Share]) -> Share:
-    return Share(sum(s.hits for s in shares), sum(s.of for s in shares))
+def _total(shares: Sequence[Proportion]) -> Proportion:
+    return Proportion(sum(s.hits for s in shares), sum(s.total for s in shares))
 
 
-def _absent_kept(trials: Sequence[Trial]) -> Share:
+def _absent_kept(trials: Sequence[Trial]) -> Proportion:
     """Parameters of the term that is not there, each joint's by itself, kept as significant."""
     absent = [row for t in trials if t.absent for row in t.rows if row.key.startswith(f"{t.absent}.")]
-    return Share(sum(row.significant for row in absent), len(absent))
+    return Proportion(sum(row.significant for row in absent), len(absent))
 
 
-def _present_kept(trials: Sequence[Trial], case: Case) -> Share:
+def _present_kept(trials: Sequence[Trial], case: Case) -> Proportion:
     """Parameters of terms that are there and five bounds or more from zero, kept as significant."""
     strong = [
         row
@@ -117,7 +117,7 @@ def _present_kept(trials: Sequence[Trial], case: Case) -> Share:
         and row.key not in case.unknown
         and abs(row.truth) >= 5.0 * row.bound
     ]
-    return Share(sum(row.significant for row in strong), len(strong))
+    return Proportion(sum(row.significant for row in strong), len(strong))
 
 
 def show(summary: Summary) -> RenderableType:
@@ -138,7 +138,7 @@ def show(summary: Summary) -> RenderableType:
         f"R² on test below that of the truth by {100 * summary.r2_gap:.3f} points (median); "
         f"{summary.seconds:.1f} s a fit (median)",
     ]
-    if summary.declared.of:
+    if summary.declared.total:
         lines.append(
             f"what cannot be known is declared {summary.declared}; declared or covered {summary.never_narrow}"
         )

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from labhil.campaign.trials.card import Card, count
+from labhil.campaign.trials.card import ScoreCard, make_score_card
 from labhil.campaign.trials.folder import DIAGNOSE
-from labhil.campaign.trials.judge import Judged
-from labhil.campaign.trials.make import Order, answers_beside, make_trials
+from labhil.campaign.trials.judge import JudgedTrial
+from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trials
 from labhil.campaign.trials.run import run_trials
 from labhil.campaign.trials.score import judge_trials
 
@@ -41,16 +41,16 @@ class Plan:
         return {"nulls": "0", "effects": self.effects}
 
 
-def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
+def run_trial_benchmark(plan: Plan, progress: Progress) -> ScoreCard:
     """Go on with a benchmark where it stands: recordings and answers are kept as soon as they are there.
 
     Raises what making, running and scoring raise.
     """
-    judged: list[Judged] = []
+    judged: list[JudgedTrial] = []
     for number, (name, sort) in enumerate(plan.sets.items()):
         folder = plan.out / name
         seed = None if plan.seed is None else 2 * plan.seed + number
-        order = Order(
+        options = TrialSetOptions(
             plan.kind,
             plan.trials,
             sort,
@@ -62,11 +62,11 @@ def run_trial_benchmark(plan: Plan, progress: Progress) -> Card:
             disturbed=plan.disturbed,
         )
         say = partial(_tell, progress, name)
-        make_trials(order, plan.jobs, say)
+        make_trials(options, plan.jobs, say)
         run_trials(folder, plan.jobs, say, plan.method)
-        trials = judge_trials(folder, order.answers, say, plan.method, plan.jobs)
+        trials = judge_trials(folder, options.answers, say, plan.method, plan.jobs)
         judged += [replace(trial, trial=f"{name}/{trial.trial}") for trial in trials]
-    return count(judged, plan.kind, plan.seed is not None)
+    return make_score_card(judged, plan.kind, plan.seed is not None)
 
 
 def _tell(progress: Progress, name: str, text: str) -> None:

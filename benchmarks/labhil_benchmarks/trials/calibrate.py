@@ -15,10 +15,10 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from labhil.campaign.trials.answer import Answer
-from labhil.campaign.trials.folder import Results, read_index, read_object
-from labhil.campaign.trials.judge import NULL_GAIN, fits
+from labhil.campaign.trials.folder import Results, read_index, read_json_object
+from labhil.campaign.trials.judge import MIN_DETECTABLE_GAIN, is_right_name
 from labhil.campaign.trials.make import answers_beside
-from labhil.campaign.trials.score import open_answer
+from labhil.campaign.trials.score import open_sealed_answer
 from labhil.campaign.trials.stated_answer import SCHEMA, read_stated_answer
 from labhil.diagnose.claim_probability import WEIGHTS, features
 from labhil.errors import UsageError
@@ -56,16 +56,16 @@ def claimed_in(folder: Path) -> list[Claimed]:
     if index.rig == "ur5":
         raise UsageError(f"{folder}: expected another rig, found an arm: of it only the evidence counts")
     claims: list[Claimed] = []
-    for listed in index.trials:
-        claims += _claims(open_answer(listed, answers_beside(folder)), results.of(listed.name))
+    for entry in index.trials:
+        claims += _claims(open_sealed_answer(entry, answers_beside(folder)), results.path_of(entry.name))
     return claims
 
 
 def _claims(answer: Answer, path: Path) -> list[Claimed]:
-    stated, result = read_stated_answer(path), read_object(path, SCHEMA)
+    stated, result = read_stated_answer(path), read_json_object(path, SCHEMA)
     if not stated.named:
         return []
-    real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
+    detectable = [effect for effect in answer.effects if effect.oracle_gain >= MIN_DETECTABLE_GAIN]
     rows = [
         row
         for row in result["improvement"]["per_channel"]
@@ -75,7 +75,7 @@ def _claims(answer: Answer, path: Path) -> list[Claimed]:
     return [
         Claimed(
             features(entry["evidence"]["delta_bic"], excess, len(stated.named)),
-            any(fits(effect, name) for effect in real for name in named.names),
+            any(is_right_name(effect, name) for effect in detectable for name in named.names),
         )
         for named, entry in zip(stated.named, result["missing"], strict=True)
     ]

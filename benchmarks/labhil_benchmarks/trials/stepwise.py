@@ -37,11 +37,11 @@ MOST = 8
 """Terms after which no more are looked for: no trial conceals half as many."""
 
 
-def stepwise_study(material: Dataset) -> dict[str, Any]:
+def stepwise_study(dataset: Dataset) -> dict[str, Any]:
     """The method's answer to a trial, as JSON data in the form of a diagnosis, as far as it goes."""
     began = time.perf_counter()
-    model = material.model
-    data = prepare_data(model, material.train, material.test)
+    model = dataset.model
+    data = prepare_data(model, dataset.train, dataset.test)
     baseline = fit_baseline(data, rig_model(model.kind).baseline)
     final = select(data, baseline)
     added = [key for key in final.terms if key not in baseline.terms]

@@ -1,7 +1,6 @@
-"""Results as they stand in JSON files: read, checked, and with names that a type checker knows.
+"""Typed data of results in JSON: read and validated.
 
-Only the fields that are shown are required; unknown keys are ignored, so that a page can be made of a result
-with more in it.
+Only the fields that reports show are required; unknown keys are ignored.
 """
 
 from __future__ import annotations
@@ -126,14 +125,18 @@ COMPARISON = "labhil.comparison/1"
 
 
 def any_result_of(data: Any, origin: str) -> FitPart | DiagnosisPart | VerificationPart:
-    """A fit, a diagnosis or a verification of plain JSON data; see :func:`result_of`."""
+    """Return plain JSON data as a fit, a diagnosis or a verification; see :func:`result_of`."""
     if isinstance(data, dict) and data.get("schema") == VERIFICATION:
         return validate(VerificationPart, data, origin)
     return result_of(data, origin)
 
 
 def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
-    """A fit or a diagnosis of plain JSON data; ModelFileError names ``origin``, the field and the fault."""
+    """Return plain JSON data as a fit or a diagnosis.
+
+    Raises:
+        ModelFileError: The data are neither; the message names ``origin`` and the field.
+    """
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema == FIT:
         return validate(FitPart, data, origin)
@@ -146,7 +149,11 @@ def result_of(data: Any, origin: str) -> FitPart | DiagnosisPart:
 
 
 def validate(kind: type[Result], data: Any, origin: str) -> Result:
-    """A result of this kind; ModelFileError names ``origin``, the field and what was expected."""
+    """Return plain JSON data as a result of this kind.
+
+    Raises:
+        ModelFileError: A field is missing or wrong; the message names ``origin`` and the field.
+    """
     try:
         return kind.model_validate(data)
     except ValidationError as error:
@@ -156,7 +163,11 @@ def validate(kind: type[Result], data: Any, origin: str) -> Result:
 
 
 def json_of(text: bytes, origin: str) -> Any:
-    """Parsed JSON with None for NaN and infinities; ModelFileError when it is none."""
+    """Parse JSON, with None for NaN and infinities.
+
+    Raises:
+        ModelFileError: The text is no JSON, or too long.
+    """
     try:
         if len(text) > LARGEST:
             raise DocumentError(f"expected at most {LARGEST} bytes, found {len(text)}")

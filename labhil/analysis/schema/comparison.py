@@ -1,4 +1,4 @@
-"""A comparison of models as its JSON says it (`labhil.comparison/1`)."""
+"""A comparison of models in its JSON (`labhil.comparison/1`)."""
 
 from __future__ import annotations
 
@@ -8,17 +8,27 @@ from labhil.analysis.schema.parts import ChannelErrors, Interval, Number, Part, 
 
 
 class ComparedChannel(ChannelErrors):
-    """How well one model simulates one output; ``rmse_over_noise`` is ``rmse`` over ``noise_floor``."""
+    """Errors of one model in one output; ``rmse_over_noise`` is ``rmse`` over ``noise_floor``."""
 
     rmse_over_noise: Number = None
 
 
 class ComparedModel(Part):
-    """One model on the recordings that all are compared on.
+    """One model of a comparison.
 
-    ``rmse_over_noise`` is of all outputs, in noise levels that are the same for all models; ``times_best`` is
-    that over the best model's, ``p_value`` of the test that it is no worse than that. ``fitted_to_it`` says
-    whether the model has seen these data.
+    Attributes:
+        name: Its name in the comparison.
+        path: Its file.
+        made_by: The kind of study that made it.
+        terms: Its terms.
+        n_parameters: Number of its estimated parameters.
+        adequacy: Whether it explains the data.
+        rmse_over_noise: RMSE of all outputs, in noise levels that are the same for all models.
+        per_channel: Errors of each output.
+        times_best: ``rmse_over_noise`` over that of the best model.
+        p_value: Of the test that it is no worse than the best model.
+        worse_than_best: Whether it is significantly worse.
+        fitted_to_it: Whether it was fitted to these data.
     """
 
     name: str
@@ -36,7 +46,7 @@ class ComparedModel(Part):
 
 
 class ValueOfModel(Part):
-    """A parameter's value in one model; ``std_error`` is None where it was held or is not known."""
+    """A parameter's value in one model; ``std_error`` is None where it was held or is unknown."""
 
     model: str
     value: Number
@@ -47,9 +57,10 @@ class ValueOfModel(Part):
 
 
 class SharedParameter(Part):
-    """A parameter that two models or more have; ``agree`` is None where the data cannot say.
+    """A parameter that two models or more have.
 
-    ``z`` is the largest difference of two values over its standard error, ``p_value`` allows for all pairs.
+    ``z`` is the largest difference of two values over its standard error, ``p_value`` is corrected for all
+    pairs; ``agree`` is None where the data do not decide.
     """
 
     name: str
@@ -62,7 +73,7 @@ class SharedParameter(Part):
 
 
 class ComparisonPart(Part):
-    """`labhil.comparison/1`. ``verdict`` is "one_best", or "alike" where ``best`` has its equals."""
+    """`labhil.comparison/1`. ``verdict`` is "alike" where other models are as good as ``best``."""
 
     recordings: tuple[Source, ...]
     rig: str

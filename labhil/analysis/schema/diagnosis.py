@@ -1,11 +1,11 @@
-"""A diagnosis as its JSON says it (`labhil.diagnosis/1`)."""
+"""A diagnosis in its JSON (`labhil.diagnosis/1`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Literal
 
-from labhil.analysis.diagnosis_words import next_steps
+from labhil.analysis.next_steps import next_steps
 from labhil.analysis.schema.improvement import Improvement
 from labhil.analysis.schema.parts import (
     EstimatedCurve,
@@ -29,7 +29,7 @@ class FittedModel(Part):
 
 
 class ChangedParameter(Part):
-    """A parameter that is not what the reference says."""
+    """A parameter that differs from the reference."""
 
     name: str
     joint: int | None = None
@@ -42,7 +42,7 @@ class ChangedParameter(Part):
 
 
 class Regime(Part):
-    """A range of a coordinate in which an effect lives."""
+    """A range of a coordinate in which an effect acts."""
 
     coordinate: str
     low: Number
@@ -54,15 +54,15 @@ class Regime(Part):
 
 
 class Location(Part):
-    """Where the mismatch is.
+    """Where a mismatch is.
 
     Attributes:
-        channel: The output that is off.
+        channel: The output with the largest mismatch.
         joint: Its joint, from 0, of an arm.
-        enters: Where the missing effect comes in: ``force``, ``input``, ``output``, ``electrical``, …
-        times: When it is worst, from … to, s.
-        regimes: Ranges of a coordinate in which it lives: ``coordinate``, ``low``, ``high``, ``unit``,
-            ``share_of_excess`` (of the squared error that the final model takes away).
+        enters: Where the missing effect acts: ``force``, ``input``, ``output``, ``electrical``, …
+        times: When it is largest, from … to, s.
+        regimes: Ranges of a coordinate in which it acts: ``coordinate``, ``low``, ``high``, ``unit``,
+            ``share_of_excess`` (of the squared error that the final model removes).
         statement: The same in a sentence or two.
 
     Example:
@@ -82,7 +82,7 @@ class Location(Part):
 
 
 class Evidence(Part):
-    """How strongly the data speak for a term."""
+    """The evidence for a term."""
 
     delta_bic: Number = None
     p_value: Number = None
@@ -95,9 +95,9 @@ class MissingEffect(Part):
     Attributes:
         term: Its name in the catalogue.
         joint: The joint that it acts on, from 0, of an arm.
-        statement: What was found, in a sentence.
+        statement: A sentence about it.
         equation: Its law.
-        probability: That it is really there; such claims are calibrated on trials with known answers.
+        probability: Probability that it exists, calibrated on trials with known answers.
         parameters: Its estimates.
         evidence: ``delta_bic``, ``p_value`` and ``heldout_loglik_gain`` (nats).
 
@@ -124,16 +124,16 @@ class MissingEffect(Part):
 
 
 class Rival(Part):
-    """What might stand in the place of a found effect.
+    """An alternative to a named effect.
 
     Attributes:
         term: Its name.
-        instead_of: The found effect.
-        joint: Of an arm, from 0.
-        probability: That it is this one.
-        delta_bic: By how much it explains the data worse.
-        distinguishable: Whether these data tell the two apart.
-        experiment: What would tell them apart.
+        instead_of: The named effect.
+        joint: Its joint, from 0, of an arm.
+        probability: Probability that it is this one.
+        delta_bic: Its BIC minus that of the named effect.
+        distinguishable: Whether these data distinguish the two.
+        experiment: An experiment that would distinguish them.
 
     Example:
         >>> import labhil as lh
@@ -151,7 +151,7 @@ class Rival(Part):
 
 
 class UndecidedEffect(Part):
-    """A term of which the data cannot speak."""
+    """A term that the data cannot decide on."""
 
     term: str
     joint: int | None = None
@@ -160,15 +160,15 @@ class UndecidedEffect(Part):
 
 
 class ExcludedEffect(Part):
-    """An effect that is not there, or smaller than this.
+    """An effect that is absent, or smaller than a limit.
 
     Attributes:
         term: Its name.
-        joint: Of an arm, from 0.
-        largest_hidden: The largest size of its main parameter that could hide in these data, in ``unit``.
-        unit: SI.
-        confidence: That it is smaller.
-        recording: Which of several recordings this is said of, from 1.
+        joint: Its joint, from 0, of an arm.
+        largest_hidden: Upper limit of the size of its main parameter, in ``unit``.
+        unit: SI unit.
+        confidence: Confidence of that limit.
+        recording: The recording that this is about, from 1, of several.
 
     Example:
         >>> import labhil as lh
@@ -186,15 +186,15 @@ class ExcludedEffect(Part):
 
 
 class Remainder(Part):
-    """What the answer explains of the error on data that the search never saw, and what remains.
+    """The share of the error on test data that the answer explains, and the remaining error.
 
     Attributes:
-        explained: Share of the squared error beyond the noise that is gone, of the worst output.
-        noise_floors: RMSE that remains there, over the noise floor.
-        is_noise: Whether nothing remains but noise.
+        explained: Explained share of the squared error beyond the noise, of the worst output.
+        noise_floors: Remaining RMSE of that output, over the noise floor.
+        is_noise: Whether only noise remains.
         channel: That output.
         joint: Its joint, from 0, of an arm.
-        regimes: Ranges of a coordinate that hold most of what remains.
+        regimes: Ranges of a coordinate with most of the remaining error.
         statement: The same in a sentence or two.
     """
 
@@ -218,7 +218,7 @@ Verdict = Literal[
 
 
 class CollapsedSize(Part):
-    """A size of the rig that the baseline alone takes far from what is known of it."""
+    """A size of the rig whose estimate under the baseline is far from its known value."""
 
     key: str
     value: Number
@@ -255,17 +255,17 @@ class DiagnosisPart(StudyPart):
 
     @property
     def asks_baseline(self) -> bool:
-        """Whether ``p_value`` tells whether the baseline suffices; 1 stands for nothing else."""
+        """Whether ``p_value`` is that of a test of the baseline."""
         return self.verdict not in ("data_fault", "not_decidable")
 
     @property
     def next_steps(self) -> tuple[str, ...]:
-        """What to do next, the most useful first: a sentence or two each."""
+        """The next steps, the most useful first: a sentence or two each."""
         return next_steps(self)
 
     @property
     def judged_rows(self) -> Sequence[Parameter]:
-        """The final model's parameters; none is called significant or not where more than noise remains."""
+        """The final model's parameters, without significance where more than noise remains."""
         explained = self.verdict in ("no_mismatch", "parameter_change", "missing_physics")
         if explained and self.remainder is None:
             return self.final.parameters

@@ -1,4 +1,4 @@
-"""A fit as its JSON says it (`labhil.fit/1`)."""
+"""A fit in its JSON (`labhil.fit/1`)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from labhil.analysis.verdicts import fit_verdict
 
 
 class Identifiability(Part):
-    """What the data cannot know."""
+    """Combinations of parameters that the data do not determine."""
 
     rank: int
     of: int
@@ -31,14 +31,14 @@ class Identifiability(Part):
 
 
 class ResidualTests(Part):
-    """Whether residuals are white and free of the input."""
+    """p values that residuals are white and uncorrelated with the input."""
 
     ljung_box_p: Number = None
     input_crosscorrelation_p: Number = None
 
 
 class Intervals(Part):
-    """How intervals were made."""
+    """The method of the intervals."""
 
     method: str = "wald"
     simultaneous: bool = False
@@ -54,7 +54,7 @@ class WindowEstimate(Part):
 
 
 class FittedChannel(Part):
-    """What the fitted windows leave of one channel."""
+    """The residual RMSE of one channel in the fitted windows."""
 
     channel: str
     joint: int | None = None
@@ -95,7 +95,7 @@ class FitPart(StudyPart):
 
     @property
     def statement(self) -> str | None:
-        """The verdict as a line; None of a result that has none."""
+        """The verdict as a line; None of a result without one."""
         if self.verdict is None:
             return None
         scores = [self.train] if self.test is None else [self.train, self.test]
@@ -104,7 +104,7 @@ class FitPart(StudyPart):
 
     @property
     def judged_rows(self) -> Sequence[Parameter]:
-        """The parameters; of a model that does not explain its data none is called significant or not."""
+        """The parameters, without significance where the model does not explain its data."""
         if self.verdict in (None, "explained"):
             return self.parameters
         return tuple(row.model_copy(update={"significant": None}) for row in self.parameters)

@@ -1,15 +1,15 @@
-"""How much better the final model of a diagnosis is, as the JSON says it (`labhil.diagnosis/1`)."""
+"""The improvement by the final model of a diagnosis, in its JSON (`labhil.diagnosis/1`)."""
 
 from __future__ import annotations
 
 from labhil.analysis.schema.parts import ChannelErrors, Number, Part, RecordingErrors, Score
 
 BEFORE_AND_AFTER = ("mse", "rmse", "max_abs_error", "r2", "relative_error")
-"""Figures of a channel that are stated of the model before and after."""
+"""Figures of a channel that are stated for baseline and final model."""
 
 
 class ChannelImprovement(Part):
-    """One channel before and after."""
+    """Errors of one channel under baseline and final model."""
 
     channel: str
     joint: int | None = None
@@ -30,13 +30,13 @@ class ChannelImprovement(Part):
 
     @property
     def before(self) -> ChannelErrors:
-        """Its errors with the model before the search."""
+        """Its errors under the baseline."""
         before = self.noise_floor if self.noise_floor_before is None else self.noise_floor_before
         return self._errors("before", before)
 
     @property
     def after(self) -> ChannelErrors:
-        """Its errors with the final model."""
+        """Its errors under the final model."""
         return self._errors("after", self.noise_floor)
 
     def _errors(self, when: str, noise_floor: Number) -> ChannelErrors:
@@ -52,14 +52,14 @@ class ChannelImprovement(Part):
 
 
 class RecordingImprovement(Part):
-    """One of several recordings before and after."""
+    """Errors in one of several recordings under baseline and final model."""
 
     recording: int
     per_channel: tuple[ChannelImprovement, ...]
 
 
 class ShorterWindows(Part):
-    """The headline before and after on windows as short as the search's."""
+    """The headline of baseline and final model on windows as short as those of the search."""
 
     horizon: Number = None
     rmse_before: Number
@@ -67,17 +67,17 @@ class ShorterWindows(Part):
 
 
 class Improvement(Part):
-    """How much better the final model predicts data that the search never saw.
+    """The improvement of predictions by the final model, on data that the search did not use.
 
     Attributes:
         data: ``test`` or ``heldout``.
-        parts: Whether these are parts of a recording of which the search saw the parts between.
+        parts: Whether these are parts of a recording between parts that the search used.
         metric: ``windowed_simulation`` or ``inverse_dynamics``.
         horizon: Length of the simulated windows, s.
-        rmse_before: The headline of the model as it was: in the output's unit, or, with several outputs, the
-            mean over their noise floors.
+        rmse_before: The headline of the baseline: in the output's unit, or, with several outputs, the mean
+            over their noise floors.
         rmse_after: The same of the final model.
-        noise_floor: What a perfect model would reach.
+        noise_floor: The RMSE of a perfect model.
         r2_before: Mean R², a fraction.
         r2_after: The same of the final model.
         per_channel: The same of each output.
@@ -106,12 +106,12 @@ class Improvement(Part):
 
     @property
     def before(self) -> Score:
-        """The errors of the model before the search, as of a fit."""
+        """The errors of the baseline, like those of a fit."""
         return self._score("before")
 
     @property
     def after(self) -> Score:
-        """The errors of the final model, as of a fit."""
+        """The errors of the final model, like those of a fit."""
         return self._score("after")
 
     def _score(self, when: str) -> Score:
@@ -133,6 +133,6 @@ class Improvement(Part):
 
     @property
     def unit(self) -> str:
-        """Of the headline, which is in multiples of noise floors where it is of several channels."""
+        """Unit of the headline; empty where it is in noise floors, of several channels."""
         scored = [row for row in self.per_channel if row.metric in (None, self.metric)]
         return scored[0].unit if len(scored) == 1 else ""

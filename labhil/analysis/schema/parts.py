@@ -1,4 +1,4 @@
-"""What fits and diagnoses have in common: recordings, parameters, errors, faults, curves."""
+"""Parts of results in JSON: recordings, parameters, errors, faults, curves."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from labhil.physics.terms import keyed
 Number = float | None
 
 LONGEST_TEXT = 4096
-"""Characters of a text in a result: as many as a path may have."""
+"""Longest text in a result, in characters: that of a path."""
 
 MOST_PARAMETERS = 5000
-"""Parameters of a model in a result: more than six joints of an arm have in a hundred recordings."""
+"""Largest number of parameters in a result: more than those of an arm in a hundred recordings."""
 Interval = tuple[Number, Number]
 
 
 class Part(BaseModel):
-    """A piece of a result; no number in it is infinite."""
+    """A part of a result; its numbers are finite."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, str_max_length=LONGEST_TEXT)
 
@@ -41,7 +41,7 @@ class Source(Part):
 
 
 class Parameter(Part):
-    """One parameter of a fitted model, with what the data know of it.
+    """A parameter of a fitted model.
 
     Attributes:
         name: Its name: ``term.parameter``, or one of the rig's own, such as ``inertia``.
@@ -50,16 +50,16 @@ class Parameter(Part):
         value: The estimate, in ``unit``.
         unit: Its SI unit.
         std_error: Standard error that allows for correlated residuals; None where the value was held or the
-            data say nothing.
-        std_error_reference: The reference text's own formula, for comparison only: far too small.
+            data do not determine it.
+        std_error_reference: By the formula of the reference text, for comparison only: far too small.
         ci99: Both ends of the 99 % interval.
         z: ``value`` over ``std_error``.
         p_value: Of the test that the true value is zero.
         significant: Whether it differs from zero at 1 %.
-        identifiable: Whether the data know it at all.
-        at_bound: Whether it ended at a limit of what is possible.
-        held: Whether it was kept at its value, not estimated.
-        recording: Which recording it belongs to, from 1, where each has a value of its own.
+        identifiable: Whether the data determine it.
+        at_bound: Whether the estimate is at a bound.
+        held: Whether it was held at its value, not estimated.
+        recording: The recording that it belongs to, from 1, where each has its own value.
 
     Example:
         >>> import labhil as lh
@@ -101,7 +101,7 @@ class Parameter(Part):
 
 
 class Parameters(tuple[Parameter, ...]):
-    """Parameters in the order of the report: by place like a tuple, by name like a mapping."""
+    """Parameters in the order of the report: indexed by position like a tuple, by name like a mapping."""
 
     __slots__ = ()
 
@@ -123,7 +123,7 @@ class Parameters(tuple[Parameter, ...]):
         raise UnknownNameError("parameter", key, self.keys())
 
     def keys(self) -> list[str]:
-        """The names, with joint and recording where they have them: ``coulomb_friction.level[2]``."""
+        """Return the names, with joint and recording where they have them: ``coulomb_friction.level[2]``."""
         return [row.key for row in self]
 
     def __repr__(self) -> str:
@@ -141,7 +141,7 @@ class Parameters(tuple[Parameter, ...]):
 
 
 class ChannelErrors(Part):
-    """How well one channel is simulated."""
+    """Errors of one channel."""
 
     channel: str
     joint: int | None = None
@@ -167,10 +167,10 @@ class Score(Part):
 
     Attributes:
         metric: ``windowed_simulation`` or ``inverse_dynamics``.
-        horizon: Length of the simulated windows, s; None of inverse dynamics.
+        horizon: Length of the simulated windows, s; None for inverse dynamics.
         rmse: The headline: in the output's unit, or, with several outputs, the mean over their noise floors.
         r2: Mean R² of the outputs, a fraction.
-        noise_floor: What a perfect model would reach.
+        noise_floor: The RMSE of a perfect model.
         per_channel: The same of each output, with ``mse``, ``max_abs_error`` and ``relative_error``.
         per_recording: The same of each of several recordings.
 
@@ -191,17 +191,17 @@ class Score(Part):
 
     @property
     def scored(self) -> tuple[ChannelErrors, ...]:
-        """The channels of the headline, without those that stand beside it by another metric."""
+        """The channels of the headline, without those of another metric."""
         return tuple(row for row in self.per_channel if row.metric in (None, self.metric))
 
     @property
     def unit(self) -> str:
-        """Of the headline, which is in multiples of noise floors where it is of several channels."""
+        """Unit of the headline; empty where it is in noise floors, of several channels."""
         return self.scored[0].unit if len(self.scored) == 1 else ""
 
 
 class Fault(Part):
-    """A fault of the data; what is ``mended`` takes nothing from what is calculated."""
+    """A fault of the data; a ``mended`` one has no effect on the result."""
 
     kind: str
     statement: str
@@ -209,9 +209,7 @@ class Fault(Part):
 
 
 class StudyPart(Part):
-    """What every result of long work has; ``held_out`` are the stretches (s) that its recordings were judged
-    on, one of each, where no recording was for that alone.
-    """
+    """Fields of fits and diagnoses; ``held_out`` is the part (s) of each recording that was held out."""
 
     complete: bool = True
     held_out: tuple[tuple[float, float], ...] = ()
@@ -219,7 +217,7 @@ class StudyPart(Part):
 
 
 class EstimatedCurve(Part):
-    """An estimated curve with its band, of a term that has no name."""
+    """An estimated force curve with its band, of an effect without a law."""
 
     depends_on: tuple[str, ...]
     x: tuple[tuple[Number, ...], ...]

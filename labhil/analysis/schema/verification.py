@@ -1,4 +1,4 @@
-"""A verification as its JSON says it (`labhil.verification/1`)."""
+"""A verification in its JSON (`labhil.verification/1`)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from labhil.analysis.verdicts import fit_verdict
 
 
 class ChannelVerdict(Part):
-    """One output held against the model: its RMSE over the noise floor, and the limit that noise stays under.
+    """The tests of one output: its RMSE over the noise floor, and the limit that noise rarely exceeds.
 
-    ``rmse_p`` is the p value of the simulation, ``structure_p`` that of residuals that go with the input.
+    ``rmse_p`` is the p value of the simulation, ``structure_p`` that of residuals independent of the input.
     """
 
     channel: str
@@ -29,7 +29,7 @@ class ChannelVerdict(Part):
 
 
 class ValueChange(Part):
-    """A parameter as accepted and as refitted; ``p_value`` is corrected for how many were looked at."""
+    """A parameter as accepted and as refitted; ``p_value`` is corrected for the number of parameters."""
 
     name: str
     joint: int | None = None
@@ -43,7 +43,7 @@ class ValueChange(Part):
 
 
 class WorstWindow(Part):
-    """A scored stretch (s) with its RMSE over the noise floor."""
+    """A scored window (s) with its RMSE over the noise floor."""
 
     begin: float
     end: float
@@ -76,11 +76,11 @@ class VerificationPart(Part):
 
     @property
     def consistent(self) -> bool:
-        """Whether nothing speaks against the model."""
+        """Whether the recording does not contradict the model."""
         return self.verdict == "consistent"
 
     @property
     def statement(self) -> str:
-        """Whether the values as they are explain the recording, as a line."""
+        """A line on whether the accepted values explain the recording."""
         r2 = [row.r2 for row in self.score.scored if row.r2 is not None]
         return fit_verdict(self.adequacy, self.residual_over_noise, min(r2, default=None))

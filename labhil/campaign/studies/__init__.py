@@ -1,1 +1,1 @@
-"""Fits and diagnoses as processes of their own: for the screen, and for the service of a lab."""
+"""Studies (fits, diagnoses, verifications, comparisons, exports) as separate processes."""

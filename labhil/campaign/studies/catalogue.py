@@ -1,7 +1,6 @@
-"""The terms and estimators of a rig kind for fits and diagnoses, in a process of its own.
+"""The catalogue of a rig kind (terms and estimators), read in a separate process: loading takes seconds.
 
-Reading models takes seconds. ``python -m labhil.campaign.studies.catalogue`` takes a rig kind in one line
-and answers in one.
+``python -m labhil.campaign.studies.catalogue`` reads a rig kind in one line and answers in one.
 """
 
 from __future__ import annotations
@@ -12,15 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError
 
 MODULE = "labhil.campaign.studies.catalogue"
 
 
 @dataclass(frozen=True, slots=True)
-class Effect:
-    """A term in the catalogue's words."""
+class TermEntry:
+    """A term in the catalogue."""
 
     name: str
     statement: str
@@ -31,18 +30,18 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """The terms of a rig kind, those that are taken by default, and the estimators."""
+    """The terms of a rig kind, those of its default model, and the estimators."""
 
     baseline: tuple[str, ...]
     general: tuple[str, ...]
-    effects: tuple[Effect, ...]
+    effects: tuple[TermEntry, ...]
     estimators: tuple[str, ...]
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Catalogue:
-        """Read what this process answers; the same law of several joints is one term."""
+        """Read the answer of this process; the same law in several joints is one term."""
         effects = {
-            term["term"]: Effect(
+            term["term"]: TermEntry(
                 term["term"],
                 term["statement"],
                 term["equation"],
@@ -62,17 +61,17 @@ class Catalogue:
 def main() -> int:
     """Run the process; returns its exit status."""
     rig = str(read_request()["rig"])
-    on_further_lines(lambda _line: None, lambda: os._exit(0))
+    read_further_lines(lambda _line: None, lambda: os._exit(0))
     from labhil.identify.estimators import DEFAULT, ESTIMATORS
     from labhil.report.catalogue import catalogue_json
 
     try:
         (entry,) = catalogue_json(rig)["rigs"].values()
     except LabhilError as error:
-        say({"failed": str(error)})
+        write_line({"failed": str(error)})
         return error.exit_status
     alternatives = [name for name in ESTIMATORS if name != DEFAULT]
-    say({"done": {**entry, "estimators": [DEFAULT, *alternatives]}})
+    write_line({"done": {**entry, "estimators": [DEFAULT, *alternatives]}})
     return 0
 
 

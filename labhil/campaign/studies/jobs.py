@@ -1,4 +1,4 @@
-"""Studies at work: one process each, several may run, each can be cancelled."""
+"""Running studies: one process each; several may run at once, and each can be cancelled."""
 
 from __future__ import annotations
 
@@ -13,32 +13,47 @@ from labhil.campaign.studies.study import Task
 
 CANCEL_PATIENCE = 1.0
 MODULE = "labhil.campaign.studies.study"
-WRITES = ("fit", "diagnose", "compare")
-"""Kinds of study that answer with the path of their result."""
+KINDS_WITH_RESULT = ("fit", "diagnose", "compare")
+"""Kinds of study whose answer is the path of their result."""
 
 
 @dataclass(slots=True)
 class Job:
-    """One study. ``state`` is "at work", "done", "failed" or "cancelled"; ``said`` its newest line."""
+    """A study and its process.
+
+    Attributes:
+        number: its index among the jobs.
+        task: the study.
+        helper: the process.
+        started: time of its start by the clock of the jobs, s.
+        state: "at work", "done", "failed" or "cancelled".
+        message: its newest line of text.
+        done: its answer.
+        result: the file that it wrote.
+    """
 
     number: int
     task: Task
     helper: Helper
     started: float
     state: str = "at work"
-    said: str = "starting"
+    message: str = "starting"
     done: Any = None
     result: Path | None = None
-    """The file that it wrote, where it is one."""
 
     @property
     def title(self) -> str:
-        """What it is, for a person."""
+        """Its title for people."""
         return self.task.title
 
 
 class Jobs:
-    """Studies of one screen or service. ``on_line`` gets (number, line) in threads of the jobs' own."""
+    """The studies of a screen or a service.
+
+    Args:
+        on_line: is called with (number, line) for each line of a job, in threads of the jobs.
+        clock: returns the time, s.
+    """
 
     def __init__(self, on_line: Callable[[int, dict[str, Any]], object], clock: Callable[[], float]) -> None:
         self._on_line, self._clock = on_line, clock
@@ -52,42 +67,42 @@ class Jobs:
         return self.all[-1]
 
     @property
-    def at_work(self) -> list[Job]:
-        """Those that are not over."""
+    def running(self) -> list[Job]:
+        """Jobs that have not ended."""
         return [job for job in self.all if job.state == "at work"]
 
-    def take(self, number: int, line: dict[str, Any]) -> Job:
-        """Follow the lines of a job; called in one thread."""
+    def handle_line(self, number: int, line: dict[str, Any]) -> Job:
+        """Update a job by one of its lines; to be called in a single thread."""
         job = self.all[number]
         if "ended" in line:
-            job.helper.close(CANCEL_PATIENCE)  # its pipes would stay open, and a service lives for months
+            job.helper.close(CANCEL_PATIENCE)  # else its pipes stay open, in a service that runs for months
         if job.state != "at work":
             return job
         if "progress" in line:
-            job.said = str(line["progress"])
+            job.message = str(line["progress"])
         elif "done" in line:
-            job.state, job.done, job.said = "done", line["done"], str(line.get("verdict", "done"))
-            written = line.get("path", job.done if job.task.kind in WRITES else None)
-            job.result = None if written is None else Path(str(written))
+            job.state, job.done, job.message = "done", line["done"], str(line.get("verdict", "done"))
+            path = line.get("path", job.done if job.task.kind in KINDS_WITH_RESULT else None)
+            job.result = None if path is None else Path(str(path))
         elif "failed" in line:
-            job.state, job.said = "failed", str(line["failed"])
+            job.state, job.message = "failed", str(line["failed"])
         elif "ended" in line:
-            job.state, job.said = "failed", line["complaint"] or f"its process ended with {line['ended']}"
+            job.state, job.message = "failed", line["complaint"] or f"its process ended with {line['ended']}"
         return job
 
-    def end(self, job: Job) -> None:
-        """Let a fit or a diagnosis end with the best so far; its file says that it was ended early."""
+    def finish_early(self, job: Job) -> None:
+        """End a fit or a diagnosis with the best result so far; its file states that it was ended early."""
         if job.state == "at work":
-            job.said = "ending with the best so far"
-            job.helper.tell({"end": True})
+            job.message = "ending with the best so far"
+            job.helper.send({"end": True})
 
     def cancel(self, job: Job) -> None:
-        """End a study; files are as they were before, or whole."""
+        """Cancel a study; files stay complete."""
         if job.state == "at work":
-            job.state, job.said = "cancelled", "cancelled; nothing was changed"
+            job.state, job.message = "cancelled", "cancelled; nothing was changed"
             job.helper.close(CANCEL_PATIENCE)
 
     def close(self) -> None:
-        """End all of them."""
+        """Cancel all studies."""
         for job in self.all:
             job.helper.close(CANCEL_PATIENCE)

@@ -1,11 +1,11 @@
-"""Models of results beside the measurement, in a process of its own.
+"""Simulations of the models of results over a measurement, in a separate process.
 
 ``python -m labhil.campaign.studies.overlay`` reads the path of a result in one line, ``{"result": PATH}``.
-It answers with the terms of its model and the curves of all of them, then with the curves for each further
-line ``{"without": [TERM, …]}``; of lines that come faster than it can simulate it answers the newest.
+It answers with the terms of its model and its curves, then with the curves for each further line
+``{"without": [TERM, …]}``; of lines that come faster than it can simulate it answers the newest.
 
-To ``{"results": [PATH, …]}`` it answers with the curves of each one's model over the recording that the
-first was judged on, and ends.
+To ``{"results": [PATH, …]}`` it answers with the curves of each model over the test recording of the first,
+and ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError, ModelFileError
 from labhil.signals import FloatArray
 
@@ -28,14 +28,15 @@ if TYPE_CHECKING:
     from labhil.api.fit import Fit
 
 MODULE = "labhil.campaign.studies.overlay"
-MOST_POINTS = 4_000
-"""Of a channel; more than any terminal has columns."""
+MAX_POINTS = 4_000
+"""Points of a channel; more than any terminal has columns."""
 
 
 def recording_of(result: Path, stated: str) -> Path:
-    """Return the recording that a result names: at the stated path, or beside the result.
+    """Return the path of a recording that a result names: as stated, or beside the result.
 
-    Raises ModelFileError where it is in neither place.
+    Raises:
+        ModelFileError: it is in neither place.
     """
     paths = [path for path in (Path(stated), result.parent / Path(stated).name) if path.is_file()]
     if not paths:
@@ -43,42 +44,44 @@ def recording_of(result: Path, stated: str) -> Path:
     return paths[0]
 
 
-def simulated_without(result: Fit | Diagnosis, recording: Path, without: tuple[str, ...]) -> dict[str, Any]:
-    """Return the curves of each output and their RMSE, as plain JSON data."""
-    run = result.simulate(recording, without=without)
-    step = max(1, -(-len(run.t) // MOST_POINTS))
-    begins = np.r_[True, np.diff(run.window[::step]) != 0]  # windows are not joined by a line
+def simulate_without(result: Fit | Diagnosis, recording: Path, without: tuple[str, ...]) -> dict[str, Any]:
+    """Simulate a result's model without some terms; curves and RMSE of each output as plain JSON data."""
+    simulation = result.simulate(recording, without=without)
+    step = max(1, -(-len(simulation.t) // MAX_POINTS))
+    window_begins = np.r_[True, np.diff(simulation.window[::step]) != 0]  # windows are not joined by a line
     return {
         "without": list(without),
         "channels": [
             {
                 "without": list(without),
                 "name": name,
-                "unit": run.units[name],
-                "rmse": run.errors[name].rmse,
-                "t": _plain(run.t[::step]),
-                "measured": _plain(run.measured[name][::step]),
-                "simulated": _plain(np.where(begins, np.nan, run.simulated[name][::step])),
+                "unit": simulation.units[name],
+                "rmse": simulation.errors[name].rmse,
+                "t": _json_values(simulation.t[::step]),
+                "measured": _json_values(simulation.measured[name][::step]),
+                "simulated": _json_values(
+                    np.where(window_begins, np.nan, simulation.simulated[name][::step])
+                ),
             }
-            for name in run.measured
+            for name in simulation.measured
         ],
     }
 
 
-def _plain(values: FloatArray) -> list[float | None]:
+def _json_values(values: FloatArray) -> list[float | None]:
     return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values.tolist()]
 
 
-def simulated_models(paths: Sequence[Path]) -> dict[str, Any]:
-    """Return the curves of each output under each result's model, over the first one's recording.
+def simulate_models(paths: Sequence[Path]) -> dict[str, Any]:
+    """Simulate each result's model over the recording of the first; the curves of each output.
 
-    A model that has no such output, or none that is measured there, leaves it out.
+    A model is left out of an output that it does not have, or that is not measured there.
     """
     results = [_load(path) for path in paths]
     recording = _test_recording(paths[0], results[0])
     channels: dict[str, dict[str, Any]] = {}
     for number, result in enumerate(results):
-        for channel in simulated_without(result, recording, ())["channels"]:
+        for channel in simulate_without(result, recording, ())["channels"]:
             curves = channels.setdefault(
                 channel["name"],
                 {"name": channel["name"], "unit": channel["unit"], "t": channel["t"],
@@ -102,7 +105,7 @@ def _load(path: Path) -> Fit | Diagnosis:
 
 
 def _test_recording(path: Path, result: Fit | Diagnosis) -> Path:
-    """The recording that a result was tested on, or the one that it was fitted to."""
+    """Path of the recording that a result was tested on, or else fitted to."""
     tests = [source for source in result.recordings if source.role == "test"]
     return recording_of(path, (tests or list(result.recordings))[0].path)
 
@@ -110,32 +113,34 @@ def _test_recording(path: Path, result: Fit | Diagnosis) -> Path:
 def main() -> int:
     """Run the process; returns its exit status."""
     request = read_request()
-    wanted: Queue[tuple[str, ...]] = Queue()
-    on_further_lines(lambda line: wanted.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0))
+    requests: Queue[tuple[str, ...]] = Queue()
+    read_further_lines(
+        lambda line: requests.put(tuple(map(str, line.get("without", ())))), lambda: os._exit(0)
+    )
     try:
         if "results" in request:
-            say(simulated_models([Path(str(path)) for path in request["results"]]))
+            write_line(simulate_models([Path(str(path)) for path in request["results"]]))
             return 0
-        _answer_each(Path(str(request["result"])), wanted)
+        _answer_requests(Path(str(request["result"])), requests)
     except LabhilError as error:
-        say({"failed": str(error)})
+        write_line({"failed": str(error)})
         return error.exit_status
 
 
-def _answer_each(path: Path, wanted: Queue[tuple[str, ...]]) -> NoReturn:
-    """Say the curves under all terms, then those without the terms of each line, until the process ends."""
+def _answer_requests(path: Path, requests: Queue[tuple[str, ...]]) -> NoReturn:
+    """Answer with the curves of all terms, then with those of each request, until the process ends."""
     from labhil.analysis.saved_model import terms_of
 
     result = _load(path)
     recording = _test_recording(path, result)
-    say({"terms": list(terms_of(result.saved)), **simulated_without(result, recording, ())})
+    write_line({"terms": list(terms_of(result.saved)), **simulate_without(result, recording, ())})
     while True:
-        without = wanted.get()
+        without = requests.get()
         try:
             while True:
-                without = wanted.get_nowait()
+                without = requests.get_nowait()
         except Empty:
-            say(simulated_without(result, recording, without))
+            write_line(simulate_without(result, recording, without))
 
 
 if __name__ == "__main__":

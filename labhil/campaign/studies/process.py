@@ -1,7 +1,7 @@
-"""A process that works for another one: lines of JSON out, lines of JSON in, gone when it is not needed.
+"""Helper processes that exchange lines of JSON with their parent, and end with it.
 
-What takes long or must not be disturbed (a run, a fit) never happens in the process of a screen or of a
-service. Where that dies, for whatever reason, the end of its standard input makes such a process end.
+Work that takes long or must not be disturbed (a run, a fit) is never done in the process of a screen or a
+service. When the parent dies, the end of its standard input makes a helper end.
 """
 
 from __future__ import annotations
@@ -26,32 +26,36 @@ PATIENCE = 30.0
 
 
 class Helper:
-    """``python -m module`` with a request in its first line.
+    """A process ``python -m module``.
 
-    ``on_line`` gets each line that it writes, in a thread of its own; the last is ``{"ended": status}``
-    with ``complaint``, the end of what it wrote to stderr. A process that is not heard any more is ended.
+    Args:
+        name: of the process, for messages.
+        module: the module to run.
+        request: the first line for the process.
+        on_line: is called with each line that the process writes, in another thread. The last is ``{"ended":
+            status}`` with ``complaint``, the end of its stderr. Where it raises, the process is ended.
     """
 
     def __init__(self, name: str, module: str, request: Mapping[str, Any], on_line: OnLine) -> None:
         self._on_line = on_line
         self._child = Child(name, [sys.executable, "-P", "-m", module])
-        self.tell(request)
+        self.send(request)
         self._ended = threading.Event()
         self._thread = SupervisedThread(self._listen, f"listen to {name}", on_failure=self._give_up)
         self._thread.start()
 
     @property
     def running(self) -> bool:
-        """Whether it has not ended yet."""
+        """Whether the process has not ended yet."""
         return not self._ended.is_set()
 
-    def tell(self, line: Mapping[str, Any]) -> None:
+    def send(self, line: Mapping[str, Any]) -> None:
         """Send a line; a process that has ended does not get it."""
         with contextlib.suppress(ValueError):  # its input was closed before
             self._child.send(json.dumps(line) + "\n")
 
     def close(self, patience: float = PATIENCE) -> None:
-        """End it: in order if it can within ``patience`` s, else by force. Safe twice."""
+        """End the process: in order within ``patience`` s, else by force. May be called again."""
         self._child.close_input()
         self._ended.wait(patience)
         self._child.stop()
@@ -61,14 +65,14 @@ class Helper:
         while True:
             try:
                 line = self._child.line(LISTEN)
-            except BusError:  # no line for the moment
+            except BusError:  # no line yet
                 continue
             if line is None:
                 break
             message = _parse(line)
             if message is not None:
                 self._on_line(message)
-        # its output has ended, which it does a moment before the process itself
+        # the output of a process ends slightly before the process
         deadline = time.monotonic() + LISTEN
         while (status := self._child.exit_status()) is None and time.monotonic() < deadline:
             time.sleep(0.01)
@@ -78,15 +82,15 @@ class Helper:
         self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})
 
     def _give_up(self) -> None:
-        """End the process in order: nobody hears what it says."""
+        """End the process in order, since nobody reads its lines."""
         self._child.close_input()
         self._ended.set()
-        with contextlib.suppress(Exception):  # what it raised is often why nobody hears
+        with contextlib.suppress(Exception):  # ``on_line`` is often the cause of the failure
             self._on_line({"ended": None, "complaint": self._thread.failure()})
 
 
-def say(line: Mapping[str, Any]) -> None:
-    """Write a line, from within a helper; it is dropped where the parent process is gone."""
+def write_line(line: Mapping[str, Any]) -> None:
+    """Write a line to the parent process, from within a helper; nothing happens where the parent is gone."""
     try:
         show(json.dumps(line, allow_nan=False))
     except OSError:
@@ -94,12 +98,17 @@ def say(line: Mapping[str, Any]) -> None:
 
 
 def read_request() -> dict[str, Any]:
-    """The request in a helper's first line."""
+    """Read the request in the first line, from within a helper."""
     return dict(json.loads(sys.stdin.readline()))
 
 
-def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
-    """In a helper: call ``take`` with each further line, and ``end`` when there will be none."""
+def read_further_lines(take: OnLine, end: Callable[[], None]) -> None:
+    """Read further lines in another thread, from within a helper.
+
+    Args:
+        take: is called with each line.
+        end: is called at the end of the input.
+    """
 
     def listen() -> None:
         try:
@@ -107,10 +116,10 @@ def on_further_lines(take: OnLine, end: Callable[[], None]) -> None:
                 message = _parse(line)
                 if message is not None:
                     take(message)
-        finally:  # a helper without input must not go on by itself
+        finally:  # a helper without input must not continue
             end()
 
-    threading.Thread(target=listen, name="listen to who asked", daemon=True).start()
+    threading.Thread(target=listen, name="listen to the parent", daemon=True).start()
 
 
 def _parse(line: str) -> dict[str, Any] | None:

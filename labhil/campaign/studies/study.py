@@ -1,9 +1,8 @@
-"""A fit, a diagnosis, a verification, a comparison or an export in a process of its own.
+"""A fit, a diagnosis, a verification, a comparison or an export in a separate process.
 
-``python -m labhil.campaign.studies.study`` takes its task in one line, reports what it is doing
-(``{"progress": …}``) and at the end the outcome (``{"done": …}`` or ``{"failed": …}``). Results appear
-under their names only when they are complete, so it may be ended at any moment: files are as they were
-before, or whole.
+``python -m labhil.campaign.studies.study`` reads its task in one line, reports its progress (``{"progress":
+…}``) and at the end the outcome (``{"done": …}`` or ``{"failed": …}``). Files get their names when they are
+complete, so it may be ended at any time.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.campaign.studies.process import on_further_lines, read_request, say
+from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError
 
 CANCELLED = 130
@@ -27,13 +26,17 @@ CANCELLED = 130
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A study to be done: ``kind`` is "fit", "diagnose", "verify", "compare" or "export".
+    """A study to be done.
 
-    The ``recordings`` of a comparison are the results whose models are compared.
-
-    ``terms`` are those of a fit's model or a diagnosis' baseline, None for the rig kind's own; ``seconds`` is
-    how long it may take before it ends with the best so far; ``device`` which one, where a recording holds
-    several.
+    Attributes:
+        kind: "fit", "diagnose", "verify", "compare" or "export".
+        recordings: the recordings; of a comparison, the results whose models are compared.
+        tests: test recordings.
+        model: a result: the start of a fit, the reference of a diagnosis, the model of a verification.
+        terms: terms of a fit's model or a diagnosis' baseline; None for those of the rig kind.
+        estimator: estimator of a fit.
+        seconds: time after which it ends with the best result so far, s.
+        device: the device, where a recording has several.
     """
 
     kind: str
@@ -75,18 +78,22 @@ class Task:
 
     @property
     def title(self) -> str:
-        """What it is, for a person."""
+        """Its title for people."""
         names = ", ".join(path.name.removesuffix(".mcap").removesuffix(".json") for path in self.recordings)
         return f"{self.kind} {names}" + ("" if self.device is None else f" {self.device}")
 
 
-def progress(text: str) -> None:
-    """Report what is being done."""
-    say({"progress": text})
+def report_progress(text: str) -> None:
+    """Report a stage of the study."""
+    write_line({"progress": text})
 
 
-def do(task: Task) -> dict[str, Any]:
-    """Do it; return its last line. Raises LabhilError."""
+def run_task(task: Task) -> dict[str, Any]:
+    """Do a study, and return the last line for the parent process.
+
+    Raises:
+        LabhilError: the study failed.
+    """
     first = task.recordings[0]
     stem = stem_of(task)
     if task.kind == "export":
@@ -95,7 +102,7 @@ def do(task: Task) -> dict[str, Any]:
         return _verify(task)
     if task.kind == "compare":
         return _compare(task)
-    progress(f"reading {first.name}")
+    report_progress(f"reading {first.name}")
     if task.kind == "fit":
         from labhil.api.fit import fit
         from labhil.campaign.studies.curves import curves_of_fit
@@ -113,30 +120,30 @@ def do(task: Task) -> dict[str, Any]:
 
 
 def stem_of(task: Task) -> str:
-    """What the names of its results begin with."""
+    """Return the stem of the names of a study's results."""
     stem = task.recordings[0].name.removesuffix(".part").removesuffix(".mcap")
     return stem if task.device is None else f"{stem}.{task.device}"
 
 
 def _arguments(task: Task, model: str) -> dict[str, Any]:
-    """What the task gives a fit or a diagnosis; ``model`` is the name of the model's argument."""
+    """Arguments of a fit or a diagnosis; ``model`` is the name of the argument for the model."""
     return {
         "test": task.tests or None,
         model: task.model,
         "seconds": task.seconds,
         "device": task.device,
-        "progress": progress,
+        "progress": report_progress,
         "warn": _warn,
     }
 
 
 def _warn(lines: Iterable[str]) -> None:
     for line in lines:
-        progress(line)
+        report_progress(line)
 
 
 def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, Any]) -> Path:
-    """Write the result, and beside it the curves that its pictures are made of."""
+    """Write a result, and beside it the curves of its figures."""
     path = free_name(folder, stem, f"{kind}.json")
     with path.with_suffix(".npz.new").open("wb") as file:
         np.savez_compressed(file, **curves)
@@ -145,14 +152,14 @@ def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, A
 
 
 def _write_json(path: Path, data: Any) -> Path:
-    new = path.with_name(path.name + ".new")
-    new.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
-    new.replace(path)
+    draft = path.with_name(path.name + ".new")
+    draft.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
+    draft.replace(path)
     return path
 
 
 def free_name(folder: Path, stem: str, suffix: str) -> Path:
-    """A path in ``folder`` that is not taken: ``stem.suffix``, ``stem-2.suffix``, …"""
+    """Return a free path in ``folder``: ``stem.suffix``, ``stem-2.suffix``, …"""
     path, number = folder / f"{stem}.{suffix}", 1
     while path.exists():
         number += 1
@@ -165,7 +172,7 @@ def _export(path: Path) -> Path:
     from labhil.recording.reader import read_recording
 
     stem = path.name.removesuffix(".part").removesuffix(".mcap")
-    progress(f"reading {path.name}")
+    report_progress(f"reading {path.name}")
     return export(read_recording(path), free_name(path.parent, stem, "csv"))
 
 
@@ -175,7 +182,7 @@ def _verify(task: Task) -> dict[str, Any]:
     assert task.model is not None
     losses: list[str] = []
     first = task.recordings[0]
-    result = verify(first, task.model, device=task.device, progress=progress, warn=losses.extend)
+    result = verify(first, task.model, device=task.device, progress=report_progress, warn=losses.extend)
     path = _write_json(free_name(first.parent, stem_of(task), "verification.json"), result.to_dict())
     text = "\n".join([*losses, result.text(width=100)])
     return {"done": text, "consistent": not result.contradicted, "path": str(path)}
@@ -185,43 +192,43 @@ def _compare(task: Task) -> dict[str, Any]:
     from labhil.api.comparison import compare
 
     first = task.recordings[0]
-    on = task.tests or _relocated_recordings(first) or None
-    comparison = compare(*task.recordings, recording=on, progress=progress, warn=_warn)
+    recordings = task.tests or _relocated_recordings(first) or None
+    comparison = compare(*task.recordings, recording=recordings, progress=report_progress, warn=_warn)
     stem = first.name.removesuffix(".json").removesuffix(".fit").removesuffix(".diagnosis")
     path = _write_json(free_name(first.parent, stem, "comparison.json"), comparison.to_dict())
     return {"done": str(path), "verdict": comparison.statement}
 
 
 def _relocated_recordings(result: Path) -> tuple[Path, ...]:
-    """The recordings that a result was judged on, where they moved beside it; empty if all are in place."""
+    """Paths of a result's validation recordings, where these moved beside it; empty if all are in place."""
     from labhil.analysis.schema import json_of, result_of
     from labhil.campaign.studies.overlay import recording_of
 
     sources = result_of(json_of(result.read_bytes(), result.name), result.name).recordings
-    judged = [source for source in sources if source.role == "test"] or sources
-    if all(Path(source.path).is_file() for source in judged):
+    validation = [source for source in sources if source.role == "test"] or sources
+    if all(Path(source.path).is_file() for source in validation):
         return ()
-    return tuple(recording_of(result, source.path) for source in judged)
+    return tuple(recording_of(result, source.path) for source in validation)
 
 
 def main() -> int:
     """Run the process; returns its exit status."""
     request = read_request()
     # files get their names only when they are complete, so there is nothing to tidy up
-    on_further_lines(_end_early, lambda: os._exit(CANCELLED))
+    read_further_lines(_end_early, lambda: os._exit(CANCELLED))
     try:
-        say(do(Task.from_json(request)))
+        write_line(run_task(Task.from_json(request)))
     except LabhilError as error:
-        say({"failed": str(error)})
+        write_line({"failed": str(error)})
         return error.exit_status
     except KeyboardInterrupt:
-        say({"failed": "ended before there was a result"})
+        write_line({"failed": "ended before there was a result"})
         return CANCELLED
     return 0
 
 
 def _end_early(line: Mapping[str, Any]) -> None:
-    """End with the best so far, as Ctrl+C does at the command line."""
+    """End with the best result so far, as Ctrl+C does at the command line."""
     if line.get("end"):
         os.kill(os.getpid(), signal.SIGINT)
 

@@ -1,4 +1,4 @@
-"""What is in an envelope: every difference between a plant and the declared baseline, and how large it is."""
+"""The answer in an envelope: every difference between plant and baseline model, and how large it is."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ SCHEMA = "labhil.answer/1"
 
 @dataclass(frozen=True, slots=True)
 class TrueEffect:
-    """One effect that the baseline lacks.
+    """An effect that the baseline lacks.
 
-    ``catalogue`` says whether the rig's model has a term of that name; ``plant`` are the plant's numbers
-    by full name and ``parameters`` the model's, by key, where the two correspond. ``strength`` is the test
-    RMSE of the baseline with all other true effects, refitted, over the noise floor; ``oracle_gain`` the
-    log likelihood (nats) that the effect is worth on the test data.
+    Attributes:
+        term: its name.
+        joint: its joint, None for an effect of the whole plant.
+        catalogue: whether the rig's model has a term of that name.
+        plant: the plant's parameters by full name.
+        parameters: the model's parameters by key, where they correspond to the plant's.
+        strength: test RMSE, over the noise floor, of a refit of baseline and all other true effects.
+        oracle_gain: log likelihood (nats) that the effect adds on the test data.
     """
 
     term: str
@@ -32,17 +36,26 @@ class TrueEffect:
 
     @property
     def key(self) -> str:
-        """Its name with the joint, where it is in one."""
+        """Its name with the joint."""
         return keyed(self.term, self.joint)
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A trial's truth.
+    """The truth of a trial.
 
-    ``recordings`` are the SHA-256 of search and test; ``truth`` the values of the fitted model's
-    parameters, by key; ``noise_floors`` the RMSE of a perfect model by output, in its unit;
-    ``baseline_strength`` the test RMSE of the refitted baseline over the noise floor.
+    Attributes:
+        trial: name of the trial.
+        rig: the kind of rig.
+        recordings: SHA-256 of the recordings by role.
+        baseline: terms of the baseline model.
+        effects: the concealed effects.
+        truth: true values of the model's parameters by key.
+        noise: true noise of the outputs.
+        noise_floors: RMSE of a perfect model by output, in its unit.
+        baseline_strength: test RMSE of the refitted baseline over the noise floor.
+        conditions: conditions of the recordings.
+        plant: parameters of the plant by full name.
     """
 
     trial: str
@@ -58,13 +71,13 @@ class Answer:
     plant: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON data."""
+        """Return the answer as plain JSON data."""
         return {"schema": SCHEMA, **asdict(self), "noise": self.noise.to_json()}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Answer:
         """Read what :meth:`to_json` wrote."""
-        rest = {key: value for key, value in data.items() if key != "schema"}
-        effects = tuple(TrueEffect(**effect) for effect in rest.pop("effects"))
-        noise = TrueNoise.from_json(rest.pop("noise"))
-        return cls(**{**rest, "baseline": tuple(rest["baseline"])}, effects=effects, noise=noise)
+        fields = {key: value for key, value in data.items() if key != "schema"}
+        effects = tuple(TrueEffect(**effect) for effect in fields.pop("effects"))
+        noise = TrueNoise.from_json(fields.pop("noise"))
+        return cls(**{**fields, "baseline": tuple(fields["baseline"])}, effects=effects, noise=noise)

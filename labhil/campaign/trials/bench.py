@@ -16,10 +16,11 @@ BENCHES: Mapping[str, Bench] = {
 
 
 def bench_of(kind: str, seconds: float | None = None) -> Bench:
-    """The bench of a kind of rig, its recordings so long or as long as it has them.
+    """Return the bench of a kind of rig; ``seconds`` replaces the duration of its recordings.
 
-    UnknownNameError lists those that there are.
+    Raises:
+        UnknownNameError: there is no such bench.
     """
     if kind not in BENCHES:
         raise UnknownNameError("rig with trials", kind, BENCHES)
-    return BENCHES[kind] if seconds is None else BENCHES[kind].lasting(seconds)
+    return BENCHES[kind] if seconds is None else BENCHES[kind].with_duration(seconds)

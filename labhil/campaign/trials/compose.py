@@ -1,4 +1,7 @@
-"""Compose one trial: draw a secret whose effects have the strengths that they are to have, and answer it."""
+"""Composition of one trial: draw a secret, scale its effects to their target strengths, compute the answer.
+
+``make.py`` writes the recordings and seals the answer.
+"""
 
 from __future__ import annotations
 
@@ -12,90 +15,120 @@ import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
-from labhil.campaign.trials.disturbed import SIZES, Disturbance, Kind
-from labhil.campaign.trials.draw import BRISTLES, COUNTS
+from labhil.campaign.trials.disturbance import SIZE_RANGE, Disturbance, DisturbanceKind
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.campaign.trials.oracle import Oracle, Refit
-from labhil.campaign.trials.secret import Drawn, Secret, Walk
+from labhil.campaign.trials.secret import DrawnEffect, Secret, SimulatedRun
+from labhil.campaign.trials.trial_types import BRISTLES, EFFECT_COUNTS
 from labhil.campaign.trials.truth import model_values
 from labhil.errors import RecordingError, RunError, UsageError
 from labhil.physics.rigs import model_for, rig_model
 from labhil.rig import parse_rig
 
-CLOSE = 0.12
-"""Difference of the logarithms of a strength and its target that is close enough."""
-REFITS = 6
-FIRST_FACTOR = 0.2
-"""Where sizes begin: small effects are refitted faster, and grow as they should."""
-FIRST_DISTURBANCE = 0.02
-"""Of the command's unit, or of its gain."""
-FACTORS = (1e-5, 30.0)
-LEAST_EXCESS = 1e-3
-LEAST_GROWTH = 0.2
-"""Power of its size, at least, with which an effect's excess grows that can be scaled."""
-DRAWS = 30
-"""Effects that are drawn, at most, until one can be as strong as it is to be."""
-FARTHEST = 30.0
-"""Factor by which one refit may change the next size."""
+
+@dataclass(frozen=True, slots=True)
+class ScaleSearch:
+    """Options of the search for the size at which an effect has its target strength.
+
+    Attributes:
+        tolerance: difference of the logarithms of strength and target that is close enough.
+        max_refits: number of sizes that are tried.
+        size_range: smallest and largest factor of an effect's drawn size.
+        min_excess: excess of the squared RMSE, in squared noise floors, that counts as one.
+        min_growth: exponent of the size with which an effect's excess grows at least; with less, the data do
+            not show the effect, or the baseline absorbs it.
+        max_step: factor by which one refit may change the next size.
+    """
+
+    tolerance: float = 0.12
+    max_refits: int = 6
+    size_range: tuple[float, float] = (1e-5, 30.0)
+    min_excess: float = 1e-3
+    min_growth: float = 0.2
+    max_step: float = 30.0
+
+
+DEFAULT_SEARCH = ScaleSearch()
 
 
 @dataclass(frozen=True, slots=True)
-class Composed:
-    """A secret and all that follows from it: the two recordings, their noise, and an oracle."""
+class ComposedTrial:
+    """A secret with its two recordings (search and test), their noise, and the oracle."""
 
     secret: Secret
     noise: TrueNoise
-    walks: tuple[Walk, Walk]
+    runs: tuple[SimulatedRun, SimulatedRun]
     oracle: Oracle
 
 
-def compose(
+def compose_trial(
     kind: str,
-    sort: str,
-    random: np.random.Generator,
+    trial_type: str,
+    rng: np.random.Generator,
     seconds: float | None = None,
-    disturbed: Kind | None = None,
-) -> Composed:
-    """Draw one trial of a sort, ``seconds`` long (None: as long as the bench has them), or ``disturbed``.
+    disturbed: DisturbanceKind | None = None,
+    *,
+    max_draws: int = 30,
+) -> ComposedTrial:
+    """Draw one trial.
 
-    RunError where nothing that was drawn can be as strong as it is to be.
+    Args:
+        kind: the kind of rig.
+        trial_type: a key of ``EFFECT_COUNTS``.
+        rng: the source of randomness.
+        seconds: duration of each recording, s; None for that of the bench.
+        disturbed: what disturbs the rig beside the concealed effects.
+        max_draws: number of attempts.
+
+    Raises:
+        RunError: no drawn secret can have its target strengths.
     """
     bench = bench_of(kind, seconds)
-    for _ in range(DRAWS):
-        setup = bench.setup(random)
-        bare = Secret(setup, setup.draw_base(random))
+    for _ in range(max_draws):
+        setup = bench.draw_setup(rng)
+        secret = Secret(setup, setup.draw_baseline_parameters(rng))
         try:
-            noise = setup.noise_scale(bare)
-            secret = replace(bare, effects=tuple(_effects(bare, noise, sort, random)))
+            noise = setup.true_noise(secret)
+            secret = replace(secret, effects=tuple(_draw_effects(secret, noise, trial_type, rng, max_draws)))
             if disturbed is not None:
-                secret = _add_disturbance(secret, noise, disturbed, random)
+                secret = _add_disturbance(secret, noise, disturbed, rng)
             return record_secret(secret, noise)
         except (UsageError, RecordingError):
             continue  # a plant that hits its stops or runs away makes no trial
-    raise RunError(f"no trial of {kind} with {sort} effects could be drawn in {DRAWS} attempts")
+    raise RunError(f"no trial of {kind} with {trial_type} effects could be drawn in {max_draws} attempts")
 
 
-def record_secret(secret: Secret, noise: TrueNoise) -> Composed:
-    """Record a secret, search and test; UsageError where the plant cannot be run."""
+def record_secret(secret: Secret, noise: TrueNoise) -> ComposedTrial:
+    """Simulate the search and test recordings of a secret.
+
+    Raises:
+        UsageError: the plant cannot be run like that.
+    """
     setup = secret.setup
-    walks = setup.walk(secret, noise, 0), setup.walk(secret, noise, 1)
-    search, test = (setup.record(walk) for walk in walks)
+    runs = setup.simulate(secret, noise, 0), setup.simulate(secret, noise, 1)
+    search, test = (setup.to_record(run) for run in runs)
     model = model_for(parse_rig(setup.rig, Path("rig.toml")), search)
-    values = model_values(model, setup.numbers(secret))
-    return Composed(secret, noise, walks, Oracle.of(model, search, test, noise, values))
+    values = model_values(model, setup.plant_parameters(secret))
+    return ComposedTrial(secret, noise, runs, Oracle.build(model, search, test, noise, values))
 
 
-def answer_of(trial: Composed, name: str, recordings: dict[str, str]) -> Answer:
-    """Refit with and without every effect and write down what each is worth."""
+def make_answer(trial: ComposedTrial, name: str, recordings: dict[str, str]) -> Answer:
+    """Compute what every effect is worth by refits with and without it, and return the answer.
+
+    Args:
+        trial: the trial.
+        name: its name.
+        recordings: SHA-256 of its recordings by role.
+    """
     oracle, secret = trial.oracle, trial.secret
     baseline = rig_model(secret.kind).baseline
     known = _known_terms(trial)
     full = [*baseline, *known]
     without = {name: oracle.refit([term for term in full if term != name]) for name in known}
-    best = oracle.refit(full).or_better(*without.values())
+    best = oracle.refit(full).best_of(*without.values())
     theta = best.theta
-    floors = oracle.floors(theta, oracle.marks(theta))
-    plain = oracle.refit(baseline).theta if known else theta
+    floors = oracle.noise_floors(theta, oracle.test_score(theta))
+    baseline_fit = oracle.refit(baseline).theta if known else theta
     return Answer(
         trial=name,
         rig=secret.kind,
@@ -105,14 +138,14 @@ def answer_of(trial: Composed, name: str, recordings: dict[str, str]) -> Answer:
         truth=oracle.values,
         noise=trial.noise,
         noise_floors=dict(zip(oracle.test.output_names, floors.tolist(), strict=True)),
-        baseline_strength=oracle.strength(plain),
+        baseline_strength=oracle.strength(baseline_fit),
         conditions=_conditions(secret),
         plant=secret.parameters,
     )
 
 
 def _conditions(secret: Secret) -> dict[str, Any]:
-    """The conditions of the recordings, with the disturbance."""
+    """Conditions of the recordings, with the disturbance."""
     conditions = secret.setup.conditions_to_json()
     return (
         conditions
@@ -121,15 +154,15 @@ def _conditions(secret: Secret) -> dict[str, Any]:
     )
 
 
-def _effect(trial: Composed, drawn: Drawn, without: Refit | None, full: Refit) -> TrueEffect:
-    """What an effect is worth: ``without`` is the model less it, None where no model has it anyway."""
+def _effect(trial: ComposedTrial, drawn: DrawnEffect, without: Refit | None, full: Refit) -> TrueEffect:
+    """Compute strength and gain of an effect; ``without`` is None for one outside the catalogue."""
     oracle = trial.oracle
     if without is not None:
-        less, gain = without, full.likelihood - without.likelihood
+        reduced_model, gain = without, full.likelihood - without.likelihood
     else:
         setup = trial.secret.setup
-        silent = setup.record(setup.silent(trial.secret, trial.walks[1], 1))
-        less, gain = full, oracle.log_likelihood_of_truth(full.theta, silent) - full.likelihood
+        silent = setup.to_record(setup.simulate_noiseless(trial.secret, trial.runs[1], 1))
+        reduced_model, gain = full, oracle.log_likelihood_of_truth(full.theta, silent) - full.likelihood
     return TrueEffect(
         term=drawn.term,
         joint=drawn.joint,
@@ -140,105 +173,128 @@ def _effect(trial: Composed, drawn: Drawn, without: Refit | None, full: Refit) -
             for p in oracle.model.parameters
             if p.term == drawn.key and p.key in oracle.values
         },
-        strength=oracle.strength(less.theta),
+        strength=oracle.strength(reduced_model.theta),
         oracle_gain=gain,
     )
 
 
-def _known_terms(trial: Composed) -> list[str]:
-    """The effects that the model has a term for."""
+def _known_terms(trial: ComposedTrial) -> list[str]:
+    """Effects that the model has a term for."""
     return [effect.key for effect in trial.secret.effects if effect.key in trial.oracle.model.terms]
 
 
-def _effects(bare: Secret, noise: TrueNoise, sort: str, random: np.random.Generator) -> list[Drawn]:
-    """As many effects as the sort has, each of the strength drawn for it."""
-    effects: list[Drawn] = []
-    if not COUNTS[sort][0]:
+def _draw_effects(
+    secret: Secret, noise: TrueNoise, trial_type: str, rng: np.random.Generator, max_draws: int
+) -> list[DrawnEffect]:
+    """Draw the effects of a trial type, each scaled to its target strength."""
+    effects: list[DrawnEffect] = []
+    if not EFFECT_COUNTS[trial_type][0]:
         return effects
-    model = record_secret(bare, noise).oracle.model
-    for _ in range(DRAWS if sort != BRISTLES else 10 * DRAWS):
-        if len(effects) == COUNTS[sort][0]:
-            return [*effects, bare.setup.draw_carrier(effects[0], random)] if sort == BRISTLES else effects
-        drawn = bare.setup.draw_effect(model, sort == "hidden", effects, random)
-        if sort == BRISTLES and not drawn.dry:
+    model = record_secret(secret, noise).oracle.model
+    for _ in range(max_draws if trial_type != BRISTLES else 10 * max_draws):
+        if len(effects) == EFFECT_COUNTS[trial_type][0]:
+            return (
+                [*effects, secret.setup.draw_carrier(effects[0], rng)] if trial_type == BRISTLES else effects
+            )
+        drawn = secret.setup.draw_effect(model, trial_type == "hidden", effects, rng)
+        if trial_type == BRISTLES and not drawn.is_dry_friction:
             continue
-        fitting = _scale_to_target(replace(bare, effects=tuple(effects)), drawn, noise)
-        if fitting is not None:
-            effects.append(fitting)
-    raise UsageError(f"no {sort} effects of {bare.kind} could be scaled")
+        scaled = _scale_to_target(replace(secret, effects=tuple(effects)), drawn, noise)
+        if scaled is not None:
+            effects.append(scaled)
+    raise UsageError(f"no {trial_type} effects of {secret.kind} could be scaled")
 
 
-def _scale_to_target(bare: Secret, drawn: Drawn, noise: TrueNoise) -> Drawn | None:
-    """The effect with its target's strength beside those that are there, or None where it cannot have it.
+def _scale_to_target(
+    secret: Secret, drawn: DrawnEffect, noise: TrueNoise, first_factor: float = 0.2
+) -> DrawnEffect | None:
+    """Scale an effect to its target strength beside the secret's other effects; None where it cannot have it.
 
-    What counts is how much the squared RMSE exceeds that of the same bench without the effect.
+    The strength is the excess of the squared RMSE over that of the same bench without the effect. The search
+    begins at ``first_factor``: small effects are refitted faster, and their excess grows as expected.
     """
-    unstirred = _strength(bare, None, noise, drawn.joint)
-    factor = _factor(
-        lambda factor: _strength(bare, drawn.scaled(factor), noise, drawn.joint),
-        unstirred,
-        drawn.target,
-        FIRST_FACTOR,
+    baseline_strength = _strength(secret, None, noise, drawn.joint)
+    factor = _find_factor(
+        lambda factor: _strength(secret, drawn.scaled(factor), noise, drawn.joint),
+        baseline_strength,
+        drawn.target_strength,
+        first_factor,
     )
     return None if factor is None else drawn.scaled(factor)
 
 
-def _add_disturbance(secret: Secret, noise: TrueNoise, kind: Kind, random: np.random.Generator) -> Secret:
-    """The secret with a disturbance that leaves so many noise levels beside a model of everything else."""
-    unit = Disturbance.draw(kind, random)
-    by_noise = float(random.uniform(*SIZES))
+def _add_disturbance(
+    secret: Secret,
+    noise: TrueNoise,
+    kind: DisturbanceKind,
+    rng: np.random.Generator,
+    first_size: float = 0.02,
+) -> Secret:
+    """Add a disturbance of a drawn size, in noise levels of the RMSE of a model of everything else.
 
-    def sized(factor: float) -> Secret:
-        return replace(secret, disturbance=replace(unit, size=factor))
+    The search begins at ``first_size``, in the command's unit or a share of its gain.
+    """
+    unit = Disturbance.draw(kind, rng)
+    noise_levels = float(rng.uniform(*SIZE_RANGE))
 
-    size = _factor(
-        lambda factor: _strength(sized(factor), None, noise, None),
+    def with_size(size: float) -> Secret:
+        return replace(secret, disturbance=replace(unit, size=size))
+
+    size = _find_factor(
+        lambda factor: _strength(with_size(factor), None, noise, None),
         _strength(secret, None, noise, None),
-        math.hypot(1.0, by_noise),
-        FIRST_DISTURBANCE,
+        math.hypot(1.0, noise_levels),
+        first_size,
     )
     if size is None:
         raise UsageError(f"no {kind} at the drive of {secret.kind} could be scaled")
-    return sized(size)
+    return with_size(size)
 
 
-def _factor(
-    strength_at: Callable[[float], float], unstirred: float, target: float, factor: float
+def _find_factor(
+    strength_at: Callable[[float], float],
+    baseline_strength: float,
+    target: float,
+    factor: float,
+    options: ScaleSearch = DEFAULT_SEARCH,
 ) -> float | None:
-    """The factor at which a strength beyond the ``unstirred`` one is ``target``; None where there is none.
+    """Find the factor at which the excess over ``baseline_strength`` makes a strength of ``target``.
 
-    The excess grows about as the square of a small effect: a secant on logarithms.
+    The excess grows about as the square of a small effect, so the search is a secant on logarithms. Returns
+    None where there is no such factor.
     """
-    wanted = math.log(target**2 - 1.0)
+    target_excess = math.log(target**2 - 1.0)
     slope = 2.0
-    before: tuple[float, float] | None = None
-    for _ in range(REFITS):
+    previous: tuple[float, float] | None = None
+    for _ in range(options.max_refits):
         try:
             strength = strength_at(factor)
         except (UsageError, RecordingError):
             factor /= 3.0  # so strong that the plant cannot be run
             continue
-        excess = max(strength**2 - unstirred**2, LEAST_EXCESS)
-        if abs(math.log(math.sqrt(1.0 + excess) / target)) < CLOSE and excess > LEAST_EXCESS:
+        excess = max(strength**2 - baseline_strength**2, options.min_excess)
+        distance = abs(math.log(math.sqrt(1.0 + excess) / target))
+        if distance < options.tolerance and excess > options.min_excess:
             return factor
-        now = math.log(factor), math.log(excess)
-        if before is not None and abs(now[0] - before[0]) > 1e-6:
-            grown = (now[1] - before[1]) / (now[0] - before[0])
-            if grown < LEAST_GROWTH:
-                return None  # the data do not see it, or the baseline takes it up
-            slope = min(grown, 8.0)
-        before = now
-        step = min(max((wanted - now[1]) / slope, -math.log(FARTHEST)), math.log(FARTHEST))
-        factor = math.exp(now[0] + step)
-        if not FACTORS[0] <= factor <= FACTORS[1]:
+        current = math.log(factor), math.log(excess)
+        if previous is not None and abs(current[0] - previous[0]) > 1e-6:
+            growth = (current[1] - previous[1]) / (current[0] - previous[0])
+            if growth < options.min_growth:
+                return None
+            slope = min(growth, 8.0)
+        previous = current
+        max_step = math.log(options.max_step)
+        step = min(max((target_excess - current[1]) / slope, -max_step), max_step)
+        factor = math.exp(current[0] + step)
+        if not options.size_range[0] <= factor <= options.size_range[1]:
             return None
     return None
 
 
-def _strength(bare: Secret, drawn: Drawn | None, noise: TrueNoise, joint: int | None) -> float:
-    """How strong an effect is beside the others, in its joint's outputs: all but it refitted."""
+def _strength(secret: Secret, drawn: DrawnEffect | None, noise: TrueNoise, joint: int | None) -> float:
+    """Refit all effects but ``drawn``, and return the strength in the outputs of the joint."""
     extra = () if drawn is None else (drawn,)
-    trial = record_secret(replace(bare, effects=(*bare.effects, *extra)), noise)
+    trial = record_secret(replace(secret, effects=(*secret.effects, *extra)), noise)
     others = [key for key in _known_terms(trial) if drawn is None or key != drawn.key]
-    theta = trial.oracle.rough([*rig_model(bare.kind).baseline, *others])
+    theta = trial.oracle.fit_on_windows([*rig_model(secret.kind).baseline, *others])
     return trial.oracle.strength(theta, joint)

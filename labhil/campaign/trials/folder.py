@@ -1,4 +1,4 @@
-"""The folder of a set of trials: recordings, seals, and the diagnosis of each."""
+"""The folder of a set of trials: index, recordings, and the results of each method with their hashes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.campaign.trials.seal import sha256_of
 from labhil.documents import parse_json, read_document
 from labhil.errors import UnknownNameError, UsageError
 
@@ -20,8 +21,8 @@ METHODS = (DIAGNOSE, STEPWISE)
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
-    """A trial as the index has it: its name, its seal, and the SHA-256 of its recordings by role."""
+class IndexEntry:
+    """A trial in the index: its name, its seal, and the SHA-256 of its recordings by role."""
 
     name: str
     seal: str
@@ -30,14 +31,14 @@ class Listed:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The index of a folder; ``fixed_seed`` says that anyone with the seed could draw the same trials."""
+    """The index of a folder; ``fixed_seed`` is whether anyone with the seed can draw the same trials."""
 
     rig: str
     fixed_seed: bool
-    trials: tuple[Listed, ...]
+    trials: tuple[IndexEntry, ...]
 
     def write(self, folder: Path) -> None:
-        """Write it in place of an earlier one."""
+        """Write the index to a folder, in place of an earlier one."""
         data = {
             "schema": SCHEMA,
             "rig": self.rig,
@@ -46,22 +47,30 @@ class Index:
                 {"name": t.name, "seal": t.seal, "recordings": dict(t.recordings)} for t in self.trials
             ],
         }
-        replace_text(folder / INDEX, json.dumps(data, indent=1) + "\n")
+        write_text_atomically(folder / INDEX, json.dumps(data, indent=1) + "\n")
 
 
 def read_index(folder: Path) -> Index:
-    """Read a folder's index; UsageError where it is none of ``labhil trial make``."""
+    """Read a folder's index.
+
+    Raises:
+        UsageError: the folder has no index of ``labhil trial make``.
+    """
     path = folder / INDEX
-    data = read_object(path, SCHEMA)
+    data = read_json_object(path, SCHEMA)
     try:
-        trials = tuple(Listed(t["name"], t["seal"], t["recordings"]) for t in data["trials"])
+        trials = tuple(IndexEntry(t["name"], t["seal"], t["recordings"]) for t in data["trials"])
         return Index(str(data["rig"]), bool(data["fixed_seed"]), trials)
     except (KeyError, TypeError) as error:
         raise UsageError(f"{path}: expected the index of `labhil trial make`, found none: {error}") from error
 
 
-def read_object(path: Path, schema: str) -> dict[str, Any]:
-    """JSON of a schema; UsageError with what was expected and what was found."""
+def read_json_object(path: Path, schema: str) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        UsageError: the file cannot be read or has another schema.
+    """
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
@@ -72,13 +81,26 @@ def read_object(path: Path, schema: str) -> dict[str, Any]:
     return dict(data)
 
 
-def recording(folder: Path, name: str, role: str) -> Path:
-    """Where a trial's recording stands; ``role`` is "search" or "test"."""
+def recording_path(folder: Path, name: str, role: str) -> Path:
+    """Return the path of a trial's recording; ``role`` is "search" or "test"."""
     return folder / name / f"{role}.mcap"
 
 
-def replace_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+def check_recordings(folder: Path, entry: IndexEntry) -> None:
+    """Check the recordings of a trial against their hashes.
+
+    Raises:
+        UsageError: a recording is not the sealed one.
+    """
+    for role, expected in entry.recordings.items():
+        path = recording_path(folder, entry.name, role)
+        actual = sha256_of(path)
+        if actual != expected:
+            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {actual}")
+
+
+def write_text_atomically(path: Path, text: str) -> None:
+    """Write a file completely or not at all."""
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     part.replace(path)
@@ -86,9 +108,10 @@ def replace_text(path: Path, text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """Where the answers of one method stand in a folder of trials, and their hashes.
+    """The results of one method in a folder of trials, and their hashes.
 
-    Raises UnknownNameError for a method that is none.
+    Raises:
+        UnknownNameError: there is no such method.
     """
 
     folder: Path
@@ -100,7 +123,7 @@ class Results:
 
     @property
     def name(self) -> str:
-        """Of their folder."""
+        """The name of their folder."""
         return "results" if self.method == DIAGNOSE else f"results-{self.method}"
 
     @property
@@ -108,12 +131,16 @@ class Results:
         """The file of hashes."""
         return self.folder / f"{self.name}.sha256"
 
-    def of(self, trial: str) -> Path:
-        """The answer to one trial."""
+    def path_of(self, trial: str) -> Path:
+        """Return the path of the result of one trial."""
         return self.folder / self.name / f"{trial}.json"
 
     def read_hashes(self) -> dict[str, str]:
-        """SHA-256 of each answer by the trial's name; UsageError for a line that is not ``hash  path``."""
+        """Read the SHA-256 of each result, by the trial's name.
+
+        Raises:
+            UsageError: a line is not ``hash  path``.
+        """
         if not self.hashes.exists():
             return {}
         hashes = {}
@@ -125,6 +152,6 @@ class Results:
         return hashes
 
     def write_hashes(self, hashes: Mapping[str, str]) -> None:
-        """Write them as ``sha256sum -c`` reads them, sorted."""
+        """Write the hashes, sorted, in the format of ``sha256sum -c``."""
         lines = [f"{hashes[trial]}  {self.name}/{trial}.json\n" for trial in sorted(hashes)]
-        replace_text(self.hashes, "".join(lines))
+        write_text_atomically(self.hashes, "".join(lines))

@@ -1,4 +1,7 @@
-"""One trial judged: the stated answer against the truth, by the contract's rules."""
+"""The judgement of one trial: the stated answer against the truth.
+
+``score.py`` judges all trials of a folder, ``card.py`` counts them.
+"""
 
 from __future__ import annotations
 
@@ -8,128 +11,149 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.campaign.trials.answer import Answer, TrueEffect
-from labhil.campaign.trials.stated_answer import Named, StatedAnswer
+from labhil.campaign.trials.stated_answer import NamedEffect, StatedAnswer
 from labhil.physics.terms import keyed, unkeyed
 
-NULL_GAIN = 3.0
-"""Oracle's gain (nats) below which an effect does not count as a difference."""
-SURE_GAIN = 10.0
-"""Oracle's gain (nats) from which an effect has to be named."""
-RIVAL_LOSS = 5.0
-"""Nats by which a rival, refitted, may fall short of the truth and still be an honest one."""
-MODELLED = 0.8
+MIN_DETECTABLE_GAIN = 3.0
+"""Gain (nats) on the test data below which the oracle does not detect an effect."""
+MIN_REQUIRED_GAIN = 10.0
+"""Gain (nats) on the test data from which a diagnosis has to name an effect."""
+MAX_RIVAL_LOSS = 5.0
+"""Loss (nats) of a refitted rival against the true effect up to which it is a legitimate rival."""
 UNMODELLED = "unmodelled"
 NONE = "none"
 UNNAMED = frozenset({"unexplained_mismatch", "not_decidable"})
-"""Verdicts that blame no physics."""
+"""Verdicts that name no missing physics."""
 OUTSIDE = "outside the catalogue"
 
 Loss = Callable[[TrueEffect, str], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What counts of one trial.
+class JudgedTrial:
+    """What is counted of one trial.
 
-    ``nothing`` says that nothing was concealed; ``real`` effects make a difference to the oracle (none is a
-    ``null``), ``sure`` ones have to be named (10 nats or more); ``exact`` says that they were named and
-    nothing else was, ``single`` that no name of the answer had a rival beside it.
-    ``confused`` holds pairs of true and named terms, ``claims`` pairs of a stated probability and whether it
-    was right, ``covered`` for each interval whether it holds the truth, ``complete`` whether the final model
-    holds every listed effect. ``modelled`` and ``after_over_floor`` are None where there is nothing
-    to compare. ``joints`` holds for each sure effect in a joint whether the answer names that joint.
-    ``disturbed`` says that more acted on the rig than any model has.
+    Attributes:
+        trial: its name.
+        verdict: the stated verdict, None where the diagnosis failed.
+        is_empty: whether nothing was concealed.
+        is_null: whether the oracle detects no concealed effect.
+        detectable: effects that the oracle detects (``MIN_DETECTABLE_GAIN``).
+        required: those that have to be named (``MIN_REQUIRED_GAIN``), the largest gain first.
+        strongest: strength of the strongest detectable effect.
+        detected: whether the answer reports a mismatch.
+        exact: whether all required effects were named and nothing else was.
+        unrivalled: whether the answer is exact and none of its names has a rival.
+        confusions: pairs of true and named term.
+        claims: pairs of a stated probability and whether the name was right.
+        coverage: whether each interval contains the truth.
+        is_complete: whether the final model contains every detectable effect.
+        modelled: whether the excess error is modelled; None where nothing has to be named.
+        after_over_floor: RMSE after over the noise floor; None where there is nothing to compare.
+        overlap: agreement of the reported regimes with the true one.
+        seconds: time of the diagnosis, s.
+        right_joints: for each required effect in a joint, whether the answer names that joint.
+        disturbed: whether a disturbance acted that no model has.
     """
 
     trial: str
     verdict: str | None
-    nothing: bool
-    null: bool
-    real: tuple[TrueEffect, ...]
-    sure: tuple[TrueEffect, ...]
+    is_empty: bool
+    is_null: bool
+    detectable: tuple[TrueEffect, ...]
+    required: tuple[TrueEffect, ...]
     strongest: float | None
     detected: bool
     exact: bool
-    single: bool
-    confused: tuple[tuple[str, str], ...]
+    unrivalled: bool
+    confusions: tuple[tuple[str, str], ...]
     claims: tuple[tuple[float, bool], ...]
-    covered: tuple[bool, ...]
-    complete: bool
+    coverage: tuple[bool, ...]
+    is_complete: bool
     modelled: bool | None
     after_over_floor: float | None
     overlap: float | None
     seconds: float
-    joints: tuple[bool, ...] = ()
+    right_joints: tuple[bool, ...] = ()
     disturbed: bool = False
 
     @property
-    def alarm(self) -> bool:
-        """Whether the answer reports a mismatch; a disturbed rig's may be left unexplained."""
+    def reports_mismatch(self) -> bool:
+        """Whether the answer reports a mismatch; of a disturbed rig, one that it explains."""
         return self.verdict != "no_mismatch" and not (self.disturbed and self.verdict in UNNAMED)
 
 
 @dataclass(frozen=True, slots=True)
-class Matched:
-    """Which claim stands for which effect; ``over`` are claims that stand for none."""
+class Matching:
+    """Pairs of an effect and the claim that names it, and claims that name none."""
 
-    pairs: tuple[tuple[TrueEffect, Named], ...]
-    over: tuple[Named, ...]
+    pairs: tuple[tuple[TrueEffect, NamedEffect], ...]
+    unmatched_claims: tuple[NamedEffect, ...]
 
-    def of(self, effect: TrueEffect) -> Named | None:
-        """The claim for this effect."""
+    def claim_for(self, effect: TrueEffect) -> NamedEffect | None:
+        """Return the claim that names this effect."""
         return next((named for true, named in self.pairs if true is effect), None)
 
 
-def judge(answer: Answer, stated: StatedAnswer, loss: Loss, overlap: float | None = None) -> Judged:
-    """Judge a trial; ``loss`` is how many nats a rival, refitted in the place of an effect, loses to it."""
-    real = [effect for effect in answer.effects if effect.oracle_gain >= NULL_GAIN]
-    sure = sorted(
-        (effect for effect in real if effect.oracle_gain >= SURE_GAIN), key=lambda effect: -effect.oracle_gain
+def judge(answer: Answer, stated: StatedAnswer, loss: Loss, overlap: float | None = None) -> JudgedTrial:
+    """Judge one trial.
+
+    Args:
+        answer: the truth.
+        stated: the answer of the diagnosis.
+        loss: returns how many nats a rival, refitted in the place of a true effect, loses to it.
+        overlap: agreement of the reported regimes with the true one.
+    """
+    detectable = [effect for effect in answer.effects if effect.oracle_gain >= MIN_DETECTABLE_GAIN]
+    required = sorted(
+        (effect for effect in detectable if effect.oracle_gain >= MIN_REQUIRED_GAIN),
+        key=lambda effect: -effect.oracle_gain,
     )
-    optional = [effect for effect in real if effect not in sure]
-    claims = claims_of(stated)
-    matched = match([*sure, *optional], claims)
-    matching = [matched.of(effect) for effect in sure]
-    honest = all(
-        named is not None and is_honest(effect, named, loss)
-        for effect, named in zip(sure, matching, strict=True)
+    optional = [effect for effect in detectable if effect not in required]
+    claims = claimed_effects(stated)
+    matching = match_claims([*required, *optional], claims)
+    matching_claims = [matching.claim_for(effect) for effect in required]
+    acceptable = all(
+        named is not None and is_acceptable(effect, named, loss)
+        for effect, named in zip(required, matching_claims, strict=True)
     )
-    exact = bool(sure) and honest and not matched.over
-    return Judged(
+    exact = bool(required) and acceptable and not matching.unmatched_claims
+    return JudgedTrial(
         trial=answer.trial,
         verdict=stated.verdict,
-        nothing=not answer.effects,
-        null=not real,
-        real=tuple(real),
-        sure=tuple(sure),
-        strongest=max((effect.strength for effect in real), default=None),
+        is_empty=not answer.effects,
+        is_null=not detectable,
+        detectable=tuple(detectable),
+        required=tuple(required),
+        strongest=max((effect.strength for effect in detectable), default=None),
         detected=stated.verdict in {"missing_physics", "unexplained_mismatch"},
         exact=exact,
-        single=exact and all(named is not None and not named.rivals for named in matching),
-        confused=confusions(sure, bool(real), matched, stated),
-        claims=_claims(real, stated),
-        covered=_coverage(answer, stated),
-        complete=_holds_all(real, stated),
-        modelled=_is_modelled(answer, stated) if sure else None,
+        unrivalled=exact and all(named is not None and not named.rivals for named in matching_claims),
+        confusions=confusion_pairs(required, bool(detectable), matching, stated),
+        claims=_claim_outcomes(detectable, stated),
+        coverage=_coverage(answer, stated),
+        is_complete=_model_is_complete(detectable, stated),
+        modelled=_is_modelled(answer, stated) if required else None,
         after_over_floor=_after_over_floor(answer, stated),
         overlap=overlap,
         seconds=stated.seconds,
-        joints=_joints(sure, stated),
+        right_joints=_right_joints(required, stated),
         disturbed="disturbance" in answer.conditions,
     )
 
 
-def claims_of(stated: StatedAnswer) -> tuple[Named, ...]:
-    """The claims of an answer; an unexplained mismatch claims an effect without a name."""
+def claimed_effects(stated: StatedAnswer) -> tuple[NamedEffect, ...]:
+    """Return the effects that an answer claims; an unexplained mismatch claims one without a name."""
     if stated.verdict == "unexplained_mismatch" and not stated.named:
-        return (Named(UNMODELLED, None),)
+        return (NamedEffect(UNMODELLED, None),)
     return stated.named
 
 
-def fits(effect: TrueEffect, name: str) -> bool:
-    """Whether a name, with its joint, is right for an effect; one outside the catalogue has no own name.
+def is_right_name(effect: TrueEffect, name: str) -> bool:
+    """Return whether a name, with its joint, is right for an effect.
 
-    What pulls at several joints shows in any of them.
+    An effect outside the catalogue has no name of its own; one that acts on several joints may be claimed in
+    any of them.
     """
     if not effect.catalogue:
         return name.startswith(UNMODELLED) and (
@@ -138,76 +162,84 @@ def fits(effect: TrueEffect, name: str) -> bool:
     return name == keyed(effect.term, effect.joint)
 
 
-def match(effects: Sequence[TrueEffect], claims: Sequence[Named]) -> Matched:
-    """Give every effect the claim whose first choice it is, then one that has it among the rivals.
+def match_claims(effects: Sequence[TrueEffect], claims: Sequence[NamedEffect]) -> Matching:
+    """Assign to every effect the claim whose first name it is, else one that has it among its rivals.
 
-    What is outside the catalogue and acts on several joints may have a curve on each of them.
+    An effect outside the catalogue that acts on several joints may have a curve on each of them.
     """
     unmatched = list(claims)
-    pairs: list[tuple[TrueEffect, Named]] = []
+    pairs: list[tuple[TrueEffect, NamedEffect]] = []
     for first_only in (True, False):
         for effect in effects:
             if any(paired is effect for paired, _ in pairs):
                 continue
             names = [(claim, claim.names[:1] if first_only else claim.names) for claim in unmatched]
             claim = next(
-                (c for c, candidates in names if any(fits(effect, name) for name in candidates)), None
+                (c for c, candidates in names if any(is_right_name(effect, name) for name in candidates)),
+                None,
             )
             if claim is not None:
                 pairs.append((effect, claim))
                 unmatched.remove(claim)
     shared = [effect for effect, _ in pairs if not effect.catalogue and effect.joint is None]
-    over = [claim for claim in unmatched if not any(fits(effect, claim.term) for effect in shared)]
-    return Matched(tuple(pairs), tuple(over))
+    unmatched_claims = [
+        claim for claim in unmatched if not any(is_right_name(effect, claim.term) for effect in shared)
+    ]
+    return Matching(tuple(pairs), tuple(unmatched_claims))
 
 
-def is_honest(effect: TrueEffect, named: Named, loss: Loss) -> bool:
-    """Whether the truth is among the names and every other one explains the test data nearly as well."""
-    others = [name for name in named.names if not fits(effect, name)]
-    return len(others) < len(named.names) and all(loss(effect, name) < RIVAL_LOSS for name in others)
+def is_acceptable(effect: TrueEffect, named: NamedEffect, loss: Loss) -> bool:
+    """Return whether a claim has the true name, and its other names explain the test data nearly as well."""
+    others = [name for name in named.names if not is_right_name(effect, name)]
+    return len(others) < len(named.names) and all(loss(effect, name) < MAX_RIVAL_LOSS for name in others)
 
 
-def confusions(
-    sure: Sequence[TrueEffect], differs: bool, matched: Matched, stated: StatedAnswer
+def confusion_pairs(
+    required: Sequence[TrueEffect], differs: bool, matching: Matching, stated: StatedAnswer
 ) -> tuple[tuple[str, str], ...]:
-    """Pairs of true and named term: an effect that was not named stands beside what was named in its place.
+    """Return pairs of true and named term.
 
-    A trial without sure effects enters where it is a null, with its verdict.
+    An effect that was not named is paired with an unmatched claim or with the verdict; a null is paired with
+    its verdict.
     """
-    over = [named.term for named in matched.over]
+    unmatched_claims = [named.term for named in matching.unmatched_claims]
     pairs = []
-    for effect in sure:
-        named = matched.of(effect)
+    for effect in required:
+        named = matching.claim_for(effect)
         label = keyed(effect.term, effect.joint) if effect.catalogue else OUTSIDE
         if named is not None:
             pairs.append((label, UNMODELLED if named.term.startswith(UNMODELLED) else named.term))
         else:
-            pairs.append((label, over.pop(0) if over else _label_without_name(stated)))
-    if not sure and not differs and not over:
+            pairs.append(
+                (label, unmatched_claims.pop(0) if unmatched_claims else _label_without_name(stated))
+            )
+    if not required and not differs and not unmatched_claims:
         pairs.append((NONE, _label_without_name(stated)))
-    return (*pairs, *((NONE, name) for name in over))
+    return (*pairs, *((NONE, name) for name in unmatched_claims))
 
 
 def _label_without_name(stated: StatedAnswer) -> str:
-    """What stands in the place of a name where there is none."""
+    """Return the label of an answer without a name."""
     if stated.verdict is None:
         return "failed"
     return NONE if stated.verdict in {"no_mismatch", "missing_physics"} else stated.verdict
 
 
-def _claims(real: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[tuple[float, bool], ...]:
+def _claim_outcomes(detectable: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[tuple[float, bool], ...]:
     claims = [pair for named in stated.named for pair in ((named.term, named.probability), *named.rivals)]
     return tuple(
-        (float(p), any(fits(effect, name) for effect in real)) for name, p in claims if p is not None
+        (float(p), any(is_right_name(effect, name) for effect in detectable))
+        for name, p in claims
+        if p is not None
     )
 
 
-def _joints(sure: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[bool, ...]:
-    """Whether each effect in a joint was named in the right one; empty where no effect was named."""
+def _right_joints(required: Sequence[TrueEffect], stated: StatedAnswer) -> tuple[bool, ...]:
+    """Return for each effect in a joint whether that joint was named; empty where no effect was named."""
     if stated.verdict != "missing_physics":
         return ()
     named = {unkeyed(named.term)[1] for named in stated.named} - {None} or {stated.joint}
-    return tuple(effect.joint in named for effect in sure if effect.joint is not None)
+    return tuple(effect.joint in named for effect in required if effect.joint is not None)
 
 
 def _coverage(answer: Answer, stated: StatedAnswer) -> tuple[bool, ...]:
@@ -216,33 +248,34 @@ def _coverage(answer: Answer, stated: StatedAnswer) -> tuple[bool, ...]:
     )
 
 
-def _holds_all(real: Sequence[TrueEffect], stated: StatedAnswer) -> bool:
-    held = set(stated.final_terms)
+def _model_is_complete(detectable: Sequence[TrueEffect], stated: StatedAnswer) -> bool:
+    final_terms = set(stated.final_terms)
     return all(
-        effect.catalogue and bool({effect.term, keyed(effect.term, effect.joint)} & held) for effect in real
+        effect.catalogue and bool({effect.term, keyed(effect.term, effect.joint)} & final_terms)
+        for effect in detectable
     )
 
 
-def _is_modelled(answer: Answer, stated: StatedAnswer) -> bool:
-    """Whether the excess over the true noise floor has gone, in squares of the floor."""
-    marks = _errors_over_floors(answer, stated)
-    if not marks:
+def _is_modelled(answer: Answer, stated: StatedAnswer, min_explained: float = 0.8) -> bool:
+    """Return whether this share of the squared excess over the true noise floor is explained."""
+    errors = _errors_over_noise_floors(answer, stated)
+    if not errors:
         return False
-    before, after = (float(np.mean([mark[k] ** 2 for mark in marks])) for k in (0, 1))
-    return before > 1.0 and (before - after) / (before - 1.0) >= MODELLED
+    before, after = (float(np.mean([error[k] ** 2 for error in errors])) for k in (0, 1))
+    return before > 1.0 and (before - after) / (before - 1.0) >= min_explained
 
 
 def _after_over_floor(answer: Answer, stated: StatedAnswer) -> float | None:
-    marks = _errors_over_floors(answer, stated)
-    return float(np.mean([after for _, after in marks])) if marks else None
+    errors = _errors_over_noise_floors(answer, stated)
+    return float(np.mean([after for _, after in errors])) if errors else None
 
 
-def _errors_over_floors(answer: Answer, stated: StatedAnswer) -> list[tuple[float, float]]:
-    """RMSE before and after of every output over its true noise floor; nothing where an output is missing."""
-    figures = {f.channel: f for f in stated.figures}
-    if not set(answer.noise_floors) <= set(figures):
+def _errors_over_noise_floors(answer: Answer, stated: StatedAnswer) -> list[tuple[float, float]]:
+    """RMSE before and after of every output over its true noise floor; empty where an output is missing."""
+    channel_errors = {f.channel: f for f in stated.channel_errors}
+    if not set(answer.noise_floors) <= set(channel_errors):
         return []
     return [
-        (figures[name].rmse_before / floor, figures[name].rmse_after / floor)
-        for name, floor in answer.noise_floors.items()
+        (channel_errors[channel].rmse_before / floor, channel_errors[channel].rmse_after / floor)
+        for channel, floor in answer.noise_floors.items()
     ]

@@ -1,4 +1,4 @@
-"""How a rig with one input is driven: a controller on its first output, and an excitation."""
+"""The drive of a rig with one input: a controller on its first output, and an excitation."""
 
 from __future__ import annotations
 
@@ -10,19 +10,10 @@ from labhil.signals import FloatArray
 
 Range = tuple[float, float]
 
-SLOPE_LAG = 0.03
-"""Time constant (s) of the controllers' derivative."""
-
-FADED_IN = 0.02
-"""Share of a recording in which an excitation grows from its centre to its full size.
-
-No recording holds what stood in a limiter or a lag before it began.
-"""
-
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """command = excitation − kp·y − kd·dy/dt (through a lag of 0.03 s), within limits and rate (per s)."""
+    """command = excitation − kp·y − kd·dy/dt (with a first-order lag), within limits and rate (per s)."""
 
     kp: float
     kd: float
@@ -33,10 +24,10 @@ class Controller:
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """A way to drive a rig: a controller on its first output, and an excitation that suits it.
+    """A controller on a rig's first output, and the ranges of its excitation.
 
-    The excitation lies within ``centre`` ± ``reach``; ``tones`` (Hz) bound a multisine's frequencies and
-    ``dwell`` (s) how long each of a sequence of levels lasts.
+    The excitation is within ``centre`` ± ``reach``; ``tones`` is the range of a multisine's frequencies, Hz,
+    ``dwell`` that of the time for which each of a sequence of levels is held, s.
     """
 
     closed: bool
@@ -47,48 +38,62 @@ class Loop:
     dwell: Range
 
 
-def multisine(t: FloatArray, loop: Loop, random: np.random.Generator) -> FloatArray:
-    """Two to five sines of random frequency and phase that reach as far together as one would alone."""
-    count = int(random.integers(2, 6))
+def multisine(t: FloatArray, loop: Loop, rng: np.random.Generator) -> FloatArray:
+    """Return two to five sines of random frequency and phase, with the power of a single one."""
+    count = int(rng.integers(2, 6))
     low, high = np.log(loop.tones)
-    frequencies = np.exp(random.uniform(low, high, count))
-    phases = random.uniform(0.0, 2.0 * np.pi, count)
+    frequencies = np.exp(rng.uniform(low, high, count))
+    phases = rng.uniform(0.0, 2.0 * np.pi, count)
     waves = np.sin(2.0 * np.pi * frequencies * t[:, None] + phases).sum(axis=1)
     return np.asarray(loop.centre + loop.reach * np.sqrt(2.0 / count) * waves / 1.4)
 
 
-def levels(t: FloatArray, loop: Loop, random: np.random.Generator) -> FloatArray:
-    """Random levels, each held for a random while."""
+def levels(t: FloatArray, loop: Loop, rng: np.random.Generator) -> FloatArray:
+    """Return random levels, each held for the same random time."""
     period = t[1] - t[0]
-    dwell = max(1, round(float(random.uniform(*loop.dwell)) / period))
-    drawn = random.uniform(-loop.reach, loop.reach, -(-len(t) // dwell))
+    dwell = max(1, round(float(rng.uniform(*loop.dwell)) / period))
+    drawn = rng.uniform(-loop.reach, loop.reach, -(-len(t) // dwell))
     return np.asarray(loop.centre + np.repeat(drawn, dwell)[: len(t)])
 
 
 EXCITATIONS = {"multisine": multisine, "levels": levels}
 
 
-def excitation_of(sort: str, t: FloatArray, loop: Loop, random: np.random.Generator) -> FloatArray:
-    """An excitation of that sort at the times ``t`` (n,), s from 0, faded in."""
-    size = np.minimum(t / (FADED_IN * t[-1]), 1.0)
-    return np.asarray(loop.centre + size * (EXCITATIONS[sort](t, loop, random) - loop.centre))
+def make_excitation(
+    kind: str, t: FloatArray, loop: Loop, rng: np.random.Generator, fade_in: float = 0.02
+) -> FloatArray:
+    """Make an excitation that is faded in.
+
+    Args:
+        kind: a key of ``EXCITATIONS``.
+        t: times (n,), s from 0.
+        loop: the ranges of the excitation.
+        rng: the source of randomness.
+        fade_in: share of the time in which the excitation grows from its centre to its full size. A recording
+            does not contain the state of a limiter or a lag at its beginning.
+    """
+    size = np.minimum(t / (fade_in * t[-1]), 1.0)
+    return np.asarray(loop.centre + size * (EXCITATIONS[kind](t, loop, rng) - loop.centre))
 
 
-class Law:
-    """A controller's commands, sample by sample."""
+class ControllerState:
+    """A controller that runs with a sample period (s); ``lag`` (s) is the time constant of its derivative."""
 
-    def __init__(self, controller: Controller, period: float) -> None:
-        self._of, self._period = controller, period
-        self._forget = float(np.exp(-period / SLOPE_LAG))
-        self._before, self._slope, self._sent = 0.0, 0.0, 0.0
+    def __init__(self, controller: Controller, period: float, lag: float = 0.03) -> None:
+        self._controller, self._period = controller, period
+        self._decay = float(np.exp(-period / lag))
+        self._last_measured, self._slope, self._sent = 0.0, 0.0, 0.0
 
-    def command(self, excitation: float, seen: float) -> float:
-        """The next command, from the excitation and what was measured last."""
-        rising = (seen - self._before) / self._period
-        self._slope = self._forget * self._slope + (1.0 - self._forget) * rising
-        self._before = seen
-        wanted = excitation - self._of.kp * seen - self._of.kd * self._slope
-        reach = self._of.rate * self._period
-        low, high = max(self._sent - reach, self._of.low), min(self._sent + reach, self._of.high)
-        self._sent = min(max(wanted, low), high)
+    def command(self, excitation: float, measured: float) -> float:
+        """Return the next command, from the excitation and the last measurement."""
+        rate = (measured - self._last_measured) / self._period
+        self._slope = self._decay * self._slope + (1.0 - self._decay) * rate
+        self._last_measured = measured
+        command = excitation - self._controller.kp * measured - self._controller.kd * self._slope
+        max_change = self._controller.rate * self._period
+        low, high = (
+            max(self._sent - max_change, self._controller.low),
+            min(self._sent + max_change, self._controller.high),
+        )
+        self._sent = min(max(command, low), high)
         return self._sent

@@ -1,4 +1,4 @@
-"""The generator's own measurement noise: what an oracle knows and no analysis does."""
+"""The true measurement noise of a trial, which only the oracle knows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TrueNoise:
         return np.hypot(np.array(self.level), np.array(self.step) / np.sqrt(12.0))
 
     def residual_in(self, record: Record) -> ResidualNoise:
-        """The noise that remains in a record that a model has prepared."""
+        """Return the noise in a record that a model has prepared (filtered, for an arm)."""
         rounded = (np.array(self.step) ** 2 / 12.0) / np.maximum(self.sigma**2, 1e-300)
         motion = record.motion if isinstance(record, PreparedRecord) else None
         if not isinstance(record, PreparedRecord) or motion is None or motion.low_pass is None:
@@ -46,7 +46,7 @@ class TrueNoise:
         return ResidualNoise(self.sigma, rounded, coloured, white, places, judged)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON data."""
+        """Return the noise as plain JSON data."""
         return {"level": list(self.level), "step": list(self.step), "correlation": self.correlation}
 
     @classmethod
@@ -59,10 +59,13 @@ class TrueNoise:
 class ResidualNoise:
     """Noise in the rows of a prepared record.
 
-    ``measured`` (c,) is the standard deviation before that and ``rounded`` (c,) the share of rounding in
-    its square; ``coloured`` and ``white`` are autocovariances of unit noise by distance in samples,
-    ``places`` (n,) where each row stands among these. Only ``judged`` (n, c) rows have any: the others are
-    not compared with a model.
+    Attributes:
+        measured: standard deviation (c,) before preparation.
+        rounded: share (c,) of rounding in its square.
+        coloured: autocovariance of coloured unit noise by distance in samples, after preparation.
+        white: that of white unit noise.
+        places: index (n,) of each row in samples.
+        judged: rows (n, c) that are compared with a model; only these have noise.
     """
 
     measured: FloatArray
@@ -74,22 +77,22 @@ class ResidualNoise:
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviation (c,) of a row that is judged."""
+        """Standard deviation (c,) of a judged row."""
         return np.asarray(self.measured * np.sqrt(self._variance))
 
     @property
     def _variance(self) -> FloatArray:
-        """Variance (c,) that remains of unit noise, rounding included."""
+        """Variance (c,) of unit noise after preparation, rounding included."""
         return np.asarray(self.coloured[0] + self.rounded * (self.white[0] - self.coloured[0]))
 
     @property
     def rms(self) -> FloatArray:
-        """Root of the mean square (c,) over all rows, those that are not judged among them."""
+        """Root mean square (c,) over all rows, judged or not."""
         return np.asarray(self.sigma * np.sqrt(self.judged.mean(axis=0)))
 
     def correlation(self, channel: int, rows: IntArray) -> FloatArray:
-        """Correlation matrix of an output's noise in these rows."""
+        """Return the correlation matrix of an output's noise in these rows."""
         share = self.rounded[channel]
-        kept = (1.0 - share) * self.coloured + share * self.white
+        autocovariance = (1.0 - share) * self.coloured + share * self.white
         at = self.places[rows]
-        return np.asarray((kept / self._variance[channel])[np.abs(at[:, None] - at)])
+        return np.asarray((autocovariance / self._variance[channel])[np.abs(at[:, None] - at)])

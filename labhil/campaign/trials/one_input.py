@@ -1,4 +1,7 @@
-"""Rigs that one input drives: what their benches record, what can be drawn, and a walk sample by sample."""
+"""Benches of rigs with one input: drawn conditions and effects, and the simulation of a recording.
+
+The benches themselves are in ``one_input_rigs.py``.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from labhil.campaign.trials.loop import EXCITATIONS, Law, Loop, Range, excitation_of
+from labhil.campaign.trials.loop import EXCITATIONS, ControllerState, Loop, Range, make_excitation
 from labhil.campaign.trials.noise import TrueNoise
-from labhil.campaign.trials.secret import Drawn, Secret, Walk
-from labhil.campaign.trials.sizes import draw_size, power_of, spread
+from labhil.campaign.trials.secret import DrawnEffect, Secret, SimulatedRun
+from labhil.campaign.trials.sizes import draw_factor, draw_size, strength_exponent
 from labhil.errors import UsageError
 from labhil.kinds import KINDS
 from labhil.physics.model import Model, Record
@@ -20,35 +23,47 @@ from labhil.plants.definition import PlantDefinition
 from labhil.plants.rigs import PLANT_DEFINITIONS, Plant, effects_of, plant_of
 from labhil.signals import FloatArray, Hold, Signal
 
-STRENGTHS = (1.1, 5.0)
-BITS = (0, 0, 8, 10)
-"""Bits of the converter; 0 stands for one that is finer than the noise."""
-NEED_DRY = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
-"""Effects that change dry friction and do nothing, or drive the part, where there is none."""
-DRY = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
+STRENGTH_RANGE = (1.1, 5.0)
+"""Target strengths of effects, drawn log-uniformly."""
+CONVERTER_BITS = (0, 0, 8, 10)
+"""Bits of the converter; 0 is one with steps far below the noise."""
+REQUIRES_DRY_FRICTION = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
+"""Effects that modify dry friction; without one they do nothing, or drive the part."""
+DRY_FRICTION_TERMS = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
 CARRIERS = ("presliding_friction", "maxwell_slip_friction")
-"""What may carry a dry friction in the place of an event-based law."""
-MEASUREMENT = ("quantisation", "pwm_ripple")
+"""Bristle laws that may replace the event-based law of a dry friction."""
+MEASUREMENT_EFFECTS = ("quantisation", "pwm_ripple")
 """Effects of a plant that belong to the bench's conditions."""
 FINEST_BITS = 16.0
-"""Of the ball and beam's converter, which is always there."""
-BEFORE = 100
-"""Samples before a recording, in which the rig stands at the centre of its excitation.
+"""Bits of the finest converter of the ball and beam, which always has one."""
+LEAD_IN_SAMPLES = 100
+"""Samples before a recording, with a constant command.
 
-No recording holds what was under way in a delay, a lag or a coil before it began.
+A recording does not contain the state of a delay, a lag or a coil at its beginning; after these samples it is
+at rest.
 """
 HEADROOM = 1.25
-"""Full scale of a converter over the largest value it was expected to see."""
+"""Full scale of a converter over the largest value of a rehearsal."""
 
 
 @dataclass(frozen=True, slots=True)
 class OneInputBench:
     """What a trial of one kind of rig records, and how.
 
-    ``noise`` bounds the power of a channel over its noise, dB; ``spread`` maps parameters that nobody
-    knows to the largest factor by which they differ from the plant's defaults; ``at_work`` are numbers of
-    the plant other than its defaults; ``warm`` those of a bench that records ``auxiliary`` channels too.
-    ``travel`` is the largest first output that the bench allows.
+    Attributes:
+        kind: the kind of rig.
+        rig: text of the rig file.
+        period: time between samples, s.
+        samples: number of samples of the search and the test recording.
+        outputs: names of the outputs.
+        noise: smallest and largest power of a channel over its noise, dB.
+        parameter_spread: largest factor by which each unknown parameter differs from the plant's default.
+        loops: ways to drive the rig.
+        auxiliary: further channels that a trial may record.
+        at_work: parameters of the plant other than its defaults.
+        warm: further ones of a trial that records auxiliary channels.
+        travel: largest absolute first output that the bench allows.
+        noise_names: the plant's names of the noise of outputs, where they are not ``OUTPUT_noise``.
     """
 
     kind: str
@@ -57,7 +72,7 @@ class OneInputBench:
     samples: tuple[int, int]
     outputs: tuple[str, ...]
     noise: Range
-    spread: Mapping[str, float]
+    parameter_spread: Mapping[str, float]
     loops: tuple[Loop, ...]
     auxiliary: tuple[str, ...] = ()
     at_work: Mapping[str, float] | None = None
@@ -66,27 +81,32 @@ class OneInputBench:
     noise_names: Mapping[str, str] | None = None
 
     def noise_name(self, output: str) -> str:
-        """The plant's name of the noise of an output."""
+        """Return the plant's name of the noise of an output."""
         return (self.noise_names or {}).get(output, f"{output}_noise")
 
-    def setup(self, random: np.random.Generator) -> OneInputSetup:
-        """The rig under random conditions."""
-        return OneInputSetup(self, _conditions(self, random))
+    def draw_setup(self, rng: np.random.Generator) -> OneInputSetup:
+        """Draw the conditions of a trial."""
+        return OneInputSetup(self, _conditions(self, rng))
 
-    def lasting(self, seconds: float) -> OneInputBench:
-        """The same with recordings that are so long, s."""
+    def with_duration(self, seconds: float) -> OneInputBench:
+        """Return the bench with recordings of this duration, s."""
         samples = round(seconds / self.period)
         return replace(self, samples=(samples, samples))
 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """How a trial is recorded.
+    """Conditions of a trial.
 
-    ``loop`` is the bench's loop by number; ``decibels`` the power of each output over its noise,
-    ``correlation`` that of neighbouring samples' noise, ``bits`` those of the converter (0: fine),
-    ``jitter`` the standard deviation of the samples' times in periods; ``auxiliary`` says whether
-    further channels are recorded; ``seeds`` fix excitation and noise of search and test.
+    Attributes:
+        loop: index of the bench's loop.
+        excitation: a key of ``EXCITATIONS``.
+        decibels: power of each output over its noise, dB.
+        correlation: correlation of neighbouring samples' noise.
+        bits: of the converter, 0 for steps far below the noise.
+        jitter: standard deviation of the samples' times, in periods.
+        auxiliary: whether auxiliary channels are recorded.
+        seeds: seeds of excitation and noise of the search and the test recording.
     """
 
     loop: int
@@ -99,16 +119,16 @@ class Conditions:
     seeds: tuple[int, int]
 
 
-def _conditions(bench: OneInputBench, random: np.random.Generator) -> Conditions:
+def _conditions(bench: OneInputBench, rng: np.random.Generator) -> Conditions:
     return Conditions(
-        loop=int(random.integers(len(bench.loops))),
-        excitation=str(random.choice(list(EXCITATIONS))),
-        decibels=float(random.uniform(*bench.noise)),
-        correlation=float(random.choice([0.0, random.uniform(0.3, 0.8)])),
-        bits=int(random.choice(BITS)),
-        jitter=float(random.choice([0.0, random.uniform(0.02, 0.15)])),
-        auxiliary=bool(bench.auxiliary) and bool(random.integers(2)),
-        seeds=(int(random.integers(2**31)), int(random.integers(2**31))),
+        loop=int(rng.integers(len(bench.loops))),
+        excitation=str(rng.choice(list(EXCITATIONS))),
+        decibels=float(rng.uniform(*bench.noise)),
+        correlation=float(rng.choice([0.0, rng.uniform(0.3, 0.8)])),
+        bits=int(rng.choice(CONVERTER_BITS)),
+        jitter=float(rng.choice([0.0, rng.uniform(0.02, 0.15)])),
+        auxiliary=bool(bench.auxiliary) and bool(rng.integers(2)),
+        seeds=(int(rng.integers(2**31)), int(rng.integers(2**31))),
     )
 
 
@@ -142,32 +162,34 @@ class OneInputSetup:
         return tuple(signal for signal in kind.signals() if signal.name in names)
 
     def conditions_to_json(self) -> dict[str, Any]:
-        """The conditions as an answer lists them."""
+        """Return the conditions as plain JSON data."""
         return asdict(self.conditions)
 
-    def draw_base(self, random: np.random.Generator) -> dict[str, float]:
-        """The baseline's numbers, spread about the plant's defaults."""
+    def draw_baseline_parameters(self, rng: np.random.Generator) -> dict[str, float]:
+        """Draw the baseline's parameters about the plant's defaults."""
         bench, defaults = self.bench, self._world.all_parameters()
-        drawn = {name: defaults[name] * spread(factor, random) for name, factor in bench.spread.items()}
+        drawn = {
+            name: defaults[name] * draw_factor(factor, rng) for name, factor in bench.parameter_spread.items()
+        }
         warm = dict(bench.warm or {}) if self.conditions.auxiliary else {}
         return drawn | dict(bench.at_work or {}) | warm
 
     def draw_effect(
-        self, model: Model, outside: bool, others: Sequence[Drawn], random: np.random.Generator
-    ) -> Drawn:
-        """One effect of random kind and size, with the strength that it is to be scaled to."""
-        term = str(random.choice(list(_candidates(model, outside, [effect.term for effect in others]))))
-        low, high = np.log(STRENGTHS)
+        self, model: Model, outside: bool, others: Sequence[DrawnEffect], rng: np.random.Generator
+    ) -> DrawnEffect:
+        """Draw an effect of random kind and size, and its target strength."""
+        term = str(rng.choice(list(_candidates(model, outside, [effect.term for effect in others]))))
+        low, high = np.log(STRENGTH_RANGE)
         defaults = self._world.parameters_of(term)
-        drawn = {name: draw_size(name, value, random) for name, value in defaults.items()}
-        powers = {name: power_of(name) for name in drawn}
-        return Drawn(term, drawn, powers, float(np.exp(random.uniform(low, high))))
+        drawn = {name: draw_size(name, value, rng) for name, value in defaults.items()}
+        powers = {name: strength_exponent(name) for name in drawn}
+        return DrawnEffect(term, drawn, powers, float(np.exp(rng.uniform(low, high))))
 
-    def draw_carrier(self, dry: Drawn, random: np.random.Generator) -> Drawn:
-        """Bristles or slipping elements that carry a dry friction, as stiff for its level as by default."""
-        term = str(random.choice([name for name in CARRIERS if name in effects_of(self.kind)]))
+    def draw_carrier(self, dry: DrawnEffect, rng: np.random.Generator) -> DrawnEffect:
+        """Draw a bristle law for a dry friction, as stiff for its level as by default."""
+        term = str(rng.choice([name for name in CARRIERS if name in effects_of(self.kind)]))
         defaults = self._world.parameters_of(term)
-        drawn = {name: draw_size(name, value, random) for name, value in defaults.items()}
+        drawn = {name: draw_size(name, value, rng) for name, value in defaults.items()}
         level, usual = (
             abs(parameters[f"{dry.term}.level"])
             for parameters in (dry.parameters, self._world.parameters_of(dry.term))
@@ -175,17 +197,17 @@ class OneInputSetup:
         by_level = {
             name: value * level / usual for name, value in drawn.items() if not name.endswith(".spread")
         }
-        return Drawn(term, drawn | by_level, dict.fromkeys(drawn, 0), dry.target)
+        return DrawnEffect(term, drawn | by_level, dict.fromkeys(drawn, 0), dry.target_strength)
 
-    def numbers(self, secret: Secret) -> Mapping[str, float]:
-        """Every number of the plant, its defaults included."""
+    def plant_parameters(self, secret: Secret) -> Mapping[str, float]:
+        """Return every parameter of the plant, its defaults included."""
         return self._world.resolve(secret.terms, secret.parameters)
 
-    def noise_scale(self, secret: Secret) -> TrueNoise:
-        """Noise and steps of the outputs for these conditions, from a silent rehearsal."""
+    def true_noise(self, secret: Secret) -> TrueNoise:
+        """Return noise and steps of the outputs for these conditions, from a noiseless simulation."""
         bench, conditions = self.bench, self.conditions
-        rehearsed = self._walk(secret, 0, self._silent_parameters())
-        measured = [rehearsed.signals[name] for name in bench.outputs]
+        rehearsal = self._simulate(secret, 0, self._noiseless_parameters())
+        measured = [rehearsal.signals[name] for name in bench.outputs]
         level = [float(x.std()) * 10.0 ** (-conditions.decibels / 20.0) for x in measured]
         reach = [2.0 * HEADROOM * float(np.abs(x).max()) for x in measured]
         if bench.kind == "ball_beam":
@@ -193,35 +215,36 @@ class OneInputSetup:
         step = [full / 2**conditions.bits if conditions.bits else 0.0 for full in reach]
         return TrueNoise(tuple(level), tuple(step), conditions.correlation)
 
-    def walk(self, secret: Secret, noise: TrueNoise, which: int) -> Walk:
-        """Record the search (0) or the test (1).
+    def simulate(self, secret: Secret, noise: TrueNoise, recording_index: int) -> SimulatedRun:
+        """Simulate the search (0) or the test (1) recording.
 
-        UsageError where the plant runs away or leaves its travel.
+        Raises:
+            UsageError: the plant diverges or leaves its travel.
         """
-        walk = self._walk(secret, which, self._noise_parameters(noise))
+        run = self._simulate(secret, recording_index, self._noise_parameters(noise))
         first, travel = self.bench.outputs[0], self.bench.travel
-        reached = float(np.abs(walk.signals[first]).max())
-        if reached > travel:
-            raise UsageError(f"{first} reached {reached:g}, at most {travel:g} is allowed")
-        return walk
+        max_output = float(np.abs(run.signals[first]).max())
+        if max_output > travel:
+            raise UsageError(f"{first} reached {max_output:g}, at most {travel:g} is allowed")
+        return run
 
-    def silent(self, secret: Secret, walk: Walk, which: int) -> Walk:
-        """The same commands again, measured without noise and steps."""
-        return self._walk(secret, which, self._silent_parameters(), walk.commands)
+    def simulate_noiseless(self, secret: Secret, run: SimulatedRun, recording_index: int) -> SimulatedRun:
+        """Simulate the same commands again, with outputs without noise and steps."""
+        return self._simulate(secret, recording_index, self._noiseless_parameters(), run.commands)
 
-    def record(self, walk: Walk) -> Record:
-        """The walk as a model sees it."""
+    def to_record(self, run: SimulatedRun) -> Record:
+        """Return a run as the record of a model."""
         kinds = {signal.name: signal for signal in KINDS[self.kind].signals()}
         source, outputs = KINDS[self.kind].inputs[0], self.bench.outputs
         return Record(
-            t=walk.t,
-            inputs=np.ascontiguousarray(walk.signals[source.name][:, None]),
-            outputs=np.column_stack([walk.signals[name] for name in outputs]),
+            t=run.t,
+            inputs=np.ascontiguousarray(run.signals[source.name][:, None]),
+            outputs=np.column_stack([run.signals[name] for name in outputs]),
             input_names=(source.name,),
             output_names=outputs,
             output_units=tuple(kinds[name].unit for name in outputs),
             input_holds=(source.hold,),
-            auxiliary={name: walk.signals[name] for name in self._auxiliary},
+            auxiliary={name: run.signals[name] for name in self._auxiliary},
             output_joints=(None,) * len(outputs),
         )
 
@@ -233,80 +256,104 @@ class OneInputSetup:
     def _auxiliary(self) -> tuple[str, ...]:
         return self.bench.auxiliary if self.conditions.auxiliary else ()
 
-    def _silent_parameters(self) -> dict[str, float]:
+    def _noiseless_parameters(self) -> dict[str, float]:
         fine = {"adc_bits": FINEST_BITS} if self.kind == "ball_beam" else {}
         return {self.bench.noise_name(name): 0.0 for name in self.bench.outputs} | fine
 
     def _noise_parameters(self, noise: TrueNoise) -> dict[str, float]:
-        """Parameters of the plant that make this noise."""
+        """Parameters of the plant for this noise."""
         bench = self.bench
-        given = {bench.noise_name(n): level for n, level in zip(bench.outputs, noise.level, strict=True)}
-        given["noise_correlation"] = noise.correlation
+        parameters = {bench.noise_name(n): level for n, level in zip(bench.outputs, noise.level, strict=True)}
+        parameters["noise_correlation"] = noise.correlation
         if self.kind == "ball_beam":
-            return given | {"adc_bits": float(self.conditions.bits) or FINEST_BITS}
-        return given | {f"{n}_resolution": step for n, step in zip(bench.outputs, noise.step, strict=True)}
+            return parameters | {"adc_bits": float(self.conditions.bits) or FINEST_BITS}
+        return parameters | {
+            f"{n}_resolution": step for n, step in zip(bench.outputs, noise.step, strict=True)
+        }
 
-    def _walk(
-        self, secret: Secret, which: int, measured: Mapping[str, float], commands: FloatArray | None = None
-    ) -> Walk:
-        """Step through one recording; ``commands`` (BEFORE + n + 1,) replace excitation and controller."""
-        bench, conditions, n = self.bench, self.conditions, self.bench.samples[which]
-        seed = conditions.seeds[which]
-        jitter = 0.0 if _counts_samples(secret) else conditions.jitter * bench.period
-        given = {**secret.parameters, **measured, "stamp_jitter": jitter}
-        plant = plant_of(bench.kind, given, secret.terms, seed, bench.period)
+    def _simulate(
+        self,
+        secret: Secret,
+        recording_index: int,
+        measured: Mapping[str, float],
+        commands: FloatArray | None = None,
+    ) -> SimulatedRun:
+        """Simulate one recording; ``commands`` (lead-in + n + 1,) replace excitation and controller."""
+        bench, conditions, n = self.bench, self.conditions, self.bench.samples[recording_index]
+        seed = conditions.seeds[recording_index]
+        jitter = 0.0 if _needs_even_samples(secret) else conditions.jitter * bench.period
+        parameters = {**secret.parameters, **measured, "stamp_jitter": jitter}
+        plant = plant_of(bench.kind, parameters, secret.terms, seed, bench.period)
         loop = bench.loops[conditions.loop]
         t: FloatArray = bench.period * np.arange(n + 1, dtype=np.float64)
-        excitation = excitation_of(conditions.excitation, t, loop, np.random.default_rng([seed, 1]))
-        excitation = np.r_[np.full(BEFORE, excitation[0]), excitation]
-        law = Law(loop.controller, bench.period)
+        excitation = make_excitation(conditions.excitation, t, loop, np.random.default_rng([seed, 1]))
+        excitation = np.r_[np.full(LEAD_IN_SAMPLES, excitation[0]), excitation]
+        controller = ControllerState(loop.controller, bench.period)
         factor, added = np.ones(len(excitation)), np.zeros(len(excitation))
         if secret.disturbance is not None:
             factor, added = secret.disturbance.sample(len(excitation), bench.period, seed)
         if commands is None and not loop.closed:
-            commands = np.array([law.command(value, 0.0) for value in excitation.tolist()])
+            commands = np.array([controller.command(value, 0.0) for value in excitation.tolist()])
+        source = KINDS[bench.kind].inputs[0]
         if commands is not None:
-            return _follow(plant, commands, factor * commands + added, KINDS[bench.kind].inputs[0])
-        rows: list[Mapping[str, float]] = []
-        sent, stamps, seen = np.empty(len(excitation)), np.empty(len(excitation)), 0.0
-        for k, wanted in enumerate(excitation.tolist()):
-            sent[k] = law.command(wanted, seen)
-            rows.append(plant.step(float(factor[k] * sent[k] + added[k])))
-            stamps[k] = plant.time
-            seen = rows[-1][bench.outputs[0]]
-        source, rows, stamps = KINDS[bench.kind].inputs[0], rows[BEFORE:-1], stamps[BEFORE:-1]
-        signals = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        return Walk(stamps - stamps[0], sent, {source.name: _acting_input(sent, source)} | signals)
+            return _follow(plant, commands, factor * commands + added, source)
+        return _run_closed_loop(plant, controller, excitation, (factor, added), source, bench.outputs[0])
 
 
-def _follow(plant: Plant, sent: FloatArray, done: FloatArray, source: Signal) -> Walk:
-    """What a plant does at commands (BEFORE + n + 1,) that are known beforehand: as sent, and as they act."""
-    for value in done[: BEFORE + 1].tolist():
+def _run_closed_loop(
+    plant: Plant,
+    controller: ControllerState,
+    excitation: FloatArray,
+    disturbance: tuple[FloatArray, FloatArray],
+    source: Signal,
+    output: str,
+) -> SimulatedRun:
+    """Simulate a plant under a controller; ``disturbance`` is the factor and the summand of the commands."""
+    factor, added = disturbance
+    rows: list[Mapping[str, float]] = []
+    sent, stamps, measured = np.empty(len(excitation)), np.empty(len(excitation)), 0.0
+    for k, setpoint in enumerate(excitation.tolist()):
+        sent[k] = controller.command(setpoint, measured)
+        rows.append(plant.step(float(factor[k] * sent[k] + added[k])))
+        stamps[k] = plant.time
+        measured = rows[-1][output]
+    rows, stamps = rows[LEAD_IN_SAMPLES:-1], stamps[LEAD_IN_SAMPLES:-1]
+    signals = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return SimulatedRun(stamps - stamps[0], sent, {source.name: _acting_input(sent, source)} | signals)
+
+
+def _follow(plant: Plant, sent: FloatArray, acting: FloatArray, source: Signal) -> SimulatedRun:
+    """Simulate a plant with known commands (lead-in + n + 1,): as they were sent, and as they act."""
+    for value in acting[: LEAD_IN_SAMPLES + 1].tolist():
         plant.step(value)
-    run = plant.simulate(_acting_input(done, source))
-    return Walk(run.t, sent, {source.name: _acting_input(sent, source), **run.measured})
+    run = plant.simulate(_acting_input(acting, source))
+    return SimulatedRun(run.t, sent, {source.name: _acting_input(sent, source), **run.measured})
 
 
 def _acting_input(sent: FloatArray, source: Signal) -> FloatArray:
-    """The input (n,) beside each sample, of the commands (BEFORE + n + 1,).
+    """Return the input (n,) that is recorded with each sample, of the commands (lead-in + n + 1,).
 
-    A command that is held acts after the sample beside which it stands, another has just been reached.
+    A held command acts after its sample; an interpolated one has been reached at it.
     """
-    return sent[BEFORE + 1 :] if source.hold is Hold.ZERO else sent[BEFORE:-1]
+    return sent[LEAD_IN_SAMPLES + 1 :] if source.hold is Hold.ZERO else sent[LEAD_IN_SAMPLES:-1]
 
 
-def _counts_samples(secret: Secret) -> bool:
-    """Whether the plant cannot have uneven samples: a ball and beam with a delay counts them."""
+def _needs_even_samples(secret: Secret) -> bool:
+    """Whether the plant needs even samples: a ball and beam with a delay counts them."""
     return secret.kind == "ball_beam" and "time_delay" in secret.terms
 
 
 def _candidates(model: Model, outside: bool, others: Sequence[str]) -> tuple[str, ...]:
-    """Effects of the plant that the model can name, or those that it cannot, to join ``others``."""
+    """Names of effects to draw from beside ``others``: those in the model's catalogue, or outside it."""
     known = {term.name for term in model.terms.values()}
     taken = {*rig_model(model.kind).baseline, *others}
-    fitting = [name for name in effects_of(model.kind) if name not in NEED_DRY or taken & set(DRY)]
-    effects = [name for name in fitting if name not in taken]
+    possible = [
+        name
+        for name in effects_of(model.kind)
+        if name not in REQUIRES_DRY_FRICTION or taken & set(DRY_FRICTION_TERMS)
+    ]
+    effects = [name for name in possible if name not in taken]
     if not outside:
         return tuple(name for name in effects if name in known)
-    strange = [name for name in effects if name not in known and name not in MEASUREMENT]
-    return (*strange, *effects_of(model.kind, hidden=True))
+    outside_effects = [name for name in effects if name not in known and name not in MEASUREMENT_EFFECTS]
+    return (*outside_effects, *effects_of(model.kind, hidden=True))

@@ -13,7 +13,7 @@ BALL_BEAM = OneInputBench(
     samples=(3000, 3000),
     outputs=("ball_position",),
     noise=(40.0, 52.0),
-    spread={"viscous_friction.coefficient": 1.6},
+    parameter_spread={"viscous_friction.coefficient": 1.6},
     # a ball rolls off any beam that nobody levels: there is no open loop
     loops=(Loop(True, Controller(7.0, 3.0, -1.2, 1.2, 12.0), 0.0, 0.85, (0.1, 0.8), (0.8, 2.5)),),
     travel=0.24,
@@ -26,7 +26,7 @@ DC_MOTOR = OneInputBench(
     samples=(2000, 2000),
     outputs=("speed", "current"),
     noise=(28.0, 42.0),
-    spread={
+    parameter_spread={
         "inertia": 1.2, "torque_constant": 1.2, "resistance": 1.2, "inductance": 1.2,
         "viscous_friction.coefficient": 1.6,
     },
@@ -46,7 +46,7 @@ AXIS = OneInputBench(
     samples=(2000, 2000),
     outputs=("position",),
     noise=(50.0, 65.0),
-    spread={
+    parameter_spread={
         "moving_mass": 1.3, "viscous_friction.coefficient": 1.5, "coulomb_friction.level": 1.5,
         "constant_force.force": 2.0,
     },
@@ -65,6 +65,6 @@ SOLENOID = OneInputBench(
     samples=(2000, 2000),
     outputs=("plunger_position",),
     noise=(25.0, 45.0),
-    spread={"moving_mass": 1.15, "spring_stiffness": 1.15, "viscous_friction.coefficient": 1.6},
+    parameter_spread={"moving_mass": 1.15, "spring_stiffness": 1.15, "viscous_friction.coefficient": 1.6},
     loops=(Loop(False, Controller(0.0, 0.0, 0.0, 2.0), 1.0, 0.45, (1.0, 12.0), (0.03, 0.15)),),
 )

@@ -1,8 +1,7 @@
-"""``labhil trial run``: diagnose every trial blind, keep each result at once, and hash it.
+"""``labhil trial run``: diagnose every trial blind, and write and hash each result at once.
 
-Diagnoses run in processes of their own that are given the trials' folder and nothing else; there, opening
-any envelope (JSON, which no diagnosis has a reason to read) is refused by an audit hook that Python code
-cannot take off again.
+Diagnoses run in separate processes that get the trials' folder only. An audit hook, which Python code cannot
+remove, refuses to open any envelope there (JSON, which no diagnosis has a reason to read).
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from labhil.campaign.benchmarks import benchmark_module
 from labhil.campaign.trials.folder import (
     DIAGNOSE,
     STEPWISE,
-    Listed,
     Results,
+    check_recordings,
     read_index,
-    recording,
-    replace_text,
+    recording_path,
+    write_text_atomically,
 )
 from labhil.campaign.trials.seal import sha256_of
 from labhil.errors import UsageError
@@ -39,30 +38,40 @@ Progress = Callable[[str], None]
 
 
 def run_trials(folder: Path, jobs: int, progress: Progress, method: str = DIAGNOSE) -> str:
-    """Diagnose the trials that have no result yet, in ``jobs`` processes; the SHA-256 of all hashes.
+    """Diagnose the trials that have no result yet.
 
-    A result that is not the one that was hashed is refused. UsageError where recordings are not the
-    sealed ones, UnknownNameError for a method that is none.
+    Args:
+        folder: a folder of ``labhil trial make``.
+        jobs: number of processes.
+        progress: is called with a line of text after each trial.
+        method: one of ``METHODS``.
+
+    Returns:
+        SHA-256 of the file of all hashes.
+
+    Raises:
+        UsageError: a recording is not the sealed one, or a result is not the one that was hashed.
+        UnknownNameError: there is no such method.
     """
     if jobs < 1:
         raise UsageError(f"--jobs: expected at least 1, found {jobs}")
     results = Results(folder, method)
     index = read_index(folder)
-    for listed in index.trials:
-        _check_recordings(folder, listed)
+    for entry in index.trials:
+        check_recordings(folder, entry)
     (folder / results.name).mkdir(exist_ok=True)
-    hashes = _kept_hashes(results)
-    missing = [listed.name for listed in index.trials if listed.name not in hashes]
+    hashes = _existing_hashes(results)
+    missing = [entry.name for entry in index.trials if entry.name not in hashes]
     if missing:
         _diagnose_all(results, missing, hashes, jobs, progress)
     return sha256_of(results.hashes)
 
 
-def _kept_hashes(results: Results) -> dict[str, str]:
-    """The hashes of existing results; a result without a hash is diagnosed again."""
+def _existing_hashes(results: Results) -> dict[str, str]:
+    """Read and check the hashes of existing results; a trial without a hash is diagnosed again."""
     hashes = results.read_hashes()
     for name, expected in hashes.items():
-        path = results.of(name)
+        path = results.path_of(name)
         if not path.exists() or sha256_of(path) != expected:
             raise UsageError(
                 f"{path}: is not the result that {results.hashes.name} names: expected SHA-256 {expected}"
@@ -70,22 +79,14 @@ def _kept_hashes(results: Results) -> dict[str, str]:
     return hashes
 
 
-def _check_recordings(folder: Path, listed: Listed) -> None:
-    for role, expected in listed.recordings.items():
-        path = recording(folder, listed.name, role)
-        actual = sha256_of(path)
-        if actual != expected:
-            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {actual}")
-
-
 def _diagnose_all(
     results: Results, names: list[str], hashes: dict[str, str], jobs: int, progress: Progress
 ) -> None:
     if results.method == STEPWISE:
-        _stepwise()  # looked for here: processes that read no JSON cannot ask where it is
-    # spawned processes share no memory with this one, whatever it has read
+        _stepwise()  # imported here: finding it reads JSON, which the processes cannot
+    # spawned processes share no memory with this one
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=keep_envelopes_shut) as executor:
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=forbid_envelopes) as executor:
         futures = {
             executor.submit(diagnose_trial, results.folder, name, results.method): name for name in names
         }
@@ -93,9 +94,9 @@ def _diagnose_all(
             for count, future in enumerate(as_completed(futures), 1):
                 name = futures[future]
                 result = future.result()
-                path = results.of(name)
+                path = results.path_of(name)
                 text = json.dumps(result, ensure_ascii=False, allow_nan=False, indent=1)
-                replace_text(path, text + "\n")
+                write_text_atomically(path, text + "\n")
                 hashes[name] = sha256_of(path)
                 results.write_hashes(hashes)
                 verdict = result["verdict"] or f"failed: {result['error']}"
@@ -106,12 +107,12 @@ def _diagnose_all(
 
 
 def _stepwise() -> ModuleType:
-    """The rival method, one of the project's benchmarks."""
+    """Import the method of comparison, which is in the project's benchmarks."""
     return benchmark_module("trials.stepwise", f"--method {STEPWISE}")
 
 
-def keep_envelopes_shut() -> None:
-    """Refuse from now on, in this process, to open any JSON file."""
+def forbid_envelopes() -> None:
+    """Make this process refuse to open any JSON file from now on."""
     sys.addaudithook(_refuse_envelopes)
 
 
@@ -123,15 +124,15 @@ def _refuse_envelopes(event: str, arguments: tuple[Any, ...]) -> None:
 
 
 def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str, Any]:
-    """The diagnosis of one trial as JSON data; one that fails has the verdict null and its error."""
+    """Diagnose one trial; the result as JSON data. A failure has the verdict null and its error."""
     began = time.perf_counter()
     try:
-        search, test = (recording(folder, name, role) for role in ("search", "test"))
-        material = load_dataset(search, test_path=test)
+        search, test = (recording_path(folder, name, role) for role in ("search", "test"))
+        dataset = load_dataset(search, test_path=test)
         result: dict[str, Any] = (
-            _stepwise().stepwise_study(material) if method == STEPWISE else diagnose_study(material).json
+            _stepwise().stepwise_study(dataset) if method == STEPWISE else diagnose_study(dataset).json
         )
-    except Exception as error:  # noqa: BLE001 - whatever it is, the other trials go on and it is counted
+    except Exception as error:  # noqa: BLE001 - any failure is counted, and the other trials are diagnosed
         return {
             "schema": SCHEMA,
             "verdict": None,

@@ -1,4 +1,7 @@
-"""``labhil trial score``: open the envelopes, check every hash, and judge trial by trial."""
+"""``labhil trial score``: open the envelopes, check every hash, and judge trial by trial.
+
+The rules are in ``judge.py``, the score card in ``card.py``.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +14,16 @@ from pathlib import Path
 
 from labhil.analysis.dataset import load_dataset
 from labhil.campaign.trials.answer import Answer, TrueEffect
-from labhil.campaign.trials.card import Card, count
-from labhil.campaign.trials.folder import DIAGNOSE, Listed, Results, read_index, recording
-from labhil.campaign.trials.judge import NULL_GAIN, Judged, judge
+from labhil.campaign.trials.card import ScoreCard, make_score_card
+from labhil.campaign.trials.folder import (
+    DIAGNOSE,
+    IndexEntry,
+    Results,
+    check_recordings,
+    read_index,
+    recording_path,
+)
+from labhil.campaign.trials.judge import MIN_DETECTABLE_GAIN, JudgedTrial, judge
 from labhil.campaign.trials.oracle import Oracle
 from labhil.campaign.trials.regime import overlap
 from labhil.campaign.trials.seal import open_envelope, sha256_of
@@ -25,26 +35,34 @@ Progress = Callable[[str], None]
 
 def score_trials(
     folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE, jobs: int = 1
-) -> Card:
+) -> ScoreCard:
     """Score a method's results in a folder; see :func:`judge_trials`."""
     index = read_index(folder)
-    return count(judge_trials(folder, answers, progress, method, jobs), index.rig, index.fixed_seed)
+    return make_score_card(judge_trials(folder, answers, progress, method, jobs), index.rig, index.fixed_seed)
 
 
 def judge_trials(
     folder: Path, answers: Path, progress: Progress, method: str = DIAGNOSE, jobs: int = 1
-) -> list[Judged]:
-    """Open the envelopes and judge a method's results in a folder, in ``jobs`` processes.
+) -> list[JudgedTrial]:
+    """Open the envelopes and judge a method's results in a folder.
 
-    UsageError where anything is not what was hashed, or is missing, UnknownNameError for a method that is
-    none.
+    Args:
+        folder: a folder of ``labhil trial make`` with results of ``labhil trial run``.
+        answers: the folder of the envelopes.
+        progress: is called with a line of text after each trial.
+        method: one of ``METHODS``.
+        jobs: number of processes.
+
+    Raises:
+        UsageError: a file is missing or not the one that was hashed.
+        UnknownNameError: there is no such method.
     """
     index, results = read_index(folder), Results(folder, method)
-    _check_results(results, [listed.name for listed in index.trials])
-    truths = [open_answer(listed, answers) for listed in index.trials]
-    for listed in index.trials:
-        _check_recordings(folder, listed)
-    judged: list[Judged] = []
+    _check_results(results, [entry.name for entry in index.trials])
+    truths = [open_sealed_answer(entry, answers) for entry in index.trials]
+    for entry in index.trials:
+        check_recordings(folder, entry)
+    judged: list[JudgedTrial] = []
     with ProcessPoolExecutor(jobs) as executor:
         for trial in executor.map(_judge, repeat(results), truths):
             judged.append(trial)
@@ -62,7 +80,7 @@ def _check_results(results: Results, names: list[str]) -> None:
             f"{', '.join(missing[:5])} to be diagnosed by `labhil trial run {results.folder}{how}`"
         )
     for name in names:
-        path = results.of(name)
+        path = results.path_of(name)
         actual = sha256_of(path)
         if actual != hashes[name]:
             raise UsageError(
@@ -70,68 +88,64 @@ def _check_results(results: Results, names: list[str]) -> None:
             )
 
 
-def _check_recordings(folder: Path, listed: Listed) -> None:
-    for role, expected in listed.recordings.items():
-        path = recording(folder, listed.name, role)
-        actual = sha256_of(path)
-        if actual != expected:
-            raise UsageError(f"{path}: not the sealed recording: expected SHA-256 {expected}, found {actual}")
+def open_sealed_answer(entry: IndexEntry, answers: Path) -> Answer:
+    """Read the answer in a trial's envelope.
 
-
-def open_answer(listed: Listed, answers: Path) -> Answer:
-    """The answer in a trial's envelope; UsageError where it is not the sealed one."""
-    path = answers / f"{listed.name}.json"
-    answer = Answer.from_json(open_envelope(path, listed.seal))
-    if answer.trial != listed.name or dict(answer.recordings) != dict(listed.recordings):
+    Raises:
+        UsageError: it is not the sealed answer.
+    """
+    path = answers / f"{entry.name}.json"
+    answer = Answer.from_json(open_envelope(path, entry.seal))
+    if answer.trial != entry.name or dict(answer.recordings) != dict(entry.recordings):
         raise UsageError(
-            f"{path}: expected the answer to trial {listed.name} and its recordings, found another"
+            f"{path}: expected the answer to trial {entry.name} and its recordings, found another"
         )
     return answer
 
 
-def _judge(results: Results, answer: Answer) -> Judged:
-    stated = read_stated_answer(results.of(answer.trial))
-    oracle = Bystander(results.folder, answer)
+def _judge(results: Results, answer: Answer) -> JudgedTrial:
+    stated = read_stated_answer(results.path_of(answer.trial))
+    oracle = LazyOracle(results.folder, answer)
     return judge(answer, stated, oracle.loss, oracle.overlap(stated))
 
 
 @dataclass
-class Bystander:
-    """The oracle for what only the given answer calls for; built when it is first used."""
+class LazyOracle:
+    """Comparisons by the oracle of a trial, which is built when it is first used."""
 
     folder: Path
     answer: Answer
 
     def loss(self, effect: TrueEffect, rival: str) -> float:
-        """Nats that a rival in the place of a true effect, refitted, loses to it on the test data.
+        """Return how many nats a rival, refitted in the place of a true effect, loses on the test data.
 
-        What has no term, like ``unmodelled_force``, cannot be refitted and loses everything.
+        A name without a term, like ``unmodelled_force``, cannot be refitted: its loss is infinite.
         """
         oracle = self.oracle
         if rival not in oracle.model.terms:
             return float("inf")
-        others = [name for name in self.full if name != effect.key]
-        without = oracle.refit(others)
+        others = [name for name in self.full_terms if name != effect.key]
+        without_term = oracle.refit(others)
         new = [] if rival in others else [rival]
-        best = oracle.refit([*others, *new], new).or_better(without)
-        return effect.oracle_gain - (best.likelihood - without.likelihood)
+        best = oracle.refit([*others, *new], new).best_of(without_term)
+        return effect.oracle_gain - (best.likelihood - without_term.likelihood)
 
     def overlap(self, stated: StatedAnswer) -> float | None:
-        """Agreement of reported regimes with the true one; None unless one effect makes the difference."""
-        real = [effect for effect in self.answer.effects if effect.oracle_gain >= NULL_GAIN]
-        if stated.verdict != "missing_physics" or len(real) != 1 or not real[0].catalogue:
+        """Return the agreement of reported and true regime; None unless one effect is detectable."""
+        detectable = [effect for effect in self.answer.effects if effect.oracle_gain >= MIN_DETECTABLE_GAIN]
+        if stated.verdict != "missing_physics" or len(detectable) != 1 or not detectable[0].catalogue:
             return None
-        others = [name for name in self.full if name != real[0].key]
-        return overlap(self.oracle, real[0].key, others, stated)
+        others = [name for name in self.full_terms if name != detectable[0].key]
+        return overlap(self.oracle, detectable[0].key, others, stated)
 
     @property
-    def full(self) -> list[str]:
-        """Terms of the true model, as far as there are any."""
+    def full_terms(self) -> list[str]:
+        """Terms of the true model that are in the catalogue."""
         return [*self.answer.baseline, *(effect.key for effect in self.answer.effects if effect.catalogue)]
 
     @cached_property
     def oracle(self) -> Oracle:
-        """An oracle of the trial's recordings with the true noise and values."""
-        search, test = (recording(self.folder, self.answer.trial, role) for role in ("search", "test"))
-        material = load_dataset(search, test_path=test)
-        return Oracle.of(material.model, material.train, material.test, self.answer.noise, self.answer.truth)
+        """The oracle of the trial's recordings."""
+        search, test = (recording_path(self.folder, self.answer.trial, role) for role in ("search", "test"))
+        dataset = load_dataset(search, test_path=test)
+        return Oracle.build(dataset.model, dataset.train, dataset.test, self.answer.noise, self.answer.truth)

@@ -1,4 +1,4 @@
-"""Envelopes: an answer and a nonce of 256 bits, bound by their SHA-256, which is made known beforehand."""
+"""Envelopes: an answer and a nonce of 256 bits, with a seal: their SHA-256, which is published beforehand."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ NONCE_BYTES = 32
 
 
 def seal(answer: Any, nonce: bytes) -> str:
-    """SHA-256 (hex) over the nonce and the answer as JSON with sorted keys and without spaces."""
+    """Return the SHA-256 (hex) of the nonce and the answer as JSON with sorted keys and without spaces."""
     text = json.dumps(answer, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(nonce + text.encode()).hexdigest()
 
 
 def write_envelope(answer: Any, path: Path, nonce: bytes | None = None) -> str:
-    """Write the answer and its nonce (default: from the system's randomness); its seal."""
+    """Write the answer and its nonce (default: from the system's randomness), and return the seal."""
     drawn = secrets.token_bytes(NONCE_BYTES) if nonce is None else nonce
     text = json.dumps({"nonce": drawn.hex(), "answer": answer}, ensure_ascii=False, allow_nan=False, indent=1)
     path.write_text(text + "\n", encoding="utf-8")
@@ -29,7 +29,11 @@ def write_envelope(answer: Any, path: Path, nonce: bytes | None = None) -> str:
 
 
 def open_envelope(path: Path, expected: str) -> Any:
-    """The answer in an envelope; UsageError where there is none or its seal is not the expected one."""
+    """Read the answer in an envelope.
+
+    Raises:
+        UsageError: the file is no envelope, or its seal is not the expected one.
+    """
     try:
         data = parse_json(read_document(path))
         nonce, answer = bytes.fromhex(data["nonce"]), data["answer"]
@@ -42,7 +46,11 @@ def open_envelope(path: Path, expected: str) -> Any:
 
 
 def sha256_of(path: Path) -> str:
-    """SHA-256 (hex) of a file; UsageError where it cannot be read."""
+    """Return the SHA-256 (hex) of a file.
+
+    Raises:
+        UsageError: the file cannot be read.
+    """
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:

@@ -1,4 +1,7 @@
-"""What a trial conceals, and the interface of a rig that is recorded in one."""
+"""What a trial conceals, and the interfaces of a bench and of its setup in one trial.
+
+The benches are in ``arm.py`` and ``one_input_rigs.py``.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from labhil.campaign.trials.disturbed import Disturbance
+from labhil.campaign.trials.disturbance import Disturbance
 from labhil.campaign.trials.noise import TrueNoise
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
@@ -17,43 +20,53 @@ from labhil.signals import FloatArray, Signal
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
-    """An effect of the plant: its name (the model's, where it has one), its joint, the plant's parameters.
+class DrawnEffect:
+    """An effect of the plant, as it was drawn.
 
-    ``parameters`` (SI, by the plant's own full names) grow with the powers ``powers`` (−1, 0 or 1) of the
-    strength; ``target`` is the strength that it is to have in the outputs of its joint, in all of them where
-    it has none.
+    Attributes:
+        term: its name: the model's term, where there is one.
+        parameters: values (SI) by the plant's full names.
+        powers: exponent (−1, 0 or 1) of the strength with which each parameter grows.
+        target_strength: strength to scale it to, in the outputs of its joint or in all of them.
+        joint: its joint, None for an effect of the whole plant.
     """
 
     term: str
     parameters: Mapping[str, float]
     powers: Mapping[str, int]
-    target: float
+    target_strength: float
     joint: int | None = None
 
     @property
     def key(self) -> str:
-        """Its name with the joint, as the model's terms are called."""
+        """Key of the term: its name with the joint."""
         return keyed(self.term, self.joint)
 
     @property
-    def dry(self) -> bool:
-        """Whether it is a dry friction that bristles can carry."""
+    def is_dry_friction(self) -> bool:
+        """Whether it is a dry friction that a bristle law can replace."""
         return self.term in ("coulomb_friction", "stribeck_friction")
 
-    def scaled(self, factor: float) -> Drawn:
-        """The same effect, stronger by a factor."""
-        by = {-1: 1.0 / factor, 0: 1.0, 1: factor}
-        return replace(self, parameters={k: v * by[self.powers[k]] for k, v in self.parameters.items()})
+    def scaled(self, factor: float) -> DrawnEffect:
+        """Return the effect, stronger by a factor."""
+        scale = {-1: 1.0 / factor, 0: 1.0, 1: factor}
+        return replace(self, parameters={k: v * scale[self.powers[k]] for k, v in self.parameters.items()})
 
 
 @dataclass(frozen=True, slots=True)
 class Secret:
-    """All that is concealed: how the rig is set up, the baseline's numbers, the effects, what disturbs."""
+    """All that a trial conceals.
+
+    Attributes:
+        setup: the rig with the conditions of the trial.
+        base: the plant's parameters of the baseline model (SI).
+        effects: the concealed effects.
+        disturbance: a disturbance that no model has.
+    """
 
     setup: Setup
     base: Mapping[str, float]
-    effects: tuple[Drawn, ...] = ()
+    effects: tuple[DrawnEffect, ...] = ()
     disturbance: Disturbance | None = None
 
     @property
@@ -63,18 +76,18 @@ class Secret:
 
     @property
     def terms(self) -> tuple[str, ...]:
-        """What it is made of, as the model's terms are called."""
+        """Keys of the baseline's terms and of the effects."""
         return (*rig_model(self.kind).baseline, *(effect.key for effect in self.effects))
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The plant's numbers other than its defaults, by full name."""
+        """The plant's parameters other than its defaults, by full name."""
         return dict(self.base) | {k: v for effect in self.effects for k, v in effect.parameters.items()}
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
-    """What happened: stamps (n,) s, what was commanded, and signals, (n,) or (n, width), by name; SI."""
+class SimulatedRun:
+    """A simulated recording: stamps (n,) s, the commands, and signals, (n,) or (n, width), by name; SI."""
 
     t: FloatArray
     commands: FloatArray
@@ -82,7 +95,7 @@ class Walk:
 
 
 class Setup(Protocol):
-    """A rig as it stands in one trial: under which conditions it is driven, sampled and measured."""
+    """A rig with the conditions of one trial: how it is driven, sampled and measured."""
 
     @property
     def kind(self) -> str:
@@ -101,48 +114,49 @@ class Setup(Protocol):
 
     @property
     def signals(self) -> tuple[Signal, ...]:
-        """What is recorded."""
+        """The recorded signals."""
         ...
 
     def conditions_to_json(self) -> dict[str, Any]:
-        """The conditions as an answer lists them."""
+        """Return the conditions as plain JSON data."""
         ...
 
-    def draw_base(self, random: np.random.Generator) -> dict[str, float]:
-        """The baseline's numbers, spread about the plant's defaults."""
+    def draw_baseline_parameters(self, rng: np.random.Generator) -> dict[str, float]:
+        """Draw the baseline's parameters about the plant's defaults."""
         ...
 
     def draw_effect(
-        self, model: Model, outside: bool, others: Sequence[Drawn], random: np.random.Generator
-    ) -> Drawn:
-        """An effect of random kind and size to join others: one that the model can name, or one ``outside``.
+        self, model: Model, outside: bool, others: Sequence[DrawnEffect], rng: np.random.Generator
+    ) -> DrawnEffect:
+        """Draw an effect beside others: one that the model can name, or one ``outside`` its catalogue."""
+        ...
 
-        Its strength is one to be scaled to.
+    def draw_carrier(self, dry: DrawnEffect, rng: np.random.Generator) -> DrawnEffect:
+        """Draw a bristle law that replaces the event-based law of a dry friction."""
+        ...
+
+    def plant_parameters(self, secret: Secret) -> Mapping[str, float]:
+        """Return every parameter of the plant, its defaults included."""
+        ...
+
+    def true_noise(self, secret: Secret) -> TrueNoise:
+        """Return noise and steps of the outputs."""
+        ...
+
+    def simulate(self, secret: Secret, noise: TrueNoise, recording_index: int) -> SimulatedRun:
+        """Simulate the search (0) or the test (1) recording.
+
+        Raises:
+            UsageError: the plant cannot be run like that.
         """
         ...
 
-    def draw_carrier(self, dry: Drawn, random: np.random.Generator) -> Drawn:
-        """What carries a drawn dry friction in the place of an event-based law."""
+    def simulate_noiseless(self, secret: Secret, run: SimulatedRun, recording_index: int) -> SimulatedRun:
+        """Simulate a run again with outputs without noise and steps."""
         ...
 
-    def numbers(self, secret: Secret) -> Mapping[str, float]:
-        """Every number of the plant, its defaults included."""
-        ...
-
-    def noise_scale(self, secret: Secret) -> TrueNoise:
-        """Noise and steps of the outputs."""
-        ...
-
-    def walk(self, secret: Secret, noise: TrueNoise, which: int) -> Walk:
-        """Record the search (0) or the test (1). UsageError where the plant cannot be run like that."""
-        ...
-
-    def silent(self, secret: Secret, walk: Walk, which: int) -> Walk:
-        """The same walk again with outputs that are measured without noise and steps."""
-        ...
-
-    def record(self, walk: Walk) -> Record:
-        """The walk as a model sees it, before the model prepares it."""
+    def to_record(self, run: SimulatedRun) -> Record:
+        """Return a run as the record of a model, before the model prepares it."""
         ...
 
 
@@ -159,10 +173,10 @@ class Bench(Protocol):
         """The rig file's text."""
         ...
 
-    def setup(self, random: np.random.Generator) -> Setup:
-        """The rig under random conditions."""
+    def draw_setup(self, rng: np.random.Generator) -> Setup:
+        """Draw the conditions of a trial."""
         ...
 
-    def lasting(self, seconds: float) -> Bench:
-        """The same with recordings that are so long, s."""
+    def with_duration(self, seconds: float) -> Bench:
+        """Return the bench with recordings of this duration, s."""
         ...

@@ -1,4 +1,4 @@
-"""The answer of a diagnosis, as far as it is scored."""
+"""The part of a diagnosis that is scored, read from its JSON."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.campaign.trials.folder import read_object
+from labhil.campaign.trials.folder import read_json_object
 from labhil.errors import UsageError
 from labhil.physics.terms import keyed
 
@@ -15,8 +15,8 @@ SCHEMA = "labhil.diagnosis/1"
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
-    """One effect that is claimed: its key with its stated probability, and those of its rivals."""
+class NamedEffect:
+    """A claimed effect: its key with its stated probability, and those of its rivals."""
 
     term: str
     probability: float | None
@@ -24,7 +24,7 @@ class Named:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names that this answer considers possible, the first choice first."""
+        """All names that the answer considers possible, the preferred one first."""
         return (self.term, *(name for name, _ in self.rivals))
 
 
@@ -38,8 +38,8 @@ class Interval:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """RMSE of one output before and after, in its unit."""
+class ChannelErrors:
+    """RMSE of one output under baseline and final model, in its unit."""
 
     channel: str
     rmse_before: float
@@ -48,7 +48,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Regime:
-    """A range of a coordinate in which the mismatch is reported."""
+    """A range of a coordinate in which a mismatch is reported."""
 
     coordinate: str
     low: float
@@ -60,10 +60,10 @@ class StatedAnswer:
     """A diagnosis; ``verdict`` is None where it failed, ``joint`` has the largest mismatch."""
 
     verdict: str | None
-    named: tuple[Named, ...] = ()
+    named: tuple[NamedEffect, ...] = ()
     final_terms: tuple[str, ...] = ()
     intervals: tuple[Interval, ...] = ()
-    figures: tuple[Figures, ...] = ()
+    channel_errors: tuple[ChannelErrors, ...] = ()
     regimes: tuple[Regime, ...] = ()
     joint: int | None = None
     seconds: float = 0.0
@@ -71,18 +71,22 @@ class StatedAnswer:
 
 
 def read_stated_answer(path: Path) -> StatedAnswer:
-    """Read a result; UsageError where it is not of the contract's form."""
-    data = read_object(path, SCHEMA)
+    """Read a result file.
+
+    Raises:
+        UsageError: it is no diagnosis.
+    """
+    data = read_json_object(path, SCHEMA)
     try:
-        return stated_answer_in(data)
+        return parse_stated_answer(data)
     except (KeyError, TypeError, ValueError) as error:
         raise UsageError(
             f"{path}: expected a diagnosis of `labhil diagnose --json`, found: {error!r}"
         ) from error
 
 
-def stated_answer_in(data: Mapping[str, Any]) -> StatedAnswer:
-    """The answer in the JSON data of a diagnosis."""
+def parse_stated_answer(data: Mapping[str, Any]) -> StatedAnswer:
+    """Read the answer in the JSON data of a diagnosis."""
     if data["verdict"] is None:
         return StatedAnswer(None, seconds=float(data["seconds"]), error=str(data.get("error", "")))
     rivals = data["rivals"]
@@ -91,16 +95,16 @@ def stated_answer_in(data: Mapping[str, Any]) -> StatedAnswer:
         named=tuple(_named_effect(item, rivals) for item in data["missing"]),
         final_terms=tuple(data["final"]["terms"]),
         intervals=tuple(_interval(row) for row in data["final"]["parameters"]),
-        figures=_figures(data["improvement"]),
+        channel_errors=_channel_errors(data["improvement"]),
         regimes=_regimes(data["location"]),
         joint=(data["location"] or {}).get("joint"),
         seconds=float(data["seconds"]),
     )
 
 
-def _named_effect(item: Mapping[str, Any], rivals: list[Mapping[str, Any]]) -> Named:
+def _named_effect(item: Mapping[str, Any], rivals: list[Mapping[str, Any]]) -> NamedEffect:
     same = [r for r in rivals if r["instead_of"] == item["term"] and r.get("joint") == item.get("joint")]
-    return Named(
+    return NamedEffect(
         keyed(item["term"], item.get("joint")),
         item.get("probability"),
         tuple((keyed(r["term"], r.get("joint")), r.get("probability")) for r in same),
@@ -116,16 +120,16 @@ def _interval(row: Mapping[str, Any]) -> Interval:
     )
 
 
-def _figures(data: Mapping[str, Any] | None) -> tuple[Figures, ...]:
-    """The outputs' figures; of an output with several metrics the first, which is the headline's."""
-    figures: dict[str, Figures] = {}
+def _channel_errors(data: Mapping[str, Any] | None) -> tuple[ChannelErrors, ...]:
+    """Errors by output; of an output with several metrics the first, which is the headline's."""
+    channel_errors: dict[str, ChannelErrors] = {}
     for row in (data or {}).get("per_channel") or []:
         channel, before, after = row["channel"], row["rmse_before"], row["rmse_after"]
         if row.get("joint") is not None:
             channel = f"{channel}_{row['joint']}"
         if before is not None and after is not None:
-            figures.setdefault(channel, Figures(channel, float(before), float(after)))
-    return tuple(figures.values())
+            channel_errors.setdefault(channel, ChannelErrors(channel, float(before), float(after)))
+    return tuple(channel_errors.values())
 
 
 def _regimes(location: Mapping[str, Any] | None) -> tuple[Regime, ...]:

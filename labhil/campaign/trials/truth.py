@@ -1,4 +1,4 @@
-"""A plant's numbers as values of a model's parameters, where the two correspond."""
+"""Conversion of a plant's parameters to those of a model, where the two correspond."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ INVERSES: Mapping[str, str] = {
     "saturation.inverse_limit": "saturation.limit",
     "rate_limit.inverse_rate": "rate_limit.rate",
 }
-"""Parameters of a model that are one over the plant's."""
-
+"""Parameters of a model that are the inverse of the plant's."""
 
 OTHER_NAMES: Mapping[str, str] = {"torque_constant.gain": "sensor_gain.gain"}
-"""Parameters of a model that the plant calls otherwise."""
+"""Parameters of a model with another name in the plant."""
 RATE = "temperature_dependent_friction.rate"
 WAVES = ("cogging_torque", "torque_ripple")
 
 
 def model_values(model: Model, plant: Mapping[str, float]) -> dict[str, float]:
-    """Values of the model's parameters, by key, that the plant's numbers (by full name) determine."""
+    """Return the values of the model's parameters, by key, that the plant's (by full name) determine."""
     values = {}
     for parameter in model.parameters:
         value = _value(parameter.name, parameter.joint, plant)

@@ -23,7 +23,7 @@ def write_fit_page(result: FitResult, path: Path) -> None:
         "For each channel: simulated windows beside the measurement, their errors with the noise floor, the "
         "distribution of the errors, and the autocorrelation of the fitted residuals."
     )
-    drawn = album.picture(caption, lambda: fit_figure(result.fit, result.material.test, columns=2))
+    drawn = album.picture(caption, lambda: fit_figure(result.fit, result.dataset.test, columns=2))
     part = result.part
     write_page(fit_page(part, foot_of(part), album, (drawn,)), path)
 

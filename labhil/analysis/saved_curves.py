@@ -1,4 +1,4 @@
-"""The curves of a diagnosis, as its JSON has them, back in a model."""
+"""Force curves in the JSON of a diagnosis or a fit, read into a model."""
 
 from __future__ import annotations
 
@@ -16,14 +16,12 @@ from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, MovedPa
 from labhil.physics.model import Model, unit_of
 from labhil.signals import FloatArray
 
-EVEN = 1e-6
-"""Share of the range by which the places of a curve may miss even spacing."""
 
+def with_saved_curves(model: Model, path: Reference | None) -> Model:
+    """Return a model with the force curves of a fit or diagnosis file, or the model itself if it has none.
 
-def under_kept_curve(model: Model, path: Reference | None) -> Model:
-    """The model under the curves that a fit or diagnosis file has, or as it is where that has none.
-
-    Raises ModelFileError where this model cannot take one of the file's curves.
+    Raises:
+        ModelFileError: This model cannot take one of the curves.
     """
     entries = [] if path is None else _curve_entries(path)
     if path is None or not entries:
@@ -34,21 +32,21 @@ def under_kept_curve(model: Model, path: Reference | None) -> Model:
 
 
 def curve_note(path: Reference | None) -> list[str]:
-    """A note on each curve that a model file brings along; empty where it has none."""
+    """Return a note on each curve of a model file."""
     return [
-        f"The model is under the force{_on_joint(entry)} that {path} has as a curve over "
+        f"The model is under the force{_joint_phrase(entry)} that {path} has as a curve over "
         f"{', '.join(entry['depends_on'])}."
         for entry in ([] if path is None else _curve_entries(path))
     ]
 
 
-def _on_joint(entry: Mapping[str, Any]) -> str:
+def _joint_phrase(entry: Mapping[str, Any]) -> str:
     joint = entry.get("joint")
     return "" if joint is None else f" on joint {joint}"
 
 
 def curves_json(model: Model) -> list[dict[str, Any]]:
-    """The curves of a model under some, as a diagnosis states them; none of any other."""
+    """Return the saved curves of a model as plain data, as in a diagnosis."""
     return [_curve_json(curve) for curve in model.curves] if isinstance(model, ModelUnderCurves) else []
 
 
@@ -66,7 +64,7 @@ def _curve_json(curve: SavedCurve) -> dict[str, Any]:
 
 
 def _curve_entries(path: Reference) -> list[Mapping[str, Any]]:
-    """The fields ``curve`` and ``further_curves`` of a model file; empty where it cannot be read as one."""
+    """Fields ``curve`` and ``further_curves`` of a model file; empty where it cannot be read as one."""
     try:
         document = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
         entries = [document.get("curve"), *(document.get("further_curves") or ())]
@@ -77,38 +75,41 @@ def _curve_entries(path: Reference) -> list[Mapping[str, Any]]:
     return [entry for entry in entries if entry is not None]
 
 
-def _parse_curve(path: Reference, entry: Mapping[str, Any], model: AcceptsExtraForce) -> SavedCurve:
+def _parse_curve(
+    path: Reference, entry: Mapping[str, Any], model: AcceptsExtraForce, spacing_tolerance: float = 1e-6
+) -> SavedCurve:
+    """Read a curve; its x is evenly spaced within a share of its range."""
     try:
         name, acts = str(entry["depends_on"][0]), CurveArgument[str(entry["acts"]).upper()]
         x, value = _numbers(entry["x"][0]), _numbers(entry["value"])
         low, high = (_numbers(side) for side in entry.get("ci99") or (entry["value"], entry["value"]))
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        known = ", ".join(argument.name.lower() for argument in CurveArgument)
+        choices = ", ".join(argument.name.lower() for argument in CurveArgument)
         raise ModelFileError(
-            f"{path}: curve: expected depends_on, acts ({known}), x and value as `labhil diagnose` writes "
+            f"{path}: curve: expected depends_on, acts ({choices}), x and value as `labhil diagnose` writes "
             f"them, found {error!r}"
         ) from error
     if not len(x) == len(value) == len(low) == len(high) or len(x) < 2:
         raise ModelFileError(f"{path}: curve: expected as many of x, value and ci99, two or more")
     steps = np.diff(x)
-    if not steps[0] > 0.0 or np.ptp(steps) > EVEN * (x[-1] - x[0]):
+    if not steps[0] > 0.0 or np.ptp(steps) > spacing_tolerance * (x[-1] - x[0]):
         raise ModelFileError(f"{path}: curve: x: expected rising, evenly spaced places")
     unit = unit_of(model.coordinate_units, name)
     if unit is None:
-        known = ", ".join(model.coordinate_units)
-        raise ModelFileError(f"{path}: curve: depends_on: expected one of {known}, found {name!r}")
+        choices = ", ".join(model.coordinate_units)
+        raise ModelFileError(f"{path}: curve: depends_on: expected one of {choices}, found {name!r}")
     coordinate = Coordinate(name, unit, acts, _moved_part(path, entry, with_place(model, [name])))
     return SavedCurve(coordinate, x, value, low, high, str(entry.get("unit", "")), entry.get("formula"))
 
 
 def _moved_part(path: Reference, entry: Mapping[str, Any], model: AcceptsExtraForce) -> MovedPart:
-    """What the curve acts on, by the ``joint`` of an arm; of anything else there is one part."""
+    """Moved part that a curve acts on: the ``joint`` of an arm, else the only one."""
     joint = entry.get("joint")
     for part in model.moved:
         if part.joint == joint:
             return part
-    known = ", ".join("null" if part.joint is None else str(part.joint) for part in model.moved)
-    raise ModelFileError(f"{path}: curve: joint: expected one of {known}, found {joint!r}")
+    choices = ", ".join("null" if part.joint is None else str(part.joint) for part in model.moved)
+    raise ModelFileError(f"{path}: curve: joint: expected one of {choices}, found {joint!r}")
 
 
 def _numbers(values: Any) -> FloatArray:

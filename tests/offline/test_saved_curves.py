@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.analysis.kept_curve import curves_json, under_kept_curve
+from labhil.analysis.saved_curves import curves_json, with_saved_curves
 from labhil.errors import ModelFileError
 from labhil.identify.extended import Coordinate
 from labhil.identify.fitted import start_theta
@@ -70,7 +70,7 @@ def test_curve_survives_its_file(tmp_path: Path) -> None:
     under = of_rig(record)
     path = tmp_path / "d.json"
     path.write_text(json.dumps({"curve": curves_json(under)[0]}, default=lambda a: a.tolist()))
-    read = under_kept_curve(under.inner, path)
+    read = with_saved_curves(under.inner, path)
     assert isinstance(read, ModelUnderCurves)
     windows = fit_windows(record, 2.0)
     states = under.initial_states(record, windows)
@@ -85,8 +85,8 @@ def test_file_without_a_curve_leaves_the_model_as_it_is(tmp_path: Path) -> None:
     model = of_rig(bench()).inner
     path = tmp_path / "f.json"
     path.write_text('{"schema": "labhil.fit/1", "curve": null}')
-    assert under_kept_curve(model, path) is model
-    assert under_kept_curve(model, None) is model
+    assert with_saved_curves(model, path) is model
+    assert with_saved_curves(model, None) is model
 
 
 @pytest.mark.parametrize(
@@ -109,5 +109,5 @@ def test_bad_curve_is_named(field: str, value: object, expected: str, tmp_path: 
     path = tmp_path / "d.json"
     path.write_text(json.dumps({"curve": {**good, field: value}}))
     with pytest.raises(ModelFileError, match=expected) as refused:
-        under_kept_curve(of_rig(bench()).inner, path)
+        with_saved_curves(of_rig(bench()).inner, path)
     assert str(path) in str(refused.value)

@@ -1,4 +1,4 @@
-"""What to do next, after a diagnosis."""
+"""The next steps after a diagnosis, by its verdict."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from labhil.simulators.names import NO_PORT
 if TYPE_CHECKING:
     from labhil.analysis.schema import DiagnosisPart, MissingEffect
 
-UNNAMED = "unmodelled_force"
-"""What an effect is called that has a curve and no law."""
+FORCE_CURVE = "unmodelled_force"
+"""The name of an effect that has a curve and no law."""
 
 Steps = Iterator[str]
 
 
 def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
-    """What to do next, the most useful first: a sentence or two each."""
+    """Return the next steps, the most useful first: a sentence or two each."""
     return tuple(_STEPS[diagnosis.verdict](diagnosis))
 
 
@@ -35,27 +35,27 @@ def _early_end_step(diagnosis: DiagnosisPart) -> Steps:
         yield "The search was ended early: let it run to its end, the answer may change."
 
 
-def _of_missing_physics(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_missing_physics(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
     for rival in diagnosis.rivals:
         yield (
             f"To tell {keyed(rival.term, rival.joint)} from {rival.instead_of}, {rival.experiment}, record"
             " that, and diagnose both recordings together."
         )
-    named = [item for item in diagnosis.missing if item.term != UNNAMED]
-    sized = [item for item in named if _has_size(item)]
-    if sized:
+    named_effects = [item for item in diagnosis.missing if item.term != FORCE_CURVE]
+    quantified = [item for item in named_effects if _is_quantified(item)]
+    if quantified:
         yield (
-            f"Put {_effect_names(sized)} into your simulation, with the equations and values given here."
+            f"Put {_effect_names(quantified)} into your simulation, with the equations and values given here."
             " `labhil patch` writes them into a MuJoCo or URDF file."
         )
-    if len(sized) < len(named):
-        sizeless = _effect_names(item for item in named if not _has_size(item))
+    if len(quantified) < len(named_effects):
+        unquantified = _effect_names(item for item in named_effects if not _is_quantified(item))
         yield (
-            f"Of {sizeless} these data know the kind and not the size: state in `[known]` what you know of"
-            " the rig, or record a motion that shows it."
+            f"Of {unquantified} these data know the kind and not the size: state in `[known]` what you know"
+            " of the rig, or record a motion that shows it."
         )
-    if len(named) < len(diagnosis.missing):
+    if len(named_effects) < len(diagnosis.missing):
         yield (
             "No law of the catalogue has the shape of the curve: use it as a table, or write the law that you"
             " think it is (docs/how-to/add-a-law.md) and diagnose again."
@@ -69,7 +69,7 @@ def _of_missing_physics(diagnosis: DiagnosisPart) -> Steps:
     yield from _validation_step(diagnosis)
 
 
-def _has_size(item: MissingEffect) -> bool:
+def _is_quantified(item: MissingEffect) -> bool:
     return not item.parameters or any(row.identifiable for row in item.parameters)
 
 
@@ -92,9 +92,9 @@ def _validation_step(diagnosis: DiagnosisPart) -> Steps:
         )
 
 
-def _of_parameter_change(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_parameter_change(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
-    changed = [keyed(each.name, each.joint, each.recording) for each in diagnosis.changed]
+    changed = [keyed(item.name, item.joint, item.recording) for item in diagnosis.changed]
     yield (
         f"Take the new value of {enumerated(changed)} into your simulation, or find out what changed at the"
         " rig. `labhil patch` writes it into a MuJoCo or URDF file."
@@ -102,7 +102,7 @@ def _of_parameter_change(diagnosis: DiagnosisPart) -> Steps:
     yield from _validation_step(diagnosis)
 
 
-def _of_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield (
         "Use the model where the recording went. Other amplitudes, speeds or frequencies may show what is"
         " only excluded up to a size here."
@@ -110,7 +110,7 @@ def _of_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield from _validation_step(diagnosis)
 
 
-def _of_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
     yield from _simulator_step(diagnosis)
     if diagnosis.location is not None and diagnosis.location.times:
@@ -122,7 +122,7 @@ def _of_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield f"`labhil linear {_path(diagnosis)}` tells how well any model without physics predicts these data."
 
 
-def _of_data_fault(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_data_fault(diagnosis: DiagnosisPart) -> Steps:
     yield (
         "Mend the data first, as each fault says, or take a good stretch with `--span FROM TO`; nothing was"
         " searched."
@@ -130,9 +130,9 @@ def _of_data_fault(diagnosis: DiagnosisPart) -> Steps:
     yield f"Then: `labhil diagnose {_path(diagnosis)} --baseline {_baseline(diagnosis)}`."
 
 
-def _of_not_decidable(diagnosis: DiagnosisPart) -> Steps:
+def _steps_after_not_decidable(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
-    needs = sorted({need for each in diagnosis.undecided for need in each.needs})
+    needs = sorted({need for item in diagnosis.undecided for need in item.needs})
     if needs:
         yield f"Record with {enumerated(needs)}."
     elif diagnosis.complete:
@@ -147,10 +147,10 @@ def _effect_names(effects: Iterable[MissingEffect]) -> str:
 
 
 _STEPS = {
-    "missing_physics": _of_missing_physics,
-    "parameter_change": _of_parameter_change,
-    "no_mismatch": _of_no_mismatch,
-    "unexplained_mismatch": _of_unexplained_mismatch,
-    "data_fault": _of_data_fault,
-    "not_decidable": _of_not_decidable,
+    "missing_physics": _steps_after_missing_physics,
+    "parameter_change": _steps_after_parameter_change,
+    "no_mismatch": _steps_after_no_mismatch,
+    "unexplained_mismatch": _steps_after_unexplained_mismatch,
+    "data_fault": _steps_after_data_fault,
+    "not_decidable": _steps_after_not_decidable,
 }

@@ -1,4 +1,4 @@
-"""The answer of a comparison as a line, and what to do next."""
+"""The answer of a comparison as a sentence, and the next steps."""
 
 from __future__ import annotations
 
@@ -7,28 +7,30 @@ from labhil.physics.terms import enumerated, keyed
 
 
 def statement(comparison: ComparisonPart) -> str:
-    """Which model explains the recording best, by how much, and whether that is more than noise."""
+    """Return which model explains the recording best, by how much, and whether that is more than noise."""
     best = comparison.best_model
     others = sorted(
         (model for model in comparison.models if model.name != best.name),
         key=lambda model: model.times_best or 1e300,
     )
-    equals = [model for model in others if not model.worse_than_best]
-    what = "recordings" if len(comparison.recordings) > 1 else "recording"
-    if not equals:
+    equally_good = [model for model in others if not model.worse_than_best]
+    noun = "recordings" if len(comparison.recordings) > 1 else "recording"
+    if not equally_good:
         return (
-            f"{best.name} explains the {what} best, {_error_phrase(best)}; next is {others[0].name} with "
+            f"{best.name} explains the {noun} best, {_error_phrase(best)}; next is {others[0].name} with "
             f"{_ratio_phrase(others[0])} its error, more than noise ({_p_phrase(others[0])})."
         )
-    names = [model.name for model in comparison.models if model is best or model in equals]
+    names = [model.name for model in comparison.models if model is best or model in equally_good]
     worse = [model for model in others if model.worse_than_best]
-    least = min(worse, key=lambda model: model.times_best or 1e300, default=None)
-    rest = "" if least is None else f"; {least.name} has {_ratio_phrase(least)} their error"
-    differ = max((model.times_best or 1.0) - 1.0 for model in equals)
-    nearest = min(equals, key=lambda model: model.p_value or 0.0)
+    next_worse = min(worse, key=lambda model: model.times_best or 1e300, default=None)
+    addition = (
+        "" if next_worse is None else f"; {next_worse.name} has {_ratio_phrase(next_worse)} their error"
+    )
+    largest_difference = max((model.times_best or 1.0) - 1.0 for model in equally_good)
+    nearest = min(equally_good, key=lambda model: model.p_value or 0.0)
     return (
-        f"{enumerated(names)} explain the {what} alike, {_error_phrase(best)}: their errors differ by "
-        f"{100 * differ:.2g} %, no more than noise ({_p_phrase(nearest)}){rest}."
+        f"{enumerated(names)} explain the {noun} alike, {_error_phrase(best)}: their errors differ by "
+        f"{100 * largest_difference:.2g} %, no more than noise ({_p_phrase(nearest)}){addition}."
     )
 
 
@@ -41,8 +43,8 @@ def _error_phrase(model: ComparedModel) -> str:
     return f"but not to the noise (error {size} noise levels)"
 
 
-def _file(model: ComparedModel) -> str:
-    """The file of a model, or what stands for it where the result was never saved."""
+def _model_file(model: ComparedModel) -> str:
+    """The file of a model, or a placeholder where the result was never saved."""
     return model.path if model.path.endswith(".json") else "MODEL.json"
 
 
@@ -56,14 +58,14 @@ def _p_phrase(model: ComparedModel) -> str:
 
 
 def next_steps(comparison: ComparisonPart) -> list[str]:
-    """What to do next, the most useful first."""
+    """Return the next steps, the most useful first."""
     best, steps = comparison.best_model, list[str]()
     path = comparison.recordings[0].path
     preferred = next(model for model in comparison.models if model.name == comparison.preferred)
     if best.adequacy != "explained":
         steps.append(
-            f"No model explains the data to the noise: `labhil diagnose {path} --model {_file(best)}` names "
-            "what the best one lacks."
+            f"No model explains the data to the noise: `labhil diagnose {path} --model {_model_file(best)}` "
+            "names what the best one lacks."
         )
     if comparison.verdict == "alike":
         steps.append(
@@ -78,7 +80,7 @@ def next_steps(comparison: ComparisonPart) -> list[str]:
         )
     elif best.adequacy == "explained":
         steps.append(
-            f"Hold the next recording against it: `labhil verify NEW.mcap --model {_file(preferred)}`."
+            f"Hold the next recording against it: `labhil verify NEW.mcap --model {_model_file(preferred)}`."
         )
     disagreeing = [keyed(row.name, row.joint) for row in comparison.parameters if row.agree is False]
     if disagreeing:
