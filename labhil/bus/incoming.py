@@ -60,7 +60,7 @@ class LeaseRequest(Incoming):
 class SafeRequest(Incoming):
     """Bring a device to its safe state."""
 
-    reason: Text = "told to"
+    reason: Text = "requested over the bus"
 
 
 class EstopRequest(Incoming):

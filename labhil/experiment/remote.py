@@ -59,7 +59,7 @@ def offer_control(
         request, awaited = requests[name]
 
         def handle(message: RunRequest) -> dict[str, Any]:
-            request((message.reason or f"told to {name} over the bus")[:MAX_REASON_LENGTH])
+            request((message.reason or f"{name} was requested over the bus")[:MAX_REASON_LENGTH])
             control.wait_for(*awaited, timeout=answer_after)
             if control.refusal:
                 raise CommandRefusedError(control.refusal)

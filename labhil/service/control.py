@@ -272,7 +272,7 @@ class DeviceControl:
             self._announce("refused", message)
 
     def _shut_down(self, payload: AnyRequest, now: float) -> dict[str, Any]:
-        self._shut_down_reason = "told to shut down"
+        self._shut_down_reason = "requested to shut down"
         return self._status(payload, now)
 
     def _status(self, _payload: AnyRequest, now: float) -> dict[str, Any]:

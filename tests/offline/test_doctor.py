@@ -111,7 +111,7 @@ def test_a_check_that_breaks_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
     ]
     assert "no /proc here" in found[0].found
     assert examine.to_json(found)["fine"] is False
-    assert "→" in examine.line(found[0])
+    assert "→" in examine.format_finding(found[0])
 
 
 def test_a_probe_that_crashes_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
