@@ -13,7 +13,7 @@ import numpy as np
 from labhil.errors import ProtocolError
 from labhil.link import Config, Decoder, Frame, Hello, MessageType, Samples, SetCommand, State, encode
 from labhil.serial_twin.firmware import Firmware
-from labhil_sim_ball_beam.rig import SERVO, board
+from labhil_sim_ball_beam.rig import SERVO, make_board
 from labhil_sim_ur5.codec import FramingError
 from labhil_sim_ur5.rtde import Conversation, Variables
 from labhil_sim_ur5.variables import VERSIONS
@@ -176,7 +176,7 @@ def forged_frames(count: int, seed: int) -> Heard:
     A device never raises; the readers of payloads raise ProtocolError and nothing else.
     """
     draw, heard = Random(seed), Heard()
-    firmware = Firmware(board(SERVO, 1.0, 0.0, 1e-7))
+    firmware = Firmware(make_board(SERVO, 1.0, 0.0, 1e-7))
     while heard.bytes < count:
         kind = draw.choice((*MessageType, 0, 255))
         payload = draw.randbytes(draw.choice((0, 1, 2, 4, 5, 7, 55, 63, 71, 200)))

@@ -11,12 +11,12 @@ from labhil.serial_twin.twin import SerialTwin
 
 
 def check(device: Mapping[str, float]) -> None:
-    """UsageError for a servo that there is not."""
+    """Check the settings of the servo; UsageError for a value out of range."""
     check_range(device, "pulse_resolution", 1e-7, 1e-4)
 
 
 def make(settings: TwinSettings) -> SimulatedRig:
-    """The simulated rig; compiling its plant takes a moment, and a list of twins must not."""
+    """Make the simulated rig; its module is imported here, since compiling the plant takes time."""
     from labhil_sim_ball_beam.rig import BallBeamBench
 
     return BallBeamBench(settings)

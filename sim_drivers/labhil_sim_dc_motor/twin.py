@@ -11,7 +11,7 @@ from labhil.serial_twin.twin import SerialTwin
 
 
 def check(device: Mapping[str, float]) -> None:
-    """UsageError for electronics that there are not."""
+    """Check the settings of the electronics; UsageError for a value out of range."""
     check_range(device, "sample_rate", 20.0, 1000.0)
     check_whole(device, "samples_per_frame", 1, 23)
     check_whole(device, "adc_bits", 8, 16)
@@ -23,7 +23,7 @@ def check(device: Mapping[str, float]) -> None:
 
 
 def make(settings: TwinSettings) -> SimulatedRig:
-    """The simulated rig; compiling its plant takes a moment, and a list of twins must not."""
+    """Make the simulated rig; its module is imported here, since compiling the plant takes time."""
     from labhil_sim_dc_motor.rig import DcMotorBench
 
     return DcMotorBench(settings)

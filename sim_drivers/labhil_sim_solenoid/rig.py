@@ -1,4 +1,4 @@
-"""The simulated solenoid in the raw numbers of its board: current command in, converters' counts out."""
+"""The simulated solenoid with its board: current command in, converter counts out."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from labhil.serial_twin.firmware import Board, Raw
 from labhil.serial_twin.settings import TwinSettings
 
 COMMAND = ChannelScale(1e-4, 0.0)
-LARGEST = 27_000
-"""2.7 A."""
-LOWEST_CURRENT, HIGHEST_CURRENT = -0.3, 3.0
-LARGEST_VOLTAGE = 30.0
-LOWEST_FORCE, HIGHEST_FORCE = -10.0, 110.0
+MAX_COMMAND = 27_000
+"""Largest command, 0.1 mA."""
+MIN_CURRENT, MAX_CURRENT = -0.3, 3.0
+MAX_VOLTAGE = 30.0
+MIN_FORCE, MAX_FORCE = -10.0, 110.0
 MARGIN = 0.1
-"""Share of the stroke by which the position sensor reaches beyond the stops."""
+"""Range of the position sensor beyond each stop, as a share of the stroke."""
 
 PATIENCE = 0.25
-"""s; nothing falls down while its controller is away."""
+"""Delay of the host up to which the bench catches up, s; nothing falls down without a controller."""
 
 
 class SolenoidBench:
-    """The coil's current follows the command through the device's PI; the plunger follows the current.
+    """A solenoid whose coil current follows the command by the device's PI controller.
 
-    The world begins at rest at the lower stop, without current, whenever a client opens the wire.
+    Whenever a client connects, it begins at rest at the lower stop, without current.
     """
 
     def __init__(self, settings: TwinSettings) -> None:
@@ -36,13 +36,13 @@ class SolenoidBench:
         self._period = 1.0 / rate / (1.0 + 1e-6 * settings.wire.clock_drift)
         bits, plant = int(device["adc_bits"]), settings.plant
         low, high = plant["stop_low"], plant["stop_high"]
-        beyond = MARGIN * (high - low)
+        margin = MARGIN * (high - low)
         self._converters = {
-            "coil_current": Converter(LOWEST_CURRENT, HIGHEST_CURRENT, bits),
-            "plunger_position": Converter(low - beyond, high + beyond, bits),
-            "coil_voltage": Converter(-LARGEST_VOLTAGE, LARGEST_VOLTAGE, bits),
+            "coil_current": Converter(MIN_CURRENT, MAX_CURRENT, bits),
+            "plunger_position": Converter(low - margin, high + margin, bits),
+            "coil_voltage": Converter(-MAX_VOLTAGE, MAX_VOLTAGE, bits),
         }
-        force = Converter(LOWEST_FORCE, HIGHEST_FORCE, bits)
+        force = Converter(MIN_FORCE, MAX_FORCE, bits)
         if device["load_cell"]:
             self._converters["magnetic_force"] = force
         scales = [converter.scale for converter in self._converters.values()]
@@ -50,7 +50,7 @@ class SolenoidBench:
             "solenoid",
             (*scales, *([] if device["load_cell"] else [NOT_FITTED]), COMMAND),
             0,
-            lambda wanted: min(wanted, LARGEST),
+            lambda output: min(output, MAX_COMMAND),
             rate,
             settings.speed,
             settings.wire.clock_start,
@@ -58,17 +58,17 @@ class SolenoidBench:
             device["longest_output"],
             patience=PATIENCE,
         )
-        self._begun = 0
+        self._n_worlds = 0
         self.begin()
-        # compile before anybody waits, on a plant that is thrown away
-        self.samples(LARGEST, 2)
-        self._begun = 0
+        # compile the plant before a client waits for it
+        self.samples(MAX_COMMAND, 2)
+        self._n_worlds = 0
 
     def begin(self) -> None:
-        """A new world, with noise of its own."""
+        """Begin a new simulation with other noise."""
         settings, device, plant = self._settings, self._settings.device, self._settings.plant
-        seed = settings.seed + 7919 * self._begun
-        self._begun += 1
+        seed = settings.seed + 7919 * self._n_worlds
+        self._n_worlds += 1
         table = settings.tables.get("force_map")
         self._plant = SolenoidPlant(plant, settings.terms, seed, self._period, table)
         self._loop = CurrentLoop(
@@ -78,18 +78,18 @@ class SolenoidBench:
             device["loop_rate"],
             self._period,
         )
-        self._held = 0
+        self._last_output = 0
 
     def rest(self, output: int, count: int) -> Raw:
-        """Samples of a coil without current."""
+        """Return samples of a coil without current."""
         return self.samples(output, count)
 
     def samples(self, output: int, count: int) -> Raw:
-        """The next samples: the command of the sample before acts up to the first of them."""
+        """Return the next samples; the command of the previous sample acts up to the first of them."""
         commands = np.full(count, COMMAND.value(output))
-        commands[0] = COMMAND.value(self._held)
-        self._held = output
+        commands[0] = COMMAND.value(self._last_output)
+        self._last_output = output
         current = self._loop.follow(commands, *self._plant.coil())
-        seen = self._plant.advance(current)
-        columns = [converter.raw(seen[name]) for name, converter in self._converters.items()]
+        measured = self._plant.advance(current)
+        columns = [converter.raw(measured[name]) for name, converter in self._converters.items()]
         return np.column_stack([*columns, np.full(count, output, dtype=np.uint16)])

@@ -13,7 +13,7 @@ from labhil.signals import FloatArray
 
 
 def check(device: Mapping[str, float]) -> None:
-    """UsageError for electronics that there are not."""
+    """Check the settings of the electronics; UsageError for a value out of range."""
     check_range(device, "sample_rate", 100.0, 10_000.0)
     check_whole(device, "samples_per_frame", 1, 23)
     check_whole(device, "adc_bits", 8, 16)
@@ -24,14 +24,14 @@ def check(device: Mapping[str, float]) -> None:
 
 
 def make(settings: TwinSettings) -> SimulatedRig:
-    """The simulated rig; compiling its plant takes a moment, and a list of twins must not."""
+    """Make the simulated rig; its module is imported here, since compiling the plant takes time."""
     from labhil_sim_solenoid.rig import SolenoidBench
 
     return SolenoidBench(settings)
 
 
 def force_map(path: Path) -> FloatArray:
-    """A magnet's measured forces; what interpolates them is loaded when somebody has some."""
+    """Read a table of a magnet's measured forces."""
     from labhil.plants.force_map import force_map_of
 
     return force_map_of(path)

@@ -1,4 +1,4 @@
-"""The arm behind the controller: a plan goes in, what its sensors say comes out."""
+"""The arm of the controller: a plan in, the readings of its sensors out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,13 @@ GRAVITY: Point = (0.0, 0.0, -9.81)
 
 
 class PhysicalArm:
-    """The simulated UR5: rigid links, friction, warmth, sensors; ``terms`` and ``parameters`` make it up."""
+    """The simulated UR5: rigid links, friction, temperature and sensors.
+
+    Args:
+        parameters: Parameters of the plant by name, other than its defaults.
+        terms: Names of its effects.
+        seed: Seed of its noise.
+    """
 
     def __init__(self, parameters: Mapping[str, float], terms: tuple[str, ...], seed: int) -> None:
         self.links = UR5
@@ -25,37 +31,37 @@ class PhysicalArm:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Every number of the plant by its key."""
+        """All parameters of the plant by key."""
         return self._live.parameters
 
     @property
     def torque_constant(self) -> FloatArray:
-        """N·m/A at the joints (6,)."""
+        """Torque constants at the joints (6,), N·m/A."""
         return self._live.torque_constant
 
     @property
     def model(self) -> RecursiveBody:
-        """What the controller believes the arm and its payload to be."""
+        """The controller's model of the arm with its payload."""
         return self._live.expected()
 
     def expect(self, mass: float, centre: Point, gravity: Point) -> None:
-        """Tell the controller's model what the flange carries (kg, m) and which way weight pulls (m/s²)."""
+        """Set mass (kg) and centre (m) of the payload and gravity (m/s²) in the controller's model."""
         self._live.set_expected_load(mass, centre, gravity)
 
     def place(self, q: FloatArray) -> None:
-        """Put the arm at rest at angles (6,) rad."""
+        """Place the arm at rest at angles (6,) rad."""
         self._live.place(q)
 
     def step(self, plan: Plan, h: float) -> Sample:
-        """Let h (s) pass while the drives follow the plan, and measure then."""
+        """Advance by h (s) while the drives follow the plan, and return the measurement."""
         return self._live.step(Setpoint(plan.q, plan.qd, plan.qdd), h)
 
     def mass_matrix(self, q: FloatArray) -> FloatArray:
-        """M(q) (6, 6) kg·m² after the controller's model."""
+        """Return M(q) (6, 6), kg·m², of the controller's model."""
         return self.model.mass_matrix(q)
 
     def coriolis(self, q: FloatArray, qd: FloatArray) -> FloatArray:
-        """C(q, q̇)·q̇ (6,) N·m after the controller's model."""
+        """Return C(q, q̇)·q̇ (6,), N·m, of the controller's model."""
         rows = np.array([q, q]), np.array([qd, np.zeros(6)]), np.zeros((2, 6))
-        moving, weight = self.model.torques(*rows)
-        return np.asarray(moving - weight)
+        with_motion, gravity = self.model.torques(*rows)
+        return np.asarray(with_motion - gravity)

@@ -11,7 +11,7 @@ Value = float | tuple[float, ...]
 """One variable: a number (int, float or bool), or a tuple of three or six."""
 
 HEADER = struct.Struct(">HB")
-LARGEST = 65535
+MAX_PACKAGE_SIZE = 65535
 
 FORMATS: Mapping[str, str] = {
     "BOOL": "?",
@@ -25,13 +25,13 @@ FORMATS: Mapping[str, str] = {
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
 }
-"""The types of the protocol and how :mod:`struct` writes them."""
-WIDTHS: Mapping[str, int] = {name: int(form[:-1] or 1) for name, form in FORMATS.items()}
-"""How many numbers a type holds."""
+"""The types of the protocol and their formats in :mod:`struct`."""
+WIDTHS: Mapping[str, int] = {name: int(layout[:-1] or 1) for name, layout in FORMATS.items()}
+"""Number of values of each type."""
 
 
 class Command(IntEnum):
-    """What a package is: the third byte of its header."""
+    """Kind of a package: the third byte of its header."""
 
     PROTOCOL_VERSION = 86
     CONTROLLER_VERSION = 118
@@ -44,27 +44,34 @@ class Command(IntEnum):
 
 
 class FramingError(ValueError):
-    """Bytes that cannot be a package."""
+    """Bytes are no package."""
 
 
 def package(command: int, payload: bytes = b"") -> bytes:
-    """Return a whole package; FramingError when the payload is longer than 65532 bytes."""
+    """Return a complete package.
+
+    Raises:
+        FramingError: The payload is longer than 65532 bytes.
+    """
     size = HEADER.size + len(payload)
-    if size > LARGEST:
-        raise FramingError(f"a package holds at most {LARGEST - HEADER.size} bytes, found {len(payload)}")
+    if size > MAX_PACKAGE_SIZE:
+        raise FramingError(
+            f"a package holds at most {MAX_PACKAGE_SIZE - HEADER.size} bytes, found {len(payload)}"
+        )
     return HEADER.pack(size, command) + payload
 
 
-class Framer:
-    """Cuts a stream of bytes into packages."""
+class PackageParser:
+    """Splits a stream of bytes into packages."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def packages(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Take what came in; yield each complete package as (command, payload).
+        """Add bytes, and yield each complete package as (command, payload).
 
-        Raises FramingError for a size that is smaller than the header; what follows is lost then.
+        Raises:
+            FramingError: A size is smaller than the header; the bytes after it are lost.
         """
         buffer = self._buffer
         buffer += data
@@ -82,7 +89,7 @@ class Framer:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Variables in the order in which a data package holds them; ``types`` are names of ``FORMATS``."""
+    """Variables in the order of a data package; ``types`` are names of ``FORMATS``."""
 
     names: tuple[str, ...]
     types: tuple[str, ...]
@@ -90,9 +97,9 @@ class Recipe:
     _widths: tuple[int, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        form = "".join(FORMATS[name] for name in self.types)
-        # frozen: what follows from the types is worked out once
-        object.__setattr__(self, "_struct", struct.Struct(f">{form}"))
+        layout = "".join(FORMATS[name] for name in self.types)
+        # computed once; the dataclass is frozen
+        object.__setattr__(self, "_struct", struct.Struct(f">{layout}"))
         object.__setattr__(self, "_widths", tuple(WIDTHS[name] for name in self.types))
 
     @property
@@ -101,7 +108,11 @@ class Recipe:
         return self._struct.size
 
     def pack(self, values: Mapping[str, Value]) -> bytes:
-        """Return the fields as bytes; struct.error for numbers that do not fit their type."""
+        """Return the fields as bytes.
+
+        Raises:
+            struct.error: A number does not fit its type.
+        """
         flat: list[float] = []
         for name in self.names:
             value = values[name]
@@ -112,20 +123,24 @@ class Recipe:
         return self._struct.pack(*flat)
 
     def unpack(self, data: bytes) -> dict[str, Value]:
-        """Read fields from the beginning of ``data``; FramingError when it is too short."""
+        """Read fields from the beginning of ``data``.
+
+        Raises:
+            FramingError: It is too short.
+        """
         if len(data) < self._struct.size:
             raise FramingError(f"{len(data)} bytes for a recipe of {self._struct.size}")
         flat = self._struct.unpack_from(data)
         values: dict[str, Value] = {}
-        place = 0
+        index = 0
         for name, width in zip(self.names, self._widths, strict=True):
-            values[name] = flat[place] if width == 1 else flat[place : place + width]
-            place += width
+            values[name] = flat[index] if width == 1 else flat[index : index + width]
+            index += width
         return values
 
 
 def data_package(recipe_id: int, fields: bytes) -> bytes:
-    """Return a data package that carries packed fields."""
+    """Return a data package with packed fields."""
     return package(Command.DATA, bytes([recipe_id]) + fields)
 
 
@@ -136,7 +151,7 @@ def text_package(message: str, source: str = "labhil", level: int = 2) -> bytes:
 
 
 def split_names(payload: bytes) -> tuple[str, ...]:
-    """Return the names in a comma-separated list; an empty one at its end, as clients send it, is none."""
+    """Return the names in a comma-separated list, without the empty one that clients send at its end."""
     return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
 
 

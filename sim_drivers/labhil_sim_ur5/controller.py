@@ -1,7 +1,4 @@
-"""The controller: modes, program, motion and variables, one tick after the other.
-
-Everything here is used by one thread, the server's, so that no state is ever half changed.
-"""
+"""The controller: modes, program, motion and variables, tick by tick, in the server's thread."""
 
 from __future__ import annotations
 
@@ -25,17 +22,25 @@ from labhil_sim_ur5.terminals import Terminals
 from labhil_sim_ur5.variables import Version, output_types, zeros
 
 START_DELAY = 0.05
-"""s from the upload of a program to its start."""
+"""Time from the upload of a program to its start, s."""
 PROGRAM_STOP = 8.0
-"""rad/s² with which the arm comes to rest when its program ends in motion."""
-HISTORY = 1000
-"""How many ticks of joint angles are kept (``get_actual_joint_positions_history``)."""
+"""Deceleration of the arm when its program ends in motion, rad/s²."""
+HISTORY_LENGTH = 1000
+"""Number of ticks of joint angles kept (``get_actual_joint_positions_history``)."""
 
 Log = Callable[[str], None]
 
 
 class Controller:
-    """One arm with its controller; ``tick`` lets one period pass."""
+    """An arm with its controller; :meth:`tick` simulates one period.
+
+    Args:
+        version: Version of its software.
+        arm: The arm.
+        geometry: Lengths of the arm.
+        home: The plan at the start.
+        log: Called with lines of the log.
+    """
 
     def __init__(self, version: Version, arm: PhysicalArm, geometry: Geometry, home: Plan, log: Log) -> None:
         self.version = version
@@ -56,11 +61,11 @@ class Controller:
         self.program_name = "<unnamed>"
         self.pace = Pace()
         self.terminals = Terminals(self.values)
-        self.history: deque[FloatArray] = deque(maxlen=HISTORY)
+        self.history: deque[FloatArray] = deque(maxlen=HISTORY_LENGTH)
         self.ticks = 0
         self.updated: dict[str, int] = {}
         self.contact = 0
-        """What ``tool_contact`` says: how many ticks ago something was touched, 0 for nothing."""
+        """Answer of ``tool_contact``: ticks since a contact, 0 without one."""
         self.gravity: Point = GRAVITY
         self.force_zero = np.zeros(6)
         self.force_at = 0
@@ -70,10 +75,10 @@ class Controller:
         arm.place(home.q)
         self.reading = arm.step(home, self.period)
 
-    # What clients ask for -----------------------------------------------------------------------
+    # Requests of clients ------------------------------------------------------------------------
 
     def receive(self, inputs: Mapping[str, Value]) -> None:
-        """Take over what a client has set."""
+        """Set variables from a client."""
         for name, value in inputs.items():
             self.updated[name] = self.ticks
             if name in self.values:
@@ -83,7 +88,7 @@ class Controller:
             self.pace.slider = min(max(fraction, 0.0), 1.0)
 
     def upload(self, script: Script) -> None:
-        """Take a program: it replaces the one that runs and begins a moment later."""
+        """Replace the running program; the new one starts after a short delay."""
         if self.safety is not SafetyMode.NORMAL or self.robot_mode is not RobotMode.RUNNING:
             self.log(f"program {script.name} refused: the robot is not ready ({self.robot_mode.name})")
             return
@@ -93,7 +98,7 @@ class Controller:
         self._pending = (self.ticks + max(round(START_DELAY / self.period), 1), script)
 
     def play(self) -> bool:
-        """Begin the last program again, or go on with a paused one; False when there is none."""
+        """Start the last program again, or resume a paused one; return False when there is none."""
         if self.safety is not SafetyMode.NORMAL or self.robot_mode is not RobotMode.RUNNING:
             return False
         if self.program is not None and self.runtime in {Runtime.PAUSED, Runtime.PAUSING}:
@@ -107,48 +112,48 @@ class Controller:
         return True
 
     def pause(self) -> bool:
-        """Slow down along the way to rest and stay there; False when no program runs."""
+        """Come to rest on the path and hold; return False when no program runs."""
         if self.program is None or self.runtime not in {Runtime.PLAYING, Runtime.RESUMING}:
             return False
         self.runtime = Runtime.PAUSING
         self.pace.hold(True)
         return True
 
-    def end_program(self, why: str) -> None:
+    def end_program(self, reason: str) -> None:
         """End the program, if there is one; the arm comes to rest."""
         self._pending = None
         if self.program is None:
             return
-        self.log(f"program ended: {why}")
+        self.log(f"program ended: {reason}")
         self.program = None
         self.runtime = Runtime.STOPPING
-        self.begin(Halt.of_joints(self.plan, PROGRAM_STOP))
+        self.start_motion(Halt.of_joints(self.plan, PROGRAM_STOP))
 
     # Safety -------------------------------------------------------------------------------------
 
-    def protective_stop(self, why: str) -> None:
-        """Stop the arm along its way; the program is paused until somebody unlocks the stop."""
+    def protective_stop(self, reason: str) -> None:
+        """Stop the arm on its path; the program is paused until the stop is unlocked."""
         if self.safety is not SafetyMode.NORMAL:
             return
-        self.log(f"protective stop: {why}")
-        self.safety, self.reason = SafetyMode.PROTECTIVE_STOP, why
+        self.log(f"protective stop: {reason}")
+        self.safety, self.reason = SafetyMode.PROTECTIVE_STOP, reason
         self._stopped_at = self.ticks
-        self.pace.hold(True, at_once=True)
+        self.pace.hold(True, fast=True)
         if self.program is not None:
             self.runtime = Runtime.PAUSING
 
-    def emergency_stop(self, why: str) -> None:
-        """Stop the arm, end its program, take the power off."""
-        self.log(f"emergency stop: {why}")
-        self.safety, self.reason = SafetyMode.EMERGENCY_STOP, why
-        self.pace.hold(True, at_once=True)
+    def emergency_stop(self, reason: str) -> None:
+        """Stop the arm, end its program and switch the power off."""
+        self.log(f"emergency stop: {reason}")
+        self.safety, self.reason = SafetyMode.EMERGENCY_STOP, reason
+        self.pace.hold(True, fast=True)
         self._pending = None
         self.program = None
         self.runtime = Runtime.STOPPED
         self.robot_mode = RobotMode.POWER_OFF
 
     def unlock(self) -> bool:
-        """Release a protective stop; False when there is none. The program stays paused."""
+        """Release a protective stop; return False when there is none. The program stays paused."""
         if self.safety is not SafetyMode.PROTECTIVE_STOP:
             return False
         self.safety, self.reason = SafetyMode.NORMAL, ""
@@ -157,19 +162,19 @@ class Controller:
             self.pace.hold(False)
         return True
 
-    def stopped_for(self) -> float:
-        """How long (s) a protective stop has held; infinite without one."""
+    def stop_duration(self) -> float:
+        """Return the duration of the protective stop, s; infinite without one."""
         if self.safety is not SafetyMode.PROTECTIVE_STOP:
             return float("inf")
         return (self.ticks - self._stopped_at) * self.period
 
-    def restore(self) -> None:
-        """Release the emergency stop's button; the power stays off."""
+    def release_emergency_stop(self) -> None:
+        """Release the emergency stop button; the power stays off."""
         if self.safety is SafetyMode.EMERGENCY_STOP:
             self.safety, self.reason = SafetyMode.NORMAL, ""
 
     def restart_safety(self) -> None:
-        """Begin the safety system again: everything normal, power off."""
+        """Restart the safety system: normal mode, power off."""
         self.end_program("the safety system restarts")
         self.safety, self.reason = SafetyMode.NORMAL, ""
         self.power(RobotMode.POWER_OFF)
@@ -187,38 +192,38 @@ class Controller:
             self.pace.hold(self.program is not None)
         self.robot_mode = mode
 
-    def carry(self, mass: float, centre: Point, inertia: tuple[float, ...] = (0.0,) * 6) -> None:
-        """Believe that the flange carries this (kg, m, kg·m²)."""
+    def set_payload(self, mass: float, centre: Point, inertia: tuple[float, ...] = (0.0,) * 6) -> None:
+        """Set the payload of the controller's model: mass, kg, centre, m, and inertia, kg·m²."""
         self.payload = (mass, centre)
         self.values |= {"payload": mass, "payload_cog": centre, "payload_inertia": inertia}
         self.arm.expect(mass, centre, self.gravity)
 
     # Motion -------------------------------------------------------------------------------------
 
-    def begin(self, motion: Motion) -> Motion:
-        """Let a motion begin now; it replaces the one that goes on."""
+    def start_motion(self, motion: Motion) -> Motion:
+        """Start a motion, which replaces the present one."""
         self.motion = motion
         return motion
 
-    def moving(self, motion: Motion | None) -> bool:
-        """Tell whether this motion still goes on."""
+    def is_moving(self, motion: Motion | None) -> bool:
+        """Return whether this motion is in progress."""
         return motion is not None and self.motion is motion
 
     def tick(self) -> None:
-        """Let one period pass."""
+        """Simulate one period."""
         self.ticks += 1
         self._start_pending()
-        self._settle_runtime()
+        self._update_runtime()
         if self.program is not None and self.runtime is Runtime.PLAYING:
             self.program.tick()
         self.plan = self._next_plan()
         reading = self.arm.step(self.plan, self.period)
-        off = self.robot_mode is not RobotMode.RUNNING
-        self.reading = reading._replace(current=np.zeros(6)) if off else reading
+        is_off = self.robot_mode is not RobotMode.RUNNING
+        self.reading = reading._replace(current=np.zeros(6)) if is_off else reading
         self.history.append(self.reading.q)
 
     def publish(self, tool: bool = True) -> None:
-        """Write all variables for this tick: only where somebody reads them, for it takes its time."""
+        """Write all variables for this tick; it is slow, so that it is called only for readers."""
         publish(self, tool)
 
     def _start_pending(self) -> None:
@@ -231,41 +236,41 @@ class Controller:
         self.runtime = Runtime.PLAYING
         self.log(f"program {script.name} runs")
 
-    def _settle_runtime(self) -> None:
-        """States that last as long as the arm needs."""
-        if self.runtime is Runtime.STOPPING and (self.motion is None or self.pace.now == 0.0):
+    def _update_runtime(self) -> None:
+        """End the states that last until the arm is at rest or at full speed."""
+        if self.runtime is Runtime.STOPPING and (self.motion is None or self.pace.factor == 0.0):
             self.motion = None
             self.runtime = Runtime.STOPPED
             self.pace.hold(self.safety is not SafetyMode.NORMAL)
-        elif self.runtime is Runtime.PAUSING and self.pace.now == 0.0:
+        elif self.runtime is Runtime.PAUSING and self.pace.factor == 0.0:
             self.runtime = Runtime.PAUSED
         elif self.runtime is Runtime.RESUMING and self.pace.resumed:
             self.runtime = Runtime.PLAYING
 
     def _next_plan(self) -> Plan:
         scale, change = self.pace.step(self.period)
-        # while the pace changes, its mean passed
-        passed = (scale - 0.5 * change * self.period) * self.period
-        if self.motion is None or passed <= 0.0:
+        # while the pace changes, motion time advances by its mean
+        motion_time = (scale - 0.5 * change * self.period) * self.period
+        if self.motion is None or motion_time <= 0.0:
             return Plan.resting(self.plan.q)
         try:
-            ahead = self.motion.advance(passed)
-            _within_limits(ahead)
+            next_plan = self.motion.advance(motion_time)
+            _check_limits(next_plan)
         except MotionError as error:
-            return self._refuse(str(error))
+            return self._reject_motion(str(error))
         if self.motion.done:
             self.motion = None
-        return Plan(ahead.q, ahead.qd * scale, ahead.qdd * scale**2 + ahead.qd * change)
+        return Plan(next_plan.q, next_plan.qd * scale, next_plan.qdd * scale**2 + next_plan.qd * change)
 
-    def _refuse(self, why: str) -> Plan:
-        """A motion cannot be: stop by the shortest way, and say why."""
+    def _reject_motion(self, reason: str) -> Plan:
+        """Stop the arm because its motion is impossible."""
         self.motion = Halt.of_joints(self.plan, PROGRAM_STOP * 2)
-        self.protective_stop(why)
+        self.protective_stop(reason)
         return Plan.resting(self.plan.q)
 
 
-def _within_limits(plan: Plan) -> None:
-    """Raise MotionError for a plan beyond the joints' ranges or speeds."""
+def _check_limits(plan: Plan) -> None:
+    """Raise MotionError for a plan that exceeds a joint's range or speed."""
     if np.abs(plan.q).max() > JOINT_LIMIT + 1e-6:
         joint = int(np.abs(plan.q).argmax())
         raise MotionError(f"joint {joint} would leave its range of ±{JOINT_LIMIT:.3f} rad")

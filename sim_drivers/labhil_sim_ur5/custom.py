@@ -1,6 +1,6 @@
-"""Programs other than the client's own: plain calls with numbers, one after the other.
+"""Interpreter of programs other than the client's: plain calls with numbers, one after the other.
 
-No variables, conditions or loops: a line that is none of the known calls is logged and passed over.
+There are no variables, conditions or loops; a line that is no known call is logged and skipped.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from labhil_sim_ur5.motion import Halt, Motion
-from labhil_sim_ur5.moves import as_six, move_of
+from labhil_sim_ur5.moves import as_six, make_move
 from labhil_sim_ur5.script import Statement
 
 if TYPE_CHECKING:
@@ -24,14 +24,14 @@ _OUTPUTS = {
 
 
 class CustomProgram:
-    """Runs the lines of a script one by one."""
+    """Runs the lines of a script in sequence."""
 
     def __init__(self, program: Program) -> None:
         self._program = program
-        self._left = list(program.script.body)
+        self._remaining = list(program.script.body)
         self._moving: Motion | None = None
         self._sleep = 0.0
-        self._known: Mapping[str, Callable[[Statement], None]] = {
+        self._calls: Mapping[str, Callable[[Statement], None]] = {
             "movej": self._move,
             "movel": self._move,
             "movep": self._move,
@@ -49,50 +49,50 @@ class CustomProgram:
         }
 
     def tick(self) -> None:
-        """Do what can be done in one period."""
-        if self._program.controller.moving(self._moving):
+        """Execute lines until one takes time."""
+        if self._program.controller.is_moving(self._moving):
             return
         self._sleep -= self._program.controller.period
-        while self._sleep <= 0.0 and not self._program.controller.moving(self._moving):
-            if not self._left:
+        while self._sleep <= 0.0 and not self._program.controller.is_moving(self._moving):
+            if not self._remaining:
                 self._program.controller.end_program("at its end")
                 return
-            self._do(self._left.pop(0))
+            self._execute(self._remaining.pop(0))
 
-    def _do(self, line: Statement) -> None:
+    def _execute(self, line: Statement) -> None:
         if line.name in _OUTPUTS:
             number = _OUTPUTS[line.name] + int(line.number("n", 0, 0))
             level = int(bool(line.number("b", 1, 0)))
             self._program.controller.terminals.set_bits(1 << number, level << number)
-        elif line.name in self._known:
-            self._known[line.name](line)
+        elif line.name in self._calls:
+            self._calls[line.name](line)
         else:
             self._program.controller.log(f"line not understood, passed over: {line.line}")
 
     def _move(self, line: Statement) -> None:
         controller = self._program.controller
-        move = move_of(self._program, line, controller.plan.q)
+        move = make_move(self._program, line, controller.plan.q)
         if move is None:
             controller.log(f"line not understood, passed over: {line.line}")
             return
-        self._moving = controller.begin(move[0](controller.plan.q))
+        self._moving = controller.start_motion(move[0](controller.plan.q))
 
     def _stop(self, line: Statement) -> None:
         controller = self._program.controller
         halt = Halt.of_joints(controller.plan, line.number("a", 0, 2.0))
-        self._moving = controller.begin(halt)
+        self._moving = controller.start_motion(halt)
 
     def _wait(self, line: Statement) -> None:
         self._sleep = line.number("t", 0, self._program.controller.period)
 
     def _set_tool(self, line: Statement) -> None:
-        six = line.six()
-        if six is not None:
-            self._program.controller.tool = as_six(six)
+        values = line.six()
+        if values is not None:
+            self._program.controller.tool = as_six(values)
 
     def _set_payload(self, line: Statement) -> None:
         controller = self._program.controller
-        controller.carry(max(line.number("m", 0, 0.0), 0.0), controller.payload[1])
+        controller.set_payload(max(line.number("m", 0, 0.0), 0.0), controller.payload[1])
 
     def _write_integer(self, line: Statement) -> None:
         self._write("output_int_register", line, int(line.number("value", 1, 0)))

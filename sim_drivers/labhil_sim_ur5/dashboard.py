@@ -1,4 +1,4 @@
-"""Port 29999: one line in, one line out."""
+"""Dashboard port: one answer line per line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 BANNER = "Connected: Universal Robots Dashboard Server"
 MODEL = "UR5"
-LONGEST_LINE = 4096
+MAX_LINE_LENGTH = 4096
 _SAFETY_NAMES = {
     SafetyMode.NORMAL: "NORMAL",
     SafetyMode.PROTECTIVE_STOP: "PROTECTIVE_STOP",
@@ -21,13 +21,19 @@ _SAFETY_NAMES = {
 
 
 class Dashboard:
-    """Answers for all clients: the robot's ``serial`` number, ``unlock_after`` s that a stop must hold."""
+    """Answers of the dashboard.
+
+    Args:
+        controller: The controller.
+        serial: Serial number of the robot.
+        unlock_after: Time after which a protective stop can be unlocked, s.
+    """
 
     def __init__(self, controller: Controller, serial: int, unlock_after: float) -> None:
         self._controller = controller
         self._serial = serial
         self._unlock_after = unlock_after
-        self._exact: Mapping[str, Callable[[], str]] = {
+        self._answers: Mapping[str, Callable[[], str]] = {
             "play": lambda: "Starting program" if controller.play() else "Failed to execute: play",
             "stop": self._stop,
             "pause": lambda: "Pausing program" if controller.pause() else "Failed to execute: pause",
@@ -56,21 +62,21 @@ class Dashboard:
     def answer(self, line: str) -> str:
         """Return the answer to one line."""
         line = line.strip()
-        exact = self._exact.get(line)
-        if exact is not None:
-            return exact()
-        word, _, rest = line.partition(" ")
-        if word == "load" and rest:
-            self._controller.program_name = rest
-            return f"Loading program: /programs/{rest}"
-        if word == "popup":
-            self._controller.log(f"popup: {rest}")
+        answer = self._answers.get(line)
+        if answer is not None:
+            return answer()
+        command, _, argument = line.partition(" ")
+        if command == "load" and argument:
+            self._controller.program_name = argument
+            return f"Loading program: /programs/{argument}"
+        if command == "popup":
+            self._controller.log(f"popup: {argument}")
             return "showing popup"
-        if word == "addToLog":
-            self._controller.log(f"log: {rest}")
+        if command == "addToLog":
+            self._controller.log(f"log: {argument}")
             return "Added log message"
-        if word == "setUserRole":
-            return f"Setting user role: {rest}"
+        if command == "setUserRole":
+            return f"Setting user role: {argument}"
         return f"could not understand: '{line}'"
 
     def _version(self) -> str:
@@ -92,7 +98,7 @@ class Dashboard:
         return reply
 
     def _unlock(self) -> str:
-        if self._controller.stopped_for() < self._unlock_after:
+        if self._controller.stop_duration() < self._unlock_after:
             return (
                 f"Cannot unlock protective stop until {self._unlock_after:g}s after occurrence. "
                 "Always inspect cause of protective stop before unlocking"
@@ -105,14 +111,14 @@ class Dashboard:
         return "Restarting safety"
 
 
-class Lines:
-    """Cuts bytes into lines."""
+class LineSplitter:
+    """Splits bytes into lines."""
 
     def __init__(self) -> None:
-        self._rest = b""
+        self._incomplete = b""
 
-    def take(self, data: bytes) -> list[str]:
-        """Return the lines that are complete now."""
-        *whole, self._rest = (self._rest + data).split(b"\n")
-        self._rest = self._rest[-LONGEST_LINE:]
-        return [line.decode("utf-8", "replace") for line in whole]
+    def split(self, data: bytes) -> list[str]:
+        """Add bytes, and return the complete lines."""
+        *complete, self._incomplete = (self._incomplete + data).split(b"\n")
+        self._incomplete = self._incomplete[-MAX_LINE_LENGTH:]
+        return [line.decode("utf-8", "replace") for line in complete]

@@ -1,4 +1,4 @@
-"""Motions without an end: they follow set points that a program gives at any tick."""
+"""Motions without an end, which follow a set point that a program may change at any tick."""
 
 from __future__ import annotations
 
@@ -11,126 +11,128 @@ from labhil_sim_ur5.kinematics import Geometry
 from labhil_sim_ur5.motion import (
     ACCELERATION_LIMIT,
     JOINT_SPEED,
-    SLOWEST,
+    MIN_RATE,
     Plan,
     joint_accelerations,
     joint_rates,
-    towards,
+    step_towards,
 )
 from labhil_sim_ur5.poses import Pose, rotate, rotation_of, times, transpose, vector_of
 
-EASING = 0.02
-"""In what time (s) the servo eases into the joints' greatest speed, so that it does not overshoot it."""
+SPEED_LIMIT_TIME = 0.02
+"""Time in which the servo approaches the largest joint speed without overshoot, s."""
 
 
 class Servo:
-    """``servoj``: the plan follows a set point that may change at any tick.
+    """``servoj``: the plan follows a set point.
 
     q̈ = gain·(q_set − q − lookahead·q̇), within the joints' limits: natural frequency √gain rad/s, damping
-    ½·lookahead·√gain, lag ``lookahead`` behind a ramp. The manufacturer does not publish its own law; this
-    one has its two numbers and what is said of them: more gain is stiffer, more lookahead smoother.
+    ½·lookahead·√gain, lag ``lookahead`` behind a ramp. The manufacturer does not publish its law; this one
+    has its two parameters with the documented effect: more gain is stiffer, more lookahead smoother.
     """
 
     def __init__(self, now: Plan) -> None:
-        self._now = now
-        self._set = now.q.copy()
+        self._plan = now
+        self._target = now.q.copy()
         self._gain, self._lookahead = 300.0, 0.1
         self.done = False
 
-    def aim(self, q: Sequence[float], lookahead: float, gain: float) -> None:
-        """Set the angles (6,) to go to."""
-        self._set = np.array(q, dtype=np.float64)
+    def set_target(self, q: Sequence[float], lookahead: float, gain: float) -> None:
+        """Set the target angles (6,) rad."""
+        self._target = np.array(q, dtype=np.float64)
         self._lookahead, self._gain = min(max(lookahead, 0.03), 0.2), min(max(gain, 100.0), 2000.0)
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass, by an implicit step in which the acceleration goes along a straight line.
+        """Advance by h (s), by an implicit step with a linear acceleration, and return the plan.
 
-        So angle, velocity and acceleration belong to one moment: what is planned is what drives the arm,
-        and a torque half a tick late would look like a clock that is.
+        Angle, velocity and acceleration belong to one time; a torque that is late by half a tick would look
+        like an offset of the clock.
         """
-        k, lookahead, (q, qd, qdd) = self._gain, self._lookahead, self._now
+        k, lookahead, (q, qd, qdd) = self._gain, self._lookahead, self._plan
         q = q + h * qd + (h * h / 3.0) * qdd
-        before, qd = qd, qd + 0.5 * h * qdd
-        target = k * (self._set - q - lookahead * qd) / (1.0 + k * h * (0.5 * lookahead + h / 6.0))
-        target = np.clip(target, (-JOINT_SPEED - before) / EASING, (JOINT_SPEED - before) / EASING)
+        previous, qd = qd, qd + 0.5 * h * qdd
+        target = k * (self._target - q - lookahead * qd) / (1.0 + k * h * (0.5 * lookahead + h / 6.0))
+        target = np.clip(
+            target, (-JOINT_SPEED - previous) / SPEED_LIMIT_TIME, (JOINT_SPEED - previous) / SPEED_LIMIT_TIME
+        )
         target = np.clip(target, -ACCELERATION_LIMIT, ACCELERATION_LIMIT)
-        self._now = Plan(q + (h * h / 6.0) * target, qd + 0.5 * h * target, target)
-        return self._now
+        self._plan = Plan(q + (h * h / 6.0) * target, qd + 0.5 * h * target, target)
+        return self._plan
 
 
 class JointSpeed:
-    """``speedj``: joint velocities, reached together with a steady acceleration of the fastest to change."""
+    """``speedj``: joint velocities, reached together with a constant acceleration of the largest change."""
 
     def __init__(self, now: Plan) -> None:
         self._q, self._qd = now.q.copy(), now.qd.copy()
-        self._set, self._a = self._qd.copy(), 0.5
+        self._target, self._a = self._qd.copy(), 0.5
         self.done = False
 
-    def aim(self, qd: Sequence[float], acceleration: float) -> None:
-        """Set the velocities (6,) rad/s to go to, and how fast (rad/s²)."""
-        self._set = np.clip(np.array(qd, dtype=np.float64), -JOINT_SPEED, JOINT_SPEED)
-        self._a = min(max(acceleration, SLOWEST), ACCELERATION_LIMIT)
+    def set_target(self, qd: Sequence[float], acceleration: float) -> None:
+        """Set the target velocities (6,) rad/s and the acceleration, rad/s²."""
+        self._target = np.clip(np.array(qd, dtype=np.float64), -JOINT_SPEED, JOINT_SPEED)
+        self._a = min(max(acceleration, MIN_RATE), ACCELERATION_LIMIT)
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then."""
-        before = self._qd
-        self._qd = towards(before, self._set, self._a * h)
-        self._q = self._q + 0.5 * h * (before + self._qd)
-        return Plan(self._q.copy(), self._qd.copy(), (self._qd - before) / h)
+        """Advance by h (s) and return the plan."""
+        previous = self._qd
+        self._qd = step_towards(previous, self._target, self._a * h)
+        self._q = self._q + 0.5 * h * (previous + self._qd)
+        return Plan(self._q.copy(), self._qd.copy(), (self._qd - previous) / h)
 
 
 class ToolSpeed:
     """``speedl``: velocity and rate of the tool (6,) m/s and rad/s in the base's frame."""
 
     def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
-        self._arm, self._tool, self._now = arm, tool, now
+        self._arm, self._tool, self._plan = arm, tool, now
         self._twist = arm.jacobian(now.q, tool) @ now.qd
-        self._set, self._a = self._twist.copy(), 0.25
+        self._target, self._a = self._twist.copy(), 0.25
         self.done = False
 
-    def aim(self, twist: Sequence[float], acceleration: float) -> None:
-        """Set the velocity to go to, and how fast: m/s² (rad/s² of the turn)."""
-        self._set = np.array(twist, dtype=np.float64)
-        self._a = max(acceleration, SLOWEST)
+    def set_target(self, twist: Sequence[float], acceleration: float) -> None:
+        """Set the target velocity (6,) and the acceleration, m/s² (rad/s² of the rotation)."""
+        self._target = np.array(twist, dtype=np.float64)
+        self._a = max(acceleration, MIN_RATE)
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then; MotionError near a singularity."""
-        twist, self._twist = self._twist, towards(self._twist, self._set, self._a * h)
-        q, before_qd, before_qdd = self._now
+        """Advance by h (s) and return the plan; MotionError near a singularity."""
+        twist, self._twist = self._twist, step_towards(self._twist, self._target, self._a * h)
+        q, before_qd, before_qdd = self._plan
         ahead = q + h * before_qd + 0.5 * h * h * before_qdd
         qd = joint_rates(self._arm, ahead, self._tool, self._twist)
         q = q + 0.5 * h * (before_qd + qd)
         qdd = joint_accelerations(self._arm, q, qd, self._tool, (self._twist - twist) / h)
-        self._now = Plan(q, qd, qdd)
-        return self._now
+        self._plan = Plan(q, qd, qdd)
+        return self._plan
 
 
 class Approach:
-    """``servoc``: the tool goes straight to a pose that may change, and slows down there."""
+    """``servoc``: the tool moves straight to a target pose and slows down there."""
 
     def __init__(self, now: Plan, arm: Geometry, tool: Pose) -> None:
         self._arm, self._tool = arm, tool
         self._speed = ToolSpeed(now, arm, tool)
         self._plan = now
-        self._set = arm.pose(now.q, tool)
+        self._target = arm.pose(now.q, tool)
         self._v, self._a = 0.25, 1.2
         self.done = False
 
-    def aim(self, pose: Pose, speed: float, acceleration: float) -> None:
-        """Set the pose to go to, m/s and m/s²."""
-        self._set = pose
-        self._v, self._a = max(speed, SLOWEST), max(acceleration, SLOWEST)
+    def set_target(self, pose: Pose, speed: float, acceleration: float) -> None:
+        """Set the target pose, the speed, m/s, and the acceleration, m/s²."""
+        self._target = pose
+        self._v, self._a = max(speed, MIN_RATE), max(acceleration, MIN_RATE)
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then; MotionError near a singularity."""
+        """Advance by h (s) and return the plan; MotionError near a singularity."""
         pose = self._arm.pose(self._plan.q, self._tool)
         rotation = rotation_of(*pose[3:])
-        turn = vector_of(times(transpose(rotation), rotation_of(*self._set[3:])))
-        missing = np.array([*np.subtract(self._set[:3], pose[:3]), *rotate(rotation, turn)])
-        distance = max(float(np.linalg.norm(missing[:3])), float(np.linalg.norm(missing[3:])))
-        # at half the deceleration that would do, so that one tick's delay does not carry it beyond
+        rotation_vector = vector_of(times(transpose(rotation), rotation_of(*self._target[3:])))
+        difference = np.array([*np.subtract(self._target[:3], pose[:3]), *rotate(rotation, rotation_vector)])
+        distance = max(float(np.linalg.norm(difference[:3])), float(np.linalg.norm(difference[3:])))
+        # at half the necessary deceleration, so that a delay of one tick causes no overshoot
         speed = min(self._v, sqrt(self._a * distance), 0.5 * distance / h)
-        twist = missing * (speed / distance) if distance > 0.0 else np.zeros(6)
-        self._speed.aim(twist.tolist(), 2.0 * self._a)
+        twist = difference * (speed / distance) if distance > 0.0 else np.zeros(6)
+        self._speed.set_target(twist.tolist(), 2.0 * self._a)
         self._plan = self._speed.advance(h)
         return self._plan

@@ -1,4 +1,4 @@
-"""Numbers that the controller shows for what state it is in."""
+"""Numbers of the controller's states."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Runtime(IntEnum):
-    """``runtime_state``: what the program does."""
+    """``runtime_state``: the state of the program."""
 
     STOPPING = 0
     STOPPED = 1
@@ -27,7 +27,7 @@ class RobotMode(IntEnum):
 
 
 class SafetyMode(IntEnum):
-    """``safety_mode``; its bit in ``safety_status_bits`` is its number less one."""
+    """``safety_mode``; its bit in ``safety_status_bits`` is its number minus one."""
 
     NORMAL = 1
     PROTECTIVE_STOP = 3

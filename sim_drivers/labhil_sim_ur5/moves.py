@@ -1,4 +1,4 @@
-"""Commands of the client that move the arm: one function a command."""
+"""Commands of the client that move the arm: one function per command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from labhil_sim_ur5.script import ScriptError, Statement
 if TYPE_CHECKING:
     from labhil_sim_ur5.program import Program
 CONTACT_STOP = 3.0
-"""m/s² after a contact, as in the client's program."""
+"""Deceleration after a contact, m/s², as in the client's program."""
 
 
 def move_joints(program: Program) -> Motion | None:
@@ -55,7 +55,11 @@ def _line_move(program: Program, pose: Pose) -> Motion | None:
 
 
 def solve(program: Program, pose: Pose, near: Pose | None = None) -> Pose:
-    """Return the joint angles for a pose; ScriptError when there are none, which ends a program."""
+    """Return the joint angles for a pose.
+
+    Raises:
+        ScriptError: There are none, which ends the program.
+    """
     controller = program.controller
     q = controller.geometry.inverse(pose, controller.plan.q if near is None else near, controller.tool)
     if q is None:
@@ -74,51 +78,51 @@ def servo_pose(program: Program) -> None:
 
 
 def servo_circular(program: Program) -> None:
-    """``servoC``: command 12; the blend radius means nothing here."""
+    """``servoC``: command 12; the blend radius is ignored."""
     motion, controller, registers = program.continuous, program.controller, program.registers
-    if not isinstance(motion, Approach) or not controller.moving(motion):
+    if not isinstance(motion, Approach) or not controller.is_moving(motion):
         program.stop_asynchronous()
-        program.refuse_second()
+        program.check_free()
         motion = Approach(controller.plan, controller.geometry, controller.tool)
-        program.continuous = controller.begin(motion)
-    motion.aim(registers.six(0), registers.number(6), registers.number(7))
+        program.continuous = controller.start_motion(motion)
+    motion.set_target(registers.six(0), registers.number(6), registers.number(7))
 
 
 def _servo(program: Program, q: Pose) -> None:
     motion = program.continuous
-    if not isinstance(motion, Servo) or not program.controller.moving(motion):
+    if not isinstance(motion, Servo) or not program.controller.is_moving(motion):
         program.stop_asynchronous()
-        program.refuse_second()
+        program.check_free()
         motion = Servo(program.controller.plan)
-        program.continuous = program.controller.begin(motion)
-    motion.aim(q, program.registers.number(9), program.registers.number(10))
+        program.continuous = program.controller.start_motion(motion)
+    motion.set_target(q, program.registers.number(9), program.registers.number(10))
 
 
 def speed_joints(program: Program) -> None:
     """``speedJ``: command 9."""
     motion = program.continuous
-    if not isinstance(motion, JointSpeed) or not program.controller.moving(motion):
+    if not isinstance(motion, JointSpeed) or not program.controller.is_moving(motion):
         program.stop_asynchronous()
-        program.refuse_second()
+        program.check_free()
         motion = JointSpeed(program.controller.plan)
-        program.continuous = program.controller.begin(motion)
-    motion.aim(program.registers.six(0), program.registers.number(6))
+        program.continuous = program.controller.start_motion(motion)
+    motion.set_target(program.registers.six(0), program.registers.number(6))
 
 
 def speed_tool(program: Program) -> None:
     """``speedL``: command 10."""
-    tool_speed(program, program.registers.six(0), program.registers.number(6))
+    set_tool_speed(program, program.registers.six(0), program.registers.number(6))
 
 
-def tool_speed(program: Program, twist: Pose, acceleration: float) -> None:
-    """Let the tool go to a velocity in the base's frame."""
+def set_tool_speed(program: Program, twist: Pose, acceleration: float) -> None:
+    """Set the velocity of the tool in the base's frame, m/s and rad/s."""
     motion, controller = program.continuous, program.controller
-    if not isinstance(motion, ToolSpeed) or not controller.moving(motion):
+    if not isinstance(motion, ToolSpeed) or not controller.is_moving(motion):
         program.stop_asynchronous()
-        program.refuse_second()
+        program.check_free()
         motion = ToolSpeed(controller.plan, controller.geometry, controller.tool)
-        program.continuous = controller.begin(motion)
-    motion.aim(twist, acceleration)
+        program.continuous = controller.start_motion(motion)
+    motion.set_target(twist, acceleration)
 
 
 def stop_speed(program: Program) -> Motion | None:
@@ -148,30 +152,30 @@ def _stop(program: Program, motion: Motion) -> Motion | None:
     if program.registers.integer(1) != 1:
         return motion
     program.asynchronous = motion
-    program.progress.started()
+    program.progress.start()
     return None
 
 
 def halt_tool(program: Program, deceleration: float) -> Motion:
-    """Bring the tool to rest along its way."""
+    """Bring the tool to rest on its path."""
     controller = program.controller
     halt = Halt.of_tool(controller.plan, deceleration, controller.geometry, controller.tool)
     return _halt(program, halt)
 
 
 def halt_joints(program: Program, deceleration: float) -> Motion:
-    """Bring the joints to rest along their way."""
+    """Bring the joints to rest on their path."""
     return _halt(program, Halt.of_joints(program.controller.plan, deceleration))
 
 
 def _halt(program: Program, halt: Halt) -> Motion:
     program.stop_asynchronous()
     program.continuous = None
-    return program.controller.begin(halt)
+    return program.controller.start_motion(halt)
 
 
 def start_jog(program: Program) -> None:
-    """``jogStart``: command 41; speeds in the base's frame (0), the tool's (1) or a given one (2)."""
+    """``jogStart``: command 41; speeds in the frame of the base (0), of the tool (1) or a given one (2)."""
     registers, controller = program.registers, program.controller
     speeds, feature = registers.six(0), round(registers.number(6))
     frame = NO_OFFSET
@@ -180,7 +184,7 @@ def start_jog(program: Program) -> None:
     elif feature == 2:
         frame = registers.six(8)
     rotation = rotation_of(*frame[3:])
-    tool_speed(program, _turn_twist(rotation, speeds), registers.number(7))
+    set_tool_speed(program, _turn_twist(rotation, speeds), registers.number(7))
 
 
 def _turn_twist(rotation: Rotation, twist: Pose) -> Pose:
@@ -193,12 +197,12 @@ def stop_jog(program: Program) -> Motion | None:
 
 
 def move_until_contact(program: Program) -> Motion | None:
-    """``moveUntilContact``: command 51, e-Series from 5.4; contact comes from outside (``Faults``)."""
+    """``moveUntilContact``: command 51, e-Series from 5.4; contacts are set by ``Faults``."""
     registers, controller = program.registers, program.controller
     if not controller.version.has((99, 4)):
         return None
     speed = ToolSpeed(controller.plan, controller.geometry, controller.tool)
-    speed.aim(registers.six(0), registers.number(12))
+    speed.set_target(registers.six(0), registers.number(12))
     tool = controller.tool
 
     def stop(plan: Plan) -> Halt:
@@ -213,50 +217,53 @@ def end_force_mode(program: Program) -> Motion | None:
 
 
 def move_path(program: Program) -> Motion | None:
-    """``moveJ(path)``, ``moveL(path)``, ``movePath``: command 45; the way stands in the script."""
+    """``moveJ(path)``, ``moveL(path)``, ``movePath``: command 45; the path is in the script."""
     controller = program.controller
     moves = []
-    ends = controller.plan.q
+    end = controller.plan.q
     for statement in program.script.path:
         if statement.name == "signal_async_progress":
             continue
-        move = move_of(program, statement, ends)
+        move = make_move(program, statement, end)
         if move is None:
             controller.log(f"line not understood in a path: {statement.line}")
             continue
         moves.append(move)
-        ends = move[1]
+        end = move[1]
     if not moves:
         return None
     asynchronous = program.registers.integer(1) == 1
-    begun = program.progress.at if asynchronous else program.progress.passed
-    return program.start(Path(controller.geometry, controller.plan.q, moves, begun), asynchronous)
+    on_move = program.progress.set_waypoint if asynchronous else program.progress.pass_waypoint
+    return program.start(Path(controller.geometry, controller.plan.q, moves, on_move), asynchronous)
 
 
 Move = tuple[Callable[[FloatArray], Motion], FloatArray, float]
 
 
-def move_of(program: Program, statement: Statement, begin: FloatArray) -> Move | None:
-    """Return the move that a line of a script asks for, made when it begins: how, to which angles, blend.
+def make_move(program: Program, statement: Statement, begin: FloatArray) -> Move | None:
+    """Return the move of a script's line: a function that makes it at its start, its end, its blend radius.
 
-    None when the line is no ``movej``, ``movel`` or ``movep``; ScriptError when its pose is out of reach.
+    Returns None when the line is no ``movej``, ``movel`` or ``movep``.
+
+    Raises:
+        ScriptError: Its pose is out of reach.
     """
     six = statement.six()
     if statement.name not in {"movej", "movel", "movep"} or six is None:
         return None
     controller = program.controller
-    joints = statement.name == "movej"
-    speed = statement.number("v", 2, 1.05 if joints else 0.25)
-    acceleration = statement.number("a", 1, 1.4 if joints else 1.2)
+    is_joint_move = statement.name == "movej"
+    speed = statement.number("v", 2, 1.05 if is_joint_move else 0.25)
+    acceleration = statement.number("a", 1, 1.4 if is_joint_move else 1.2)
     target = as_six(six)
     is_pose = statement.poses[0]
-    ends = np.array(solve(program, target, as_six(begin.tolist())) if is_pose else target)
+    end = np.array(solve(program, target, as_six(begin.tolist())) if is_pose else target)
     radius = statement.number("r", 4, 0.0)
-    if joints:
-        return lambda q: JointMove(q, ends, speed, acceleration), ends, radius
+    if is_joint_move:
+        return lambda q: JointMove(q, end, speed, acceleration), end, radius
     pose = target if is_pose else controller.geometry.pose(target, controller.tool)
     tool = controller.tool
-    return lambda q: LineMove(controller.geometry, tool, q, pose, speed, acceleration), ends, radius
+    return lambda q: LineMove(controller.geometry, tool, q, pose, speed, acceleration), end, radius
 
 
 def as_six(values: Sequence[float]) -> Pose:

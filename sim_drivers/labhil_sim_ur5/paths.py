@@ -1,4 +1,4 @@
-"""Motions made of others: several moves with blends, a speed until something is touched."""
+"""Composed motions: several moves with blends, and a tool speed until a contact."""
 
 from __future__ import annotations
 
@@ -13,28 +13,41 @@ from labhil_sim_ur5.motion import Halt, Motion, Plan
 
 
 class UntilContact:
-    """Tool speed until something is touched, then down to rest; ``touched`` says when."""
+    """A tool speed until a contact, then a stop.
 
-    def __init__(self, speed: ToolSpeed, stop: Callable[[Plan], Halt], touched: Callable[[], bool]) -> None:
-        self._now: Motion = speed
-        self._stop, self._touched = stop, touched
+    Args:
+        speed: The motion until the contact.
+        stop: Returns the stop from a plan.
+        is_touched: Returns whether there is a contact.
+    """
+
+    def __init__(
+        self, speed: ToolSpeed, stop: Callable[[Plan], Halt], is_touched: Callable[[], bool]
+    ) -> None:
+        self._motion: Motion = speed
+        self._stop, self._is_touched = stop, is_touched
         self._plan: Plan | None = None
         self.done = False
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then."""
-        if self._plan is not None and not isinstance(self._now, Halt) and self._touched():
-            self._now = self._stop(self._plan)
-        self._plan = self._now.advance(h)
-        self.done = self._now.done
+        """Advance by h (s) and return the plan."""
+        if self._plan is not None and not isinstance(self._motion, Halt) and self._is_touched():
+            self._motion = self._stop(self._plan)
+        self._plan = self._motion.advance(h)
+        self.done = self._motion.done
         return self._plan
 
 
 class Path:
-    """Moves one after the other; where a move has a blend radius the next begins before it has ended.
+    """A sequence of moves; with a blend radius the next move begins before the previous has ended.
 
-    ``moves`` make each move from the angles where the one before ends; both are added up in a blend, so that
-    the way through it is smooth. ``begun`` is called with the number of each move that begins.
+    In a blend both moves are added, so that the path is smooth.
+
+    Args:
+        arm: Lengths of the arm.
+        begin: Angles at the start, (6,) rad.
+        moves: For each move: a function that makes it from its start, its end and its blend radius, m.
+        on_move: Called with the index of each move that begins.
     """
 
     def __init__(
@@ -42,44 +55,48 @@ class Path:
         arm: Geometry,
         begin: FloatArray,
         moves: Sequence[tuple[Callable[[FloatArray], Motion], FloatArray, float]],
-        begun: Callable[[int], None],
+        on_move: Callable[[int], None],
     ) -> None:
-        self._arm, self._moves, self._begun = arm, moves, begun
-        self._next = 0
-        self._now: Motion | None = None
-        self._ends = begin.copy()
-        self._later: Motion | None = None
+        self._arm, self._moves, self._on_move = arm, moves, on_move
+        self._next_index = 0
+        self._motion: Motion | None = None
+        self._end = begin.copy()
+        self._next_motion: Motion | None = None
         self._plan = Plan.resting(begin)
         self.done = not moves
 
     def advance(self, h: float) -> Plan:
-        """Let h (s) pass and return the plan then."""
-        if self._now is None:
-            self._now = self._make()
-        plan = self._now.advance(h)
-        corner = self._ends
-        if self._later is None and self._next < len(self._moves) and self._near(plan.q, corner):
-            self._later, self._corner = self._make(), corner
-        elif self._later is not None:
-            other = self._later.advance(h)
-            plan = Plan(plan.q + other.q - self._corner, plan.qd + other.qd, plan.qdd + other.qdd)
-        if self._now.done:
-            self._now, self._later = self._later, None
-            self.done = self._now is None and self._next >= len(self._moves)
+        """Advance by h (s) and return the plan."""
+        if self._motion is None:
+            self._motion = self._start_next()
+        plan = self._motion.advance(h)
+        corner = self._end
+        if (
+            self._next_motion is None
+            and self._next_index < len(self._moves)
+            and self._in_blend(plan.q, corner)
+        ):
+            self._next_motion, self._corner = self._start_next(), corner
+        elif self._next_motion is not None:
+            blended = self._next_motion.advance(h)
+            plan = Plan(plan.q + blended.q - self._corner, plan.qd + blended.qd, plan.qdd + blended.qdd)
+        if self._motion.done:
+            self._motion, self._next_motion = self._next_motion, None
+            self.done = self._motion is None and self._next_index >= len(self._moves)
         return plan
 
-    def _make(self) -> Motion:
-        make, ends, _ = self._moves[self._next]
-        self._begun(self._next)
-        motion = make(self._ends)
-        self._ends = ends
-        self._next += 1
+    def _start_next(self) -> Motion:
+        make, end, _ = self._moves[self._next_index]
+        self._on_move(self._next_index)
+        motion = make(self._end)
+        self._end = end
+        self._next_index += 1
         return motion
 
-    def _near(self, q: FloatArray, corner: FloatArray) -> bool:
-        """Whether the flange is within the blend radius of where the present move ends."""
-        radius = self._moves[self._next - 1][2]
+    def _in_blend(self, q: FloatArray, corner: FloatArray) -> bool:
+        """Whether the flange is within the blend radius of the end of the present move."""
+        radius = self._moves[self._next_index - 1][2]
         if radius <= 0.0:
             return False
-        here, there = self._arm.pose(q)[:3], self._arm.pose(corner)[:3]
-        return float(np.linalg.norm(np.subtract(here, there))) < radius
+        position, corner_position = self._arm.pose(q)[:3], self._arm.pose(corner)[:3]
+        return float(np.linalg.norm(np.subtract(position, corner_position))) < radius

@@ -1,4 +1,4 @@
-"""Poses as the controller writes them: x, y, z in m and a rotation vector in rad; rotations as rows."""
+"""Poses in the controller's format: x, y, z in m and a rotation vector in rad; rotation matrices by rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NO_OFFSET: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def rotation_of(x: float, y: float, z: float) -> Rotation:
-    """Return the rotation by |v| rad about v = (x, y, z), after Rodrigues."""
+    """Return the rotation by |v| rad about v = (x, y, z) (Rodrigues' formula)."""
     angle = sqrt(x * x + y * y + z * z)
     if angle < 1e-12:
         return (1.0, -z, y, z, 1.0, -x, -y, x, 1.0)
@@ -41,7 +41,7 @@ def vector_of(r: Rotation) -> Point:
 
 
 def _half_turn(r: Rotation, angle: float) -> Point:
-    """The axis of a rotation by about π, from the largest element of its diagonal."""
+    """Rotation vector of a rotation by about π, from the largest element of its diagonal."""
     diagonal = (r[0], r[4], r[8])
     largest = max(range(3), key=diagonal.__getitem__)
     column = [
@@ -70,7 +70,7 @@ def times(a: Rotation, b: Rotation) -> Rotation:
 
 
 def transpose(r: Rotation) -> Rotation:
-    """Return the rotation the other way."""
+    """Return the inverse rotation."""
     return (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8])
 
 
@@ -84,7 +84,7 @@ def rotate(r: Rotation, p: Point) -> Point:
 
 
 def pose_times(a: Pose, b: Pose) -> Pose:
-    """Return the pose b, seen from a, in the frame that a is given in (URScript's ``pose_trans``)."""
+    """Return the pose b, given relative to a, in the frame of a (URScript's ``pose_trans``)."""
     rotation = rotation_of(*a[3:])
     x, y, z = rotate(rotation, b[:3])
     turn = times(rotation, rotation_of(*b[3:]))
@@ -92,7 +92,7 @@ def pose_times(a: Pose, b: Pose) -> Pose:
 
 
 def inverse(a: Pose) -> Pose:
-    """Return the pose that undoes a."""
+    """Return the inverse pose."""
     back = transpose(rotation_of(*a[3:]))
     x, y, z = rotate(back, a[:3])
     return (-x, -y, -z, -a[3], -a[4], -a[5])
@@ -105,7 +105,7 @@ def angle_between(a: Rotation, b: Rotation) -> float:
 
 
 def nearest_turn(angle: float, near: float, limit: float) -> float:
-    """Return the angle plus the whole turns that bring it nearest to ``near`` within ±limit."""
+    """Return the angle plus the multiple of 2π that is nearest to ``near`` within ±limit."""
     angle += 2.0 * pi * round((near - angle) / (2.0 * pi))
     while angle > limit:
         angle -= 2.0 * pi

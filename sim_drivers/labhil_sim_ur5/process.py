@@ -1,4 +1,4 @@
-"""A twin in a process of its own, for tests of programs that use a robot.
+"""A twin in a separate process, for tests of programs that use a robot.
 
 It has to be another process: the client's constructors hold Python's lock while they wait for the robot.
 """
@@ -15,14 +15,14 @@ STOP_TIMEOUT = 5.0
 
 
 class TwinProcess:
-    """A running twin: where it is, and what to tell it."""
+    """A running twin at the address ``host``."""
 
     def __init__(self, host: str, process: subprocess.Popen[str]) -> None:
         self.host = host
         self._process = process
 
     def tell(self, line: str) -> None:
-        """Have a fault, or an input: ``protective stop``, ``stall 0.5``, ``digital_in 3 1``, …."""
+        """Inject a fault or set an input: ``protective stop``, ``stall 0.5``, ``digital_in 3 1``, …."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{line}\n")
         self._process.stdin.flush()
@@ -32,10 +32,15 @@ class TwinProcess:
 def running_twin(
     host: str = "127.0.0.1", series: str = "e", settings: Mapping[str, float] | None = None
 ) -> Iterator[TwinProcess]:
-    """Start a twin at an address of this machine; it listens inside the ``with`` and is gone after it.
+    """Start a twin, and end it after the ``with``.
 
-    ``settings`` are those of ``labhil twin ur5 --list``. Raises RuntimeError with the twin's own words when
-    it does not start.
+    Args:
+        host: An address of this machine.
+        series: The series or version of its controller.
+        settings: Settings of ``labhil twin ur5 --list``.
+
+    Raises:
+        RuntimeError: It does not start; the message has its error output.
     """
     command = [sys.executable, "-m", "labhil", "twin", "ur5", "--host", host, "--series", series]
     for name, value in (settings or {}).items():

@@ -1,4 +1,4 @@
-"""The register that tells how far an asynchronous operation is."""
+"""The register of the progress of an asynchronous operation."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ class Progress:
         self._operation = 0
         self._writes = 0
 
-    def started(self) -> None:
-        """A new operation begins."""
+    def start(self) -> None:
+        """Begin a new operation."""
         self._operation = (self._operation + 1) % 128
         self._write(RUNNING)
 
-    def at(self, value: int) -> None:
-        """The operation has come to its ``value``-th waypoint."""
+    def set_waypoint(self, value: int) -> None:
+        """Set the index of the operation's waypoint; 0 begins a new operation."""
         if value == 0:
             self._operation = (self._operation + 1) % 128
         self._write(RUNNING | min(value, RUNNING - 1))
 
-    def passed(self, value: int) -> None:
-        """The same within an operation that the client waits for."""
-        self.at(value)
+    def pass_waypoint(self, value: int) -> None:
+        """Set the index of the waypoint of a blocking operation."""
+        self.set_waypoint(value)
 
-    def finished(self) -> None:
-        """No operation is under way."""
+    def finish(self) -> None:
+        """End the operation."""
         self._write(0)
 
     def _write(self, low: int) -> None:

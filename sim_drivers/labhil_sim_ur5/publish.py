@@ -1,4 +1,4 @@
-"""From the controller's state to the variables that clients read."""
+"""Conversion of the controller's state to the variables that clients read."""
 
 from __future__ import annotations
 
@@ -14,99 +14,98 @@ if TYPE_CHECKING:
     from labhil_sim_ur5.controller import Controller
 
 FORCE_PERIOD = 0.016
-"""s between two estimates of the force at the tool."""
-FORCE_FILTER = 5.0
-"""Hz of the low pass behind them."""
-SINGULAR = 1e-3
-"""Determinant of the Jacobian below which the estimate of the force is kept as it was."""
-ELECTRONICS = 0.6
-"""A that the controller draws beside its motors."""
+"""Time between two estimates of the force at the tool, s."""
+FORCE_CUT_OFF = 5.0
+"""Cut-off frequency of the low pass of that force, Hz."""
+MIN_DETERMINANT = 1e-3
+"""Determinant of the Jacobian below which the estimate of the force is not updated."""
+IDLE_CURRENT = 0.6
+"""Current of the controller without its motors, A."""
 
-
-TOOL = (
+TOOL_PREFIXES = (
     "actual_TCP_", "target_TCP_", "actual_tool_accelerometer", "tcp_force_", "ft_raw_", "elbow_",
 )  # fmt: skip
-"""How the names of variables begin that are about the tool."""
+"""Prefixes of variables of the tool."""
 
 
 def publish(controller: Controller, tool: bool = True) -> None:
-    """Write all variables for this tick, those about the tool only when they are wanted."""
+    """Write all variables for this tick; those of the tool only where ``tool`` is set."""
     values, plan, reading = controller.values, controller.plan, controller.reading
     values["timestamp"] = controller.ticks * controller.period
     values["target_q"], values["target_qd"], values["target_qdd"] = (
-        _six(plan.q),
-        _six(plan.qd),
-        _six(plan.qdd),
+        _as_tuple(plan.q),
+        _as_tuple(plan.qd),
+        _as_tuple(plan.qdd),
     )
     values["target_current"], values["target_moment"] = (
-        _six(reading.target_current),
-        _six(reading.target_moment),
+        _as_tuple(reading.target_current),
+        _as_tuple(reading.target_moment),
     )
-    values["actual_q"], values["actual_qd"] = _six(reading.q), _six(reading.qd)
-    values["actual_current"] = _six(reading.current)
+    values["actual_q"], values["actual_qd"] = _as_tuple(reading.q), _as_tuple(reading.qd)
+    values["actual_current"] = _as_tuple(reading.current)
     values["joint_control_output"] = values["target_current"]
-    values["joint_temperatures"] = _six(reading.temperature)
+    values["joint_temperatures"] = _as_tuple(reading.temperature)
     values["actual_main_voltage"] = values["actual_robot_voltage"] = reading.voltage
     values["actual_joint_voltage"] = (reading.voltage,) * 6
-    values["actual_robot_current"] = ELECTRONICS + _motor_current(controller)
+    values["actual_robot_current"] = IDLE_CURRENT + _motor_current(controller)
     if "actual_current_as_torque" in values:
-        values["actual_current_as_torque"] = _six(reading.current * controller.arm.torque_constant)
+        values["actual_current_as_torque"] = _as_tuple(reading.current * controller.arm.torque_constant)
     if tool:
-        _tool(controller)
-    _modes(controller)
+        _publish_tool(controller)
+    _publish_modes(controller)
 
 
 def _motor_current(controller: Controller) -> float:
-    """What the motors' work takes from the supply, A."""
+    """Supply current of the motors' power, A."""
     reading = controller.reading
     power = float((reading.current * controller.arm.torque_constant) @ reading.qd)
     return max(power, 0.0) / max(reading.voltage, 1.0)
 
 
-def _tool(controller: Controller) -> None:
+def _publish_tool(controller: Controller) -> None:
     values, geometry, tool = controller.values, controller.geometry, controller.tool
     plan, reading = controller.plan, controller.reading
     pose = geometry.pose(reading.q, tool)
     values["actual_TCP_pose"], values["target_TCP_pose"] = pose, geometry.pose(plan.q, tool)
     jacobian = geometry.jacobian(reading.q, tool)
-    values["actual_TCP_speed"] = _six(jacobian @ reading.qd)
-    values["target_TCP_speed"] = _six(jacobian @ plan.qd)
-    values["actual_tool_accelerometer"] = _accelerometer(controller, pose, jacobian)
-    since = controller.ticks - controller.force_at
-    if since * controller.period >= FORCE_PERIOD:
+    values["actual_TCP_speed"] = _as_tuple(jacobian @ reading.qd)
+    values["target_TCP_speed"] = _as_tuple(jacobian @ plan.qd)
+    values["actual_tool_accelerometer"] = _acceleration(controller, pose, jacobian)
+    ticks = controller.ticks - controller.force_at
+    if ticks * controller.period >= FORCE_PERIOD:
         controller.force_at = controller.ticks
-        force = _force(controller, jacobian, since * controller.period)
+        force = _estimate_force(controller, jacobian, ticks * controller.period)
         values["actual_TCP_force"] = force
         values["tcp_force_scalar"] = float(np.linalg.norm(force[:3]))
         if "ft_raw_wrench" in values:
             values["ft_raw_wrench"] = force
     if "elbow_position" in values:
-        place, velocity = geometry.elbow(reading.q, reading.qd)
-        values["elbow_position"], values["elbow_velocity"] = place, velocity
+        position, velocity = geometry.elbow(reading.q, reading.qd)
+        values["elbow_position"], values["elbow_velocity"] = position, velocity
 
 
-def _accelerometer(controller: Controller, pose: Pose, jacobian: FloatArray) -> tuple[float, float, float]:
-    """What an accelerometer at the tool feels in the tool's frame, m/s²: its acceleration less gravity."""
+def _acceleration(controller: Controller, pose: Pose, jacobian: FloatArray) -> tuple[float, float, float]:
+    """Reading of an accelerometer in the tool's frame, m/s²: acceleration minus gravity."""
     ax, ay, az = (jacobian[:3] @ controller.plan.qdd).tolist()
     gx, gy, gz = controller.gravity
     return rotate(transpose(rotation_of(*pose[3:])), (ax - gx, ay - gy, az - gz))
 
 
-def _force(controller: Controller, jacobian: FloatArray, h: float) -> Pose:
-    """What acts on the tool from outside, N and N·m: what the motors give beyond model and friction."""
-    before = controller.values["actual_TCP_force"]
-    assert isinstance(before, tuple)
-    if abs(np.linalg.det(jacobian)) < SINGULAR:
-        return _as_pose(before)
+def _estimate_force(controller: Controller, jacobian: FloatArray, h: float) -> Pose:
+    """External force on the tool, N and N·m: the motors' torque minus model and friction, filtered."""
+    previous = controller.values["actual_TCP_force"]
+    assert isinstance(previous, tuple)
+    if abs(np.linalg.det(jacobian)) < MIN_DETERMINANT:
+        return _as_pose(previous)
     reading = controller.reading
-    beyond = reading.current * controller.arm.torque_constant - reading.friction - reading.target_moment
-    share = 1.0 - np.exp(-2.0 * np.pi * FORCE_FILTER * h)
-    wrench = -np.linalg.solve(jacobian.T, beyond) - controller.force_zero
-    old = np.array(before)
-    return _six(old + share * (wrench - old))
+    external = reading.current * controller.arm.torque_constant - reading.friction - reading.target_moment
+    weight = 1.0 - np.exp(-2.0 * np.pi * FORCE_CUT_OFF * h)
+    wrench = -np.linalg.solve(jacobian.T, external) - controller.force_zero
+    previous_force = np.array(previous)
+    return _as_tuple(previous_force + weight * (wrench - previous_force))
 
 
-def _modes(controller: Controller) -> None:
+def _publish_modes(controller: Controller) -> None:
     values, pace = controller.values, controller.pace
     running = controller.runtime in {Runtime.PLAYING, Runtime.PAUSING, Runtime.RESUMING}
     powered = controller.robot_mode is not RobotMode.POWER_OFF
@@ -118,11 +117,11 @@ def _modes(controller: Controller) -> None:
     values["safety_status_bits"] = SAFETY_BITS[controller.safety]
     values["robot_status_bits"] = (POWER_ON if powered else 0) | (PROGRAM_RUNNING if running else 0)
     values["runtime_state"] = int(controller.runtime)
-    values["speed_scaling"] = pace.now
+    values["speed_scaling"] = pace.factor
     values["target_speed_fraction"] = pace.slider
 
 
-def _six(array: FloatArray) -> Pose:
+def _as_tuple(array: FloatArray) -> Pose:
     a, b, c, d, e, f = array.tolist()
     return (a, b, c, d, e, f)
 

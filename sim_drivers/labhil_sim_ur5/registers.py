@@ -1,4 +1,4 @@
-"""The registers through which a client and the control program talk, at the program's offset."""
+"""Registers for the communication of a client and the control program, at the program's offset."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ class Registers:
 
     @property
     def command(self) -> int:
-        """The command that the client asks for."""
+        """The requested command."""
         value = self._values[self._command]
         return int(value) if isinstance(value, int | float) else 0
 
     @property
     def command_name(self) -> str:
-        """The variable that holds it."""
+        """Name of the variable of the command."""
         return self._command
 
     def integer(self, number: int) -> int:
-        """An integer that the client has set."""
+        """Return an integer that the client has set."""
         value = self._values.get(f"input_int_register_{number + self.offset}", 0)
         return int(value) if isinstance(value, int | float) else 0
 
     def number(self, number: int) -> float:
-        """A float that the client has set."""
+        """Return a float that the client has set."""
         value = self._values.get(f"input_double_register_{number + self.offset}", 0.0)
         return float(value) if isinstance(value, int | float) else 0.0
 
     def six(self, first: int) -> Pose:
-        """Six floats that the client has set."""
+        """Return six floats that the client has set."""
         a, b, c, d, e, f = (self.number(first + i) for i in range(6))
         return (a, b, c, d, e, f)
 
@@ -49,7 +49,7 @@ class Registers:
             self._values[name] = value
 
     def answer(self, values: Iterable[float], first: int = 0) -> None:
-        """Set floats for the client, one after the other."""
+        """Set consecutive floats for the client."""
         for number, value in enumerate(values, first + self.offset):
             name = f"output_double_register_{number}"
             if name in self._values:

@@ -1,4 +1,4 @@
-"""What the twin understands of an uploaded script: which program it is, registers, paths, simple lines."""
+"""Parser of uploaded scripts: kind of program, register offset, injected paths, simple calls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 CONTROL_PROGRAM = "rtde_control"
-"""Name of the client's own program; the twin knows its contract and does not interpret it."""
+"""Name of the client's program; the twin knows its contract and does not interpret it."""
 _PATH = "# inject move path"
 _OFFSET = re.compile(r"global reg_offset_int\s*=\s*# int register offset\s*\n\s*(\d+)")
 _NAME = re.compile(r"^\s*(?:def|sec)\s+(\w+)\s*\(", re.MULTILINE)
@@ -15,12 +15,12 @@ _CALL = re.compile(r"^\s*(\w+)\((.*)\)\s*$")
 
 
 class ScriptError(Exception):
-    """What ends a program on a controller: a pose out of reach, two motions at once."""
+    """An error that ends a program: a pose out of reach, two motions at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """One call: its name and arguments; a pose ``p[…]`` is marked by the keyword ``pose`` of its place."""
+    """A call: name, arguments, keywords; ``poses`` marks arguments that are poses ``p[…]``."""
 
     name: str
     arguments: tuple[object, ...]
@@ -28,15 +28,15 @@ class Statement:
     poses: tuple[bool, ...]
     line: str
 
-    def number(self, keyword: str, place: int, default: float) -> float:
-        """A number by keyword or place."""
+    def number(self, keyword: str, position: int, default: float) -> float:
+        """Return a numeric argument by keyword or position."""
         value = self.keywords.get(keyword)
-        if value is None and place < len(self.arguments):
-            value = self.arguments[place]
+        if value is None and position < len(self.arguments):
+            value = self.arguments[position]
         return float(value) if isinstance(value, int | float) else default
 
     def six(self) -> tuple[float, ...] | None:
-        """The first argument as six numbers, None when it is something else."""
+        """Return the first argument as six numbers, None when it is something else."""
         first = self.arguments[0] if self.arguments else None
         if isinstance(first, list) and len(first) == 6 and all(isinstance(x, int | float) for x in first):
             return tuple(float(x) for x in first)
@@ -45,7 +45,15 @@ class Statement:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """An uploaded program; ``path`` are moves injected into the client's own, ``body`` another's lines."""
+    """An uploaded program.
+
+    Attributes:
+        name: Its name.
+        control: Whether it is the client's program.
+        offset: Offset of its registers.
+        path: Moves that are injected into the client's program.
+        body: Lines of another program.
+    """
 
     name: str
     control: bool
@@ -54,21 +62,21 @@ class Script:
     body: tuple[Statement, ...]
 
 
-def parse(text: str) -> Script:
-    """Read an uploaded script; lines that are no plain call have the name of what they are instead."""
-    named = _NAME.search(text)
-    name = named.group(1) if named else "<unnamed>"
+def parse_script(text: str) -> Script:
+    """Parse an uploaded script; a line that is no plain call has its first word as name."""
+    match_name = _NAME.search(text)
+    name = match_name.group(1) if match_name else "<unnamed>"
     if name == CONTROL_PROGRAM or "signal_async_operation_started" in text:
         match = _OFFSET.search(text)
         offset = int(match.group(1)) if match else 0
-        return Script(name, True, offset, _path(text), ())
+        return Script(name, True, offset, _injected_path(text), ())
     return Script(name, False, 0, (), tuple(_statements(text.splitlines())))
 
 
-def _path(text: str) -> tuple[Statement, ...]:
+def _injected_path(text: str) -> tuple[Statement, ...]:
     lines = text[text.find(_PATH) :].splitlines()[1:] if _PATH in text else []
-    ends = next((i for i, line in enumerate(lines) if line.strip() == "end"), len(lines))
-    return tuple(_statements(lines[:ends]))
+    end = next((i for i, line in enumerate(lines) if line.strip() == "end"), len(lines))
+    return tuple(_statements(lines[:end]))
 
 
 def _statements(lines: list[str]) -> list[Statement]:
@@ -84,9 +92,9 @@ def _statement(code: str) -> Statement:
     call = _CALL.match(code)
     if call is None:
         return Statement(code.split(maxsplit=1)[0], (), {}, (), code)
-    inside = re.sub(r"\bp\[", "POSE+[", call.group(2))
+    arguments_code = re.sub(r"\bp\[", "POSE+[", call.group(2))
     try:
-        tree = ast.parse(f"f({inside})", mode="eval").body
+        tree = ast.parse(f"f({arguments_code})", mode="eval").body
         assert isinstance(tree, ast.Call)
         arguments = tuple(_literal(node) for node in tree.args)
         keywords = {word.arg or "": _literal(word.value) for word in tree.keywords}
@@ -100,7 +108,7 @@ def _is_pose(node: ast.expr) -> bool:
 
 
 def _literal(node: ast.expr) -> object:
-    """A number, a truth value, text or a list of numbers; ValueError for anything else."""
+    """Evaluate a number, a boolean, text or a list of numbers; ValueError for anything else."""
     if _is_pose(node):
         assert isinstance(node, ast.BinOp)
         return _literal(node.right)

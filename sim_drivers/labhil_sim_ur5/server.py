@@ -1,7 +1,7 @@
 """The controller's three ports and its clock, in one thread.
 
-A tick happens at an absolute time; between ticks the thread waits for bytes. Nothing blocks: what a client
-does not fetch is dropped, a whole package at a time.
+Ticks have absolute times; between ticks the thread waits for bytes. Nothing blocks: packages that a client
+does not read are dropped.
 """
 
 from __future__ import annotations
@@ -17,94 +17,113 @@ from labhil.ending import Ending
 from labhil.errors import UsageError
 from labhil_sim_ur5.codec import FramingError
 from labhil_sim_ur5.controller import Controller
-from labhil_sim_ur5.dashboard import BANNER, Dashboard, Lines
+from labhil_sim_ur5.dashboard import BANNER, Dashboard, LineSplitter
 from labhil_sim_ur5.rtde import Conversation, Variables
-from labhil_sim_ur5.script import parse
+from labhil_sim_ur5.script import parse_script
 
 RTDE_PORT, SCRIPT_PORT, DASHBOARD_PORT = 30004, 30003, 29999
-PATIENCE = 0.5
-"""How far (s) the controller may fall behind and still catch up; beyond that its world has paused."""
-TOO_LATE = 0.05
-"""How late (s) a tick may be to be sent; later ones are sent only after ``SILENCE`` s without any."""
-SILENCE = 0.02
-LARGEST_SCRIPT = 1 << 20
+MAX_LAG = 0.5
+"""Delay up to which the controller catches up, s; beyond it, simulated time pauses."""
+MAX_SEND_DELAY = 0.05
+"""Delay up to which a tick is sent, s; later ones are sent only ``MAX_SEND_GAP`` s after the last one."""
+MAX_SEND_GAP = 0.02
+MAX_SCRIPT_SIZE = 1 << 20
 SEND_BUFFER = 1 << 16
 """Bytes that wait for a client in the kernel: about 50 packages."""
 
 
 class Client:
-    """One connection of one port."""
+    """A connection of one of the ports."""
 
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
         self.dropped = 0
-        self._rest = b""
+        self._unsent = b""
 
     def send(self, data: bytes) -> None:
-        """Send a whole message or nothing of it; ConnectionError when the client is gone."""
-        if self._rest:
-            self._push(self._rest)
-        if self._rest:
+        """Send a complete message, or drop it.
+
+        Raises:
+            ConnectionError: The client is gone.
+        """
+        if self._unsent:
+            self._send_now(self._unsent)
+        if self._unsent:
             self.dropped += 1
             return
-        self._push(data)
+        self._send_now(data)
 
-    def _push(self, data: bytes) -> None:
+    def _send_now(self, data: bytes) -> None:
         try:
             sent = self.connection.send(data)
         except BlockingIOError:
-            if data is not self._rest:
+            if data is not self._unsent:
                 self.dropped += 1
             return
-        self._rest = data[sent:]
+        self._unsent = data[sent:]
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self.connection.close()
 
 
 class RtdeClient(Client):
-    """A client of port 30004."""
+    """A client of the RTDE port."""
 
     def __init__(self, connection: socket.socket, variables: Variables) -> None:
         super().__init__(connection)
         self.conversation = Conversation(variables)
 
     def close(self) -> None:
-        """Let go of the connection and of its inputs."""
+        """Release the inputs and close the connection."""
         self.conversation.close()
         super().close()
 
 
 class Server:
-    """Serves a controller at one address until it is ended."""
+    """Serves a controller at one address.
+
+    Args:
+        controller: The controller.
+        dashboard: Answers of the dashboard port.
+        host: An address of this machine.
+
+    Raises:
+        UsageError: A port is in use, or the address is not of this machine.
+    """
 
     def __init__(self, controller: Controller, dashboard: Dashboard, host: str) -> None:
         self.controller = controller
         self.variables = Variables(controller.version)
-        self.missed = 0
-        """Ticks that were given up because the machine had no time."""
-        self.unsent = 0
-        """Ticks that were done too late to be sent."""
+        self.missed_ticks = 0
+        """Ticks that were skipped because the machine was too slow."""
+        self.late_ticks = 0
+        """Ticks that were too late to be sent."""
         self._dashboard = dashboard
         self._clients: dict[int, Client] = {}
-        self._lines: dict[int, Lines] = {}
+        self._lines: dict[int, LineSplitter] = {}
         self._scripts: dict[int, bytes] = {}
-        self._doors: dict[int, tuple[socket.socket, Callable[[socket.socket], Client]]] = {}
+        self._listeners: dict[int, tuple[socket.socket, Callable[[socket.socket], Client]]] = {}
         try:
             for port, kind in (
                 (RTDE_PORT, lambda c: RtdeClient(c, self.variables)),
                 (SCRIPT_PORT, ScriptClient),
                 (DASHBOARD_PORT, DashboardClient),
             ):
-                door = _listening_socket(host, port)
-                self._doors[door.fileno()] = (door, kind)
+                listener = _listening_socket(host, port)
+                self._listeners[listener.fileno()] = (listener, kind)
         except BaseException:
             self.close()
             raise
 
-    def run(self, ending: Ending, on_line: Callable[[str], None], each_tick: Callable[[], None]) -> None:
-        """Serve; ``on_line`` gets lines from the side, ``each_tick`` is called before every tick."""
+    def run(self, ending: Ending, on_line: Callable[[str], None], before_tick: Callable[[], None]) -> None:
+        """Serve until ``ending`` is due.
+
+        Args:
+            ending: Signals and the end of standard input.
+            on_line: Called with lines of standard input.
+            before_tick: Called before every tick.
+        """
         due = sent_at = time.monotonic()
         while not ending.due:
             readable = self._wait(ending, due - time.monotonic())
@@ -114,53 +133,53 @@ class Server:
             now = time.monotonic()
             if now < due:
                 continue
-            if now - due > PATIENCE:
-                # the host had no time: the controller's own clock stands still meanwhile
-                missed = int((now - due) / self.controller.period)
-                self.missed += missed
-                due += missed * self.controller.period
-            each_tick()
+            if now - due > MAX_LAG:
+                # the host was too slow: the controller's clock pauses meanwhile
+                missed_ticks = int((now - due) / self.controller.period)
+                self.missed_ticks += missed_ticks
+                due += missed_ticks * self.controller.period
+            before_tick()
             self.controller.tick()
-            if now - due < TOO_LATE or now - sent_at > SILENCE:
+            if now - due < MAX_SEND_DELAY or now - sent_at > MAX_SEND_GAP:
                 sent_at = now
                 self._send_samples()
             else:
-                self.unsent += 1
+                self.late_ticks += 1
             due += self.controller.period
 
     def rtde_clients(self) -> list[RtdeClient]:
-        """All clients of port 30004."""
+        """Return all clients of the RTDE port."""
         return [client for client in self._clients.values() if isinstance(client, RtdeClient)]
 
-    def hang_up(self, client: Client) -> None:
-        """End one connection."""
-        number = client.connection.fileno()
-        self._clients.pop(number, None)
+    def disconnect(self, client: Client) -> None:
+        """Close a connection."""
+        descriptor = client.connection.fileno()
+        self._clients.pop(descriptor, None)
         client.close()
 
     def close(self) -> None:
-        """End all connections and take the ports down."""
+        """Close all connections and ports."""
         for client in list(self._clients.values()):
-            self.hang_up(client)
-        for door, _ in self._doors.values():
-            door.close()
-        self._doors.clear()
+            self.disconnect(client)
+        for listener, _ in self._listeners.values():
+            listener.close()
+        self._listeners.clear()
 
     def _wait(self, ending: Ending, timeout: float) -> list[int]:
-        watched = [*self._doors, *self._clients, *ending.watched()]
+        watched = [*self._listeners, *self._clients, *ending.watched()]
         readable, _, _ = select.select(watched, [], [], max(timeout, 0.0))
         return readable
 
     def _serve(self, readable: list[int]) -> None:
-        for number in readable:
-            if number in self._doors:
-                self._let_in(*self._doors[number])
-            elif number in self._clients:
-                self._listen(self._clients[number])
+        for descriptor in readable:
+            if descriptor in self._listeners:
+                self._accept(*self._listeners[descriptor])
+            elif descriptor in self._clients:
+                self._read(self._clients[descriptor])
 
-    def _let_in(self, door: socket.socket, kind: Callable[[socket.socket], Client]) -> None:
+    def _accept(self, listener: socket.socket, kind: Callable[[socket.socket], Client]) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            connection, _ = door.accept()
+            connection, _ = listener.accept()
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             client = kind(connection)
@@ -168,7 +187,7 @@ class Server:
             if isinstance(client, DashboardClient):
                 client.send(f"{BANNER}\n".encode())
 
-    def _listen(self, client: Client) -> None:
+    def _read(self, client: Client) -> None:
         try:
             data = client.connection.recv(65536)
         except BlockingIOError:
@@ -177,16 +196,16 @@ class Server:
             data = b""
         if not data:
             if isinstance(client, ScriptClient):
-                self._take_script(client, closed=True)
-            self.hang_up(client)
+                self._upload_scripts(client, closed=True)
+            self.disconnect(client)
             return
         try:
-            self._take(client, data)
+            self._handle(client, data)
         except (FramingError, OSError) as error:
             self.controller.log(f"a client is cut off: {error}")
-            self.hang_up(client)
+            self.disconnect(client)
 
-    def _take(self, client: Client, data: bytes) -> None:
+    def _handle(self, client: Client, data: bytes) -> None:
         match client:
             case RtdeClient():
                 answers = client.conversation.receive(data)
@@ -197,15 +216,15 @@ class Server:
                     client.send(answers)
             case ScriptClient():
                 client.text += data
-                self._take_script(client)
+                self._upload_scripts(client)
             case DashboardClient():
-                for line in client.lines.take(data):
+                for line in client.lines.split(data):
                     answer = "Disconnected" if line.strip() == "quit" else self._dashboard.answer(line)
                     client.send(f"{answer}\n".encode())
 
-    def _take_script(self, client: ScriptClient, closed: bool = False) -> None:
+    def _upload_scripts(self, client: ScriptClient, closed: bool = False) -> None:
         for text in client.scripts(closed):
-            self.controller.upload(parse(text))
+            self.controller.upload(parse_script(text))
 
     def _send_samples(self) -> None:
         tick = self.controller.ticks
@@ -216,20 +235,21 @@ class Server:
             try:
                 client.send(client.conversation.sample(self.controller.values))
             except OSError:
-                self.hang_up(client)
+                self.disconnect(client)
 
 
 class ScriptClient(Client):
-    """A client of port 30003: programs in plain text."""
+    """A client of the script port: programs in plain text."""
 
     def __init__(self, connection: socket.socket) -> None:
         super().__init__(connection)
         self.text = b""
 
     def scripts(self, closed: bool) -> list[str]:
-        """Return the programs that are complete: from ``def`` or ``sec`` to the ``end`` at the margin.
+        """Return complete programs: from ``def`` or ``sec`` to the ``end`` at the margin, or single lines.
 
-        A line outside of a program is a program of its own.
+        Args:
+            closed: Whether the client has closed the connection.
         """
         scripts = []
         lines = self.text.split(b"\n")
@@ -237,36 +257,36 @@ class ScriptClient(Client):
         block: list[bytes] = []
         for line in lines:
             block.append(line)
-            begun = block[0].startswith((b"def ", b"sec "))
-            if not begun or line.rstrip() == b"end":
+            in_block = block[0].startswith((b"def ", b"sec "))
+            if not in_block or line.rstrip() == b"end":
                 if any(part.strip() for part in block):
                     scripts.append(b"\n".join(block).decode("utf-8", "replace"))
                 block = []
-        self.text = b"\n".join([*block, *rest])[-LARGEST_SCRIPT:]
+        self.text = b"\n".join([*block, *rest])[-MAX_SCRIPT_SIZE:]
         return scripts
 
 
 class DashboardClient(Client):
-    """A client of port 29999."""
+    """A client of the dashboard port."""
 
     def __init__(self, connection: socket.socket) -> None:
         super().__init__(connection)
-        self.lines = Lines()
+        self.lines = LineSplitter()
 
 
 def _listening_socket(host: str, port: int) -> socket.socket:
     try:
-        door = socket.create_server((host, port))
+        listener = socket.create_server((host, port))
     except OSError as error:
-        why = (error.strerror or str(error)).partition(" (while")[0]
+        reason = (error.strerror or str(error)).partition(" (while")[0]
         if error.errno == errno.EADDRINUSE:
             raise UsageError(
-                f"{host}:{port}: expected a free port, found: {why}; another twin may be there: give each an"
-                ' address of its own by --host 127.0.0.2, or by twin = { host = "127.0.0.2" } in an'
+                f"{host}:{port}: expected a free port, found: {reason}; another twin may be there: give each"
+                ' an address of its own by --host 127.0.0.2, or by twin = { host = "127.0.0.2" } in an'
                 " experiment file"
             ) from error
         raise UsageError(
-            f"{host}:{port}: expected an address of this machine, such as 127.0.0.2, found: {why}"
+            f"{host}:{port}: expected an address of this machine, such as 127.0.0.2, found: {reason}"
         ) from error
-    door.setblocking(False)
-    return door
+    listener.setblocking(False)
+    return listener

@@ -1,4 +1,4 @@
-"""What can be set about the twin: its plant, where it stands at the start, and faults to order."""
+"""Settings of the twin: its plant, its home position, and faults."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ DEFAULT_TERMS = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_SERIES = "e"
 HOME = (0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0)
-NOT_OURS = ("stamp_jitter",)
-"""Parameters of the plant that mean nothing to a controller with a clock of its own."""
+UNUSED_PARAMETERS = ("stamp_jitter",)
+"""Parameters of the plant without effect here, since the controller has its own clock."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultSettings:
-    """Faults that happen once, s after the first client's stream began; 0 is never."""
+    """Times of faults after the start of the first client's stream, s; 0 is never."""
 
     drop_at: float = 0.0
     """All connections of the RTDE port are closed; the port stays open."""
     stall_at: float = 0.0
-    """The controller does nothing at all for ``stall_for`` s."""
+    """The controller does nothing for ``stall_for`` s."""
     stall_for: float = 1.0
     truncate_at: float = 0.0
-    """A data package that ends in its middle, then the end of the connection."""
+    """A data package is truncated, then the connection is closed."""
     protective_stop_at: float = 0.0
     emergency_stop_at: float = 0.0
     end_program_at: float = 0.0
@@ -40,11 +40,11 @@ class FaultSettings:
 
 @dataclass(frozen=True, slots=True)
 class RobotSettings:
-    """The robot's papers and what its operators have chosen."""
+    """Serial number and safety settings of the robot."""
 
     serial_number: float = 20181234567.0
     unlock_after: float = 5.0
-    """How long (s) a protective stop must have held before it can be unlocked."""
+    """Time after which a protective stop can be unlocked, s."""
 
 
 _FAULTS: Mapping[str, float] = {f"fault.{name}": value for name, value in asdict(FaultSettings()).items()}
@@ -67,30 +67,38 @@ class TwinSettings:
 
     @classmethod
     def of(cls, options: TwinOptions) -> TwinSettings:
-        """Check the options; UsageError or UnknownNameError names what is wrong."""
+        """Check options and return the settings.
+
+        Raises:
+            UsageError: An option is wrong (also as UnknownNameError).
+        """
         series = options.series or DEFAULT_SERIES
         if series not in SERIES:
             raise UnknownNameError("series", series, SERIES)
         if options.speed != 1.0:
             raise UsageError(f"the twin of a ur5 runs in real time only, found speed {options.speed:g}")
-        given = dict(options.parameters)
-        faults = FaultSettings(**_take_settings(given, _FAULTS, "fault."))
-        robot = RobotSettings(**_take_settings(given, _ROBOT, ""))
-        home = tuple(_take_settings(given, _HOME, "").values())
+        parameters = dict(options.parameters)
+        faults = FaultSettings(**_pop_settings(parameters, _FAULTS, "fault."))
+        robot = RobotSettings(**_pop_settings(parameters, _ROBOT, ""))
+        home = tuple(_pop_settings(parameters, _HOME, "").values())
         if not all(abs(angle) <= JOINT_LIMIT for angle in home):
             raise UsageError(f"home must lie within ±{JOINT_LIMIT:.3f} rad, found {home}")
         known = twin_parameters()
-        for name in given:
+        for name in parameters:
             if name not in known and name.partition("[")[0] not in {key.partition("[")[0] for key in known}:
                 raise UnknownNameError("parameter", name, known)
         terms = DEFAULT_TERMS if options.terms is None else options.terms
-        resolve(terms, given)
+        resolve(terms, parameters)
         return cls(
-            options.host or DEFAULT_HOST, SERIES[series], options.seed, terms, given, home, robot, faults
+            options.host or DEFAULT_HOST, SERIES[series], options.seed, terms, parameters, home, robot, faults
         )
 
     def write_answer(self, path: Path, parameters: Mapping[str, float]) -> None:
-        """Write what the twin is made of as JSON; UsageError when the file cannot be written."""
+        """Write terms, parameters and seed of the twin as JSON.
+
+        Raises:
+            UsageError: The file cannot be written.
+        """
         answer = {"terms": list(self.terms), "parameters": dict(parameters), "seed": self.seed}
         try:
             path.write_text(json.dumps(answer, indent=1) + "\n", encoding="utf-8")
@@ -103,7 +111,7 @@ def twin_parameters() -> dict[str, float]:
 
     ``name`` alone then stands for all six joints.
     """
-    plant = {name: value for name, value in BARE_ARM.items() if name not in NOT_OURS}
+    plant = {name: value for name, value in BARE_ARM.items() if name not in UNUSED_PARAMETERS}
     for effect in EFFECTS:
         plant |= parameters_of(effect)
     flat: dict[str, float] = {}
@@ -115,11 +123,13 @@ def twin_parameters() -> dict[str, float]:
     return flat | dict(_HOME) | dict(_ROBOT) | dict(_FAULTS)
 
 
-def _take_settings(given: dict[str, float], defaults: Mapping[str, float], prefix: str) -> dict[str, float]:
-    """Take the settings with these names out of ``given``; UsageError for one that cannot be."""
+def _pop_settings(
+    parameters: dict[str, float], defaults: Mapping[str, float], prefix: str
+) -> dict[str, float]:
+    """Remove settings from ``parameters`` and return them; UsageError for a wrong value."""
     settings = {}
     for name, default in defaults.items():
-        value = float(given.pop(name, default))
+        value = float(parameters.pop(name, default))
         if not (value >= 0.0 or name.startswith("home")) or value == float("inf"):
             raise UsageError(f"{name} must be finite and not negative, found {value:g}")
         settings[name.removeprefix(prefix)] = value

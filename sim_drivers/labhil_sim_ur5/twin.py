@@ -1,4 +1,4 @@
-"""The twin: an arm behind a controller behind three ports, paced against the clock."""
+"""The twin of the UR5: an arm with its controller and three ports, in real time."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from labhil.terminal import complain
 
 
 class Ur5Twin:
-    """A UR5 that is not there; satisfies :class:`labhil.driver.Twin`.
+    """A simulated UR5; satisfies :class:`labhil.driver.Twin`.
 
-    It runs in real time only. Its address is one of this machine; the ports are the controller's own
-    (30004, 30003, 29999), so that several twins need several addresses. ``series`` is its controller
-    where the options name none.
+    It runs in real time only. Its ports are those of a controller (30004, 30003, 29999), so that several
+    twins need several addresses of this machine.
+
+    Args:
+        name: Name of the twin.
+        series: Default series of its controller.
     """
 
     rig = "ur5"
@@ -27,13 +30,13 @@ class Ur5Twin:
         )
 
     def terms(self) -> Mapping[str, str]:
-        """Names of the effects that the plant can carry, each with one line about it."""
+        """Return the names of the plant's effects, each with a line about it."""
         from labhil.plants.arm.effects import EFFECTS
 
         return {name: effect.about for name, effect in EFFECTS.items()}
 
     def parameters(self) -> Mapping[str, float]:
-        """Names that ``--set`` takes, with their default values (SI); ``name[2]`` is joint 2's."""
+        """Return the names of ``--set`` with their default values (SI); ``name[2]`` is that of joint 2."""
         from labhil_sim_ur5.settings import twin_parameters
 
         return twin_parameters()
@@ -41,9 +44,14 @@ class Ur5Twin:
     def serve(self, options: TwinOptions, ready: ReadyCallback) -> None:
         """Run until SIGINT, SIGTERM or, where standard input is a pipe, its end.
 
-        Raises UsageError or UnknownNameError for options that make no twin, before anything is opened.
+        Args:
+            options: Options of the twin.
+            ready: Called with the address when the twin listens.
+
+        Raises:
+            UsageError: An option is wrong (also as UnknownNameError); nothing was opened.
         """
-        # compiling the plant takes a moment, and a list of twins must not
+        # imported here: compiling the plant takes time that a list of twins does not have
         from labhil.ending import Ending
         from labhil_sim_ur5.arm import PhysicalArm
         from labhil_sim_ur5.controller import Controller
@@ -59,7 +67,7 @@ class Ur5Twin:
         if options.answer is not None:
             settings.write_answer(options.answer, arm.parameters)
         controller = Controller(
-            settings.version, arm, Geometry.of(arm.links), Plan.resting(settings.home), tell
+            settings.version, arm, Geometry.from_links(arm.links), Plan.resting(settings.home), report
         )
         dashboard = Dashboard(controller, int(settings.robot.serial_number), settings.robot.unlock_after)
         with Ending() as ending:
@@ -69,17 +77,18 @@ class Ur5Twin:
                 controller.tick()
                 controller.publish()
                 ready(settings.host)
-                server.run(ending, faults.carry_out, faults.tick)
+                server.run(ending, faults.execute, faults.tick)
             finally:
                 server.close()
-                if server.missed or server.unsent:
-                    tell(
-                        f"the machine was too slow: {server.missed} ticks left out, {server.unsent} too late"
+                if server.missed_ticks or server.late_ticks:
+                    report(
+                        f"the machine was too slow: {server.missed_ticks} ticks left out, "
+                        f"{server.late_ticks} too late"
                     )
 
 
-def tell(message: str) -> None:
-    """Say something to whoever started the twin."""
+def report(message: str) -> None:
+    """Print a message on standard error."""
     complain(message)
 
 

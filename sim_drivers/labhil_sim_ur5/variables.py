@@ -1,4 +1,4 @@
-"""Which variables a controller has, of what type, and since which version of its software."""
+"""Variables of a controller with their types, by the version of its software."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from labhil_sim_ur5.codec import WIDTHS, Value
 
 REGISTERS = 48
-"""Integer and float registers each way; the upper half came with 3.9 and 5.3."""
-LOWER = 24
+"""Number of integer and of float registers in each direction; the upper half exists from 3.9 and 5.3."""
+LOWER_REGISTERS = 24
 NEVER = 99
 
 
@@ -24,11 +24,11 @@ class Version:
 
     @property
     def rate(self) -> float:
-        """How often the controller works, Hz."""
+        """Rate of the controller, Hz."""
         return 125.0 if self.major == 3 else 500.0
 
     def has(self, since: tuple[int, int]) -> bool:
-        """Tell whether it is no older than 3.``since[0]`` (CB3), or 5.``since[1]`` (all others)."""
+        """Return whether it is at least 3.``since[0]`` (CB3), or 5.``since[1]`` (all others)."""
         return self.minor >= since[0] if self.major == 3 else self.major > 5 or self.minor >= since[1]
 
     def __str__(self) -> str:
@@ -44,9 +44,9 @@ VERSIONS: Mapping[str, Version] = {
     "5.26.0": Version(5, 26, 0),
     "10.11.0": Version(10, 11, 0),
 }
-"""Those that version 1.6.5 of the client is known to work with; 5.3.1 makes it crash."""
+"""Versions that version 1.6.5 of the client works with; 5.3.1 makes it crash."""
 SERIES: Mapping[str, Version] = {"cb3": VERSIONS["3.15.8"], "e": VERSIONS["5.11.1"], **VERSIONS}
-"""What ``--series`` takes."""
+"""Values of ``--series``."""
 
 _ALWAYS = (0, 0)
 
@@ -54,14 +54,14 @@ _DOUBLES = """timestamp actual_execution_time speed_scaling target_speed_fractio
 actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0 standard_analog_input1
 standard_analog_output0 standard_analog_output1 io_current tool_analog_input0 tool_analog_input1
 tool_output_current tool_temperature tcp_force_scalar"""
-_SIXES = """target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
+_VECTORS = """target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current
 joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force target_TCP_pose target_TCP_speed
 joint_temperatures actual_joint_voltage"""
 _UINT32 = """runtime_state robot_status_bits safety_status_bits analog_io_types tool_mode
 tool_analog_input_types script_control_line output_bit_registers0_to_31 output_bit_registers32_to_63
 input_bit_registers0_to_31 input_bit_registers32_to_63"""
 
-_LATER: Mapping[str, tuple[str, tuple[int, int]]] = {
+_ADDED_LATER: Mapping[str, tuple[str, tuple[int, int]]] = {
     "elbow_position": ("VECTOR3D", (5, 0)),
     "elbow_velocity": ("VECTOR3D", (5, 0)),
     "safety_status": ("INT32", (10, 4)),
@@ -97,12 +97,12 @@ _INPUTS: Mapping[str, str] = {
 def output_types(version: Version) -> dict[str, str]:
     """Return all variables that a controller of this version sends, with their types."""
     types = dict.fromkeys(_DOUBLES.split(), "DOUBLE")
-    types |= dict.fromkeys(_SIXES.split(), "VECTOR6D")
+    types |= dict.fromkeys(_VECTORS.split(), "VECTOR6D")
     types |= dict.fromkeys(_UINT32.split(), "UINT32")
     types |= {"actual_digital_input_bits": "UINT64", "actual_digital_output_bits": "UINT64"}
     types |= {"robot_mode": "INT32", "safety_mode": "INT32", "tool_output_voltage": "INT32"}
     types |= {"joint_mode": "VECTOR6INT32", "actual_tool_accelerometer": "VECTOR3D"}
-    types |= {name: kind for name, (kind, since) in _LATER.items() if version.has(since)}
+    types |= {name: kind for name, (kind, since) in _ADDED_LATER.items() if version.has(since)}
     types |= dict(_registers("output", version))
     return types | dict(_registers("input", version))
 
@@ -112,15 +112,15 @@ def input_types(version: Version) -> dict[str, str]:
     return dict(_INPUTS) | dict(_registers("input", version))
 
 
-def _registers(way: str, version: Version) -> Iterator[tuple[str, str]]:
-    count = REGISTERS if version.has((9, 3)) else LOWER
+def _registers(direction: str, version: Version) -> Iterator[tuple[str, str]]:
+    count = REGISTERS if version.has((9, 3)) else LOWER_REGISTERS
     for number in range(count):
-        yield f"{way}_int_register_{number}", "INT32"
-        yield f"{way}_double_register_{number}", "DOUBLE"
+        yield f"{direction}_int_register_{number}", "INT32"
+        yield f"{direction}_double_register_{number}", "DOUBLE"
     for number in range(64, 128):
-        yield f"{way}_bit_register_{number}", "BOOL"
+        yield f"{direction}_bit_register_{number}", "BOOL"
 
 
 def zeros(types: Iterable[tuple[str, str]]) -> dict[str, Value]:
-    """Return a value for each variable: nothing but zeros."""
+    """Return a zero value for each variable."""
     return {name: 0 if WIDTHS[kind] == 1 else (0.0,) * WIDTHS[kind] for name, kind in types}

@@ -23,13 +23,13 @@ from labhil.serial_twin.firmware import COMMAND_TIMEOUT, Firmware
 from labhil.serial_twin.settings import TwinSettings
 from labhil.serial_twin.twin import write_answer
 from labhil_sim_ball_beam import TWIN
-from labhil_sim_ball_beam.rig import LEVEL, board
+from labhil_sim_ball_beam.rig import LEVEL, make_board
 from labhil_sim_ball_beam.twin import SETTABLE
 
 
 @pytest.fixture
 def firmware():
-    return Firmware(board(ChannelScale(0.5 / 1024, 512.0), 1.0, 0.0, 1e-6))
+    return Firmware(make_board(ChannelScale(0.5 / 1024, 512.0), 1.0, 0.0, 1e-6))
 
 
 def say(firmware: Firmware, kind: MessageType, payload: bytes = b"", now: float = 0.0) -> list[Frame]:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labhil_sim_ur5.codec import FORMATS, WIDTHS, Framer, FramingError, Recipe, package
+from labhil_sim_ur5.codec import FORMATS, WIDTHS, FramingError, PackageParser, Recipe, package
 
 NUMBERS = {
     "BOOL": st.booleans(),
@@ -48,7 +48,7 @@ def test_what_is_packed_comes_back(both: tuple[Recipe, dict[str, object]]) -> No
 def test_packages_survive_any_cutting(sent: list[tuple[int, bytes]], data: st.DataObject) -> None:
     stream = b"".join(package(command, payload) for command, payload in sent)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
-    framer, found = Framer(), []
+    framer, found = PackageParser(), []
     for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         found += framer.packages(stream[begin:end])
     assert found == sent
@@ -57,7 +57,7 @@ def test_packages_survive_any_cutting(sent: list[tuple[int, bytes]], data: st.Da
 @given(st.binary(max_size=200))
 def test_no_bytes_do_anything_but_pass_or_be_refused(noise: bytes) -> None:
     try:
-        for command, payload in Framer().packages(noise):
+        for command, payload in PackageParser().packages(noise):
             assert 0 <= command <= 255
             assert len(payload) <= len(noise)
     except FramingError:
@@ -66,7 +66,7 @@ def test_no_bytes_do_anything_but_pass_or_be_refused(noise: bytes) -> None:
 
 def test_a_size_below_the_header_is_refused() -> None:
     with pytest.raises(FramingError, match="2 bytes"):
-        list(Framer().packages(b"\x00\x02U"))
+        list(PackageParser().packages(b"\x00\x02U"))
     with pytest.raises(FramingError, match="65532"):
         package(85, bytes(65533))
     assert math.isclose(len(package(85, bytes(65532))), 65535)

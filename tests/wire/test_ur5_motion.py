@@ -12,7 +12,7 @@ from labhil_sim_ur5.motion import Halt, JointMove, LineMove, Motion, MotionError
 from labhil_sim_ur5.paths import Path
 from labhil_sim_ur5.poses import angle_between, inverse, pose_times, rotation_of, vector_of
 
-ARM = Geometry.of(UR5)
+ARM = Geometry.from_links(UR5)
 HOME = np.array([0.0, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
 
 
@@ -37,7 +37,7 @@ def run(motion: Motion, h: float = 0.002, most: int = 20000) -> list[Plan]:
 
 @pytest.mark.parametrize("links", [UR5, UR3E, UR10E], ids=lambda links: links.name)
 def test_forward_inverse_and_jacobian_agree(links) -> None:
-    arm, random = Geometry.of(links), np.random.default_rng(1)
+    arm, random = Geometry.from_links(links), np.random.default_rng(1)
     for _ in range(150):
         q, tool = random.uniform(-np.pi, np.pi, 6), tuple(random.uniform(-0.2, 0.2, 6))
         place, rotation = arm.flange(q)
@@ -112,11 +112,11 @@ def test_the_servo_follows_as_documented() -> None:
     lag = []
     for k in range(3000):
         target = 0.2 * k * h
-        servo.aim([target] * 6, lookahead, gain)
+        servo.set_target([target] * 6, lookahead, gain)
         lag.append(target - servo.advance(h).q[0])
     assert lag[-1] == pytest.approx(0.2 * lookahead, rel=0.05)
     jump = Servo(Plan.resting(np.zeros(6)))
-    jump.aim([3.0] * 6, 0.03, 2000.0)
+    jump.set_target([3.0] * 6, 0.03, 2000.0)
     plans = [jump.advance(h) for _ in range(1500)]
     assert max(np.abs(p.qd).max() for p in plans) <= 3.15
     assert max(np.abs(p.qdd).max() for p in plans) <= 40.0 + 1e-9
@@ -135,7 +135,7 @@ def servo_along_a_path(h: float) -> list[Plan]:
     servo = Servo(Plan.resting(HOME))
     plans = []
     for k in range(round(4.0 / h)):
-        servo.aim(HOME + 0.4 * np.sin(3.0 * k * h), 0.1, 300.0)
+        servo.set_target(HOME + 0.4 * np.sin(3.0 * k * h), 0.1, 300.0)
         plans.append(servo.advance(h))
     return plans[round(1.0 / h) :]
 
@@ -148,7 +148,7 @@ def line_while_it_speeds_up(h: float) -> list[Plan]:
 
 def tool_at_a_steady_speed(h: float) -> list[Plan]:
     speed = ToolSpeed(Plan.resting(HOME), ARM, (0.0,) * 6)
-    speed.aim([0.0, -0.3, 0.0, 0.0, 0.0, 0.0], 3.0)
+    speed.set_target([0.0, -0.3, 0.0, 0.0, 0.0, 0.0], 3.0)
     return [speed.advance(h) for _ in range(round(0.6 / h))][round(0.2 / h) :]
 
 
@@ -164,14 +164,14 @@ def test_angles_velocities_and_accelerations_belong_to_one_moment(motion, h) -> 
 
 def test_speeds_and_stops() -> None:
     speed = JointSpeed(Plan.resting(HOME))
-    speed.aim([0.4, -0.2, 0, 0, 0, 0], 1.0)
+    speed.set_target([0.4, -0.2, 0, 0, 0, 0], 1.0)
     plan = [speed.advance(0.002) for _ in range(300)][-1]
     assert np.allclose(plan.qd, [0.4, -0.2, 0, 0, 0, 0])
     plans = run(Halt.of_joints(plan, 2.0))
     assert len(plans) * 0.002 == pytest.approx(0.2, abs=0.005)
     assert np.allclose(plans[-1].q - plan.q, 0.5 * 0.2 * plan.qd, atol=1e-12)
     tool = ToolSpeed(Plan.resting(HOME), ARM, (0.0,) * 6)
-    tool.aim([0.0, 0.0, 0.1, 0.0, 0.0, 0.0], 0.5)
+    tool.set_target([0.0, 0.0, 0.1, 0.0, 0.0, 0.0], 0.5)
     plan = [tool.advance(0.002) for _ in range(300)][-1]
     assert np.allclose(ARM.jacobian(plan.q) @ plan.qd, [0, 0, 0.1, 0, 0, 0], atol=1e-4)
     assert len(run(Halt.of_tool(plan, 1.0, ARM, (0.0,) * 6))) * 0.002 == pytest.approx(0.1, abs=0.005)

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from labhil.service.child import Child
-from labhil_sim_ur5.codec import Command, Framer, package
+from labhil_sim_ur5.codec import Command, PackageParser, package
 
 CALLS = Path(__file__).with_name("ur5_calls.py")
 START = 90.0
@@ -49,7 +49,7 @@ class RawClient:
 
     def __init__(self, host: str) -> None:
         self._socket = socket.create_connection((host, 30004), timeout=10.0)
-        self._framer = Framer()
+        self._framer = PackageParser()
         self._packages: list[tuple[int, bytes]] = []
 
     def ask(self, command: int, payload: bytes = b"") -> bytes:
