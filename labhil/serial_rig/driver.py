@@ -25,6 +25,12 @@ from labhil.signals import Batch
 PATIENCE = 0.05
 """How long (s) ``close`` from another thread waits for ``read`` to notice."""
 
+TAKEN_UP = 0.1
+"""s after a first command; until then samples from before it may still come in."""
+
+LONGEST_HELD = 10.0
+"""s; bytes that waited for longer than that are of a device that was given up, or its clock went astray."""
+
 
 class SerialDriver:
     """Satisfies :class:`labhil.driver.Driver`; a plugin names its ``rig`` and the ``spec`` of that.
@@ -45,6 +51,8 @@ class SerialDriver:
         # reentrant: a signal handler may close the driver in the middle of a read
         self._reading = threading.RLock()
         self._writing = threading.RLock()
+        self._commanded_at: float | None = None
+        self._obeys = False
 
     def connect(self) -> DeviceInfo:
         """Open the port, wait for HELLO, send the configuration; the device is in its safe state then.
@@ -77,6 +85,8 @@ class SerialDriver:
         self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
+        self._acquired_ns = 0
+        self._commanded_at, self._obeys = None, False
         self._scaler = Scaler(self.rig, hello)
         self._closing = False
         self.spec = self.rig.spec_of(hello)
@@ -107,17 +117,36 @@ class SerialDriver:
             self._count()
         return Batch.joined(pieces, self._scaler.width)
 
-    def _take(self, frames: Sequence[Frame], t_acq_ns: int) -> list[Batch]:
+    def _take(self, frames: Sequence[Frame], now_ns: int) -> list[Batch]:
         pieces: list[Batch] = []
-        for frame in frames:
+        for frame, held_ns in zip(frames, self._held(frames), strict=True):
+            self._acquired_ns = max(self._acquired_ns, now_ns - held_ns)
             try:
-                piece = self._piece(frame, t_acq_ns)
+                piece = self._piece(frame, self._acquired_ns)
             except DeviceError as error:
                 self._failure = error
                 break
             if piece is not None:
                 pieces.append(piece)
         return pieces
+
+    def _held(self, frames: Sequence[Frame]) -> list[int]:
+        """How long each of the frames that came in together was held up on its way, ns of the host.
+
+        The newest one came in now, and the others by the device's clock before it: what waited in an adapter
+        or for a busy machine is not as new as it.
+        """
+        held_ns: list[int] = []
+        newest: int | None = None
+        for frame in reversed(frames):
+            if frame.type not in self._numbers:
+                newest = None  # a boot: the clock began anew
+                held_ns.append(0)
+                continue
+            newest = frame.t_us if newest is None else newest
+            held = ((newest - frame.t_us) & 0xFFFFFFFF) / self._hello.speed * 1000
+            held_ns.append(round(held) if held < LONGEST_HELD * 1e9 else 0)
+        return held_ns[::-1]
 
     def _piece(self, frame: Frame, t_acq_ns: int) -> Batch | None:
         if frame.type == MessageType.HELLO:
@@ -156,6 +185,11 @@ class SerialDriver:
                 f"{self.address}: expected an output of {self.spec.longest_output:g} s at most without a"
                 " break, found that it lasted longer: the device has ended it"
             )
+        if flags & StateFlag.SAFE:
+            self.counters.unheard += self._obeys
+            self._obeys = False
+        elif self._commanded_at is not None and time.monotonic() - self._commanded_at > TAKEN_UP:
+            self._obeys = True
 
     def _check_boot(self, hello: Hello) -> None:
         if hello.boot_id != self._hello.boot_id:
@@ -189,6 +223,8 @@ class SerialDriver:
             names = [command.name for command in self.spec.commands]
             raw = tuple(scale.raw(values[name]) for name, scale in zip(names, scales, strict=True))
             self._sender.send(MessageType.SET, SetCommand(raw).pack())
+            if self._commanded_at is None:
+                self._commanded_at = time.monotonic()
 
     def _check_command(self, name: str, value: float) -> None:
         if name not in self.spec.ranges:
@@ -202,6 +238,7 @@ class SerialDriver:
     def safe(self) -> None:
         """Tell the device to take its safe output and keep it until the next command; never raises."""
         with self._writing, contextlib.suppress(DeviceError):
+            self._commanded_at, self._obeys = None, False
             if self._port is not None:
                 self._sender.send(MessageType.SAFE)
 

@@ -88,6 +88,7 @@ class DeviceControl:
         self._heard_any = False
         self._quiet = False
         self._mending = False
+        self._unheard = 0
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -157,6 +158,7 @@ class DeviceControl:
         if len(batch):
             self._heard_at, self._heard_any = now, True
             self._take_in(self._continuation.carry_on(batch))
+            self._look_whether_heard(now)
         elif now - self._heard_at > SILENCE:
             raise DeviceSilentError(
                 f"{self._config.address}: the device said nothing for {SILENCE:g} s; "
@@ -168,6 +170,21 @@ class DeviceControl:
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
         self._check_watchdog(now, now - before)
         return now
+
+    def _look_whether_heard(self, now: float) -> None:
+        """Note that the device made itself safe, as it no longer heard us, though its samples come in.
+
+        Raises DeviceSilentError where a lost device is looked for: the configuration is sent again then, and
+        the device has to confirm it. Else the run goes on, and the output comes from the safe value.
+        """
+        unheard, self._unheard = self._driver.counters.unheard - self._unheard, self._driver.counters.unheard
+        if unheard <= 0 or self.state is not HostState.ACTIVE:
+            return
+        message = f"{self._config.address}: the device heard no command for so long that it made itself safe"
+        if self._config.reconnect:
+            raise DeviceSilentError(message)
+        self._output.begin_from_safe(now)
+        self._announce("unheard", message)
 
     def _check_bus(self) -> None:
         """Raise BusError where something is heard no more: such a host must not go on commanding."""
@@ -192,7 +209,7 @@ class DeviceControl:
         refuse_another(self._config.address, self._info, info)
         booted = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
         self._info = info
-        self._heard_any, self._quiet = False, False
+        self._heard_any, self._quiet, self._unheard = False, False, 0
         self._continuation.tear()
         gap = time.monotonic() - lost_at
         self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")

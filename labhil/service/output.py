@@ -49,6 +49,11 @@ class Output:
         """The next command is the first: it may move as far as one sample allows, not as a pause was long."""
         self.sent_at = now - self._sample_period
 
+    def begin_from_safe(self, now: float) -> None:
+        """The device went to its safe output by itself: the next command starts from there."""
+        self.begin(now)
+        self.applied = dict(self._safe)
+
     def take(self, values: Mapping[str, float]) -> None:
         """Note what somebody asks for; the values must be finite and known."""
         self.requested.update(values)

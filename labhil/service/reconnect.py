@@ -16,8 +16,9 @@ from labhil.signals import Batch
 from labhil.supervised import SupervisedThread
 
 FIRST_WAIT = 0.1
-LONGEST_WAIT = 2.0
-"""s between two attempts: doubled each time, up to this."""
+LONGEST_WAIT = 0.5
+"""s between two attempts: doubled each time, up to this. A device is to be back within 2 s of its return, and
+the talk that comes before its first sample takes up to a second."""
 
 GIVE_UP = 60.0
 """How long a lost device is looked for, s."""
