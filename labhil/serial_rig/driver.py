@@ -28,6 +28,9 @@ PATIENCE = 0.05
 TAKEN_UP = 0.1
 """s after a first command; until then samples from before it may still come in."""
 
+LARGEST_READ = 1 << 16
+"""Bytes that are taken at once; more than an operating system keeps for a port."""
+
 LONGEST_HELD = 10.0
 """s; bytes that waited for longer than that are of a device that was given up, or its clock went astray."""
 
@@ -85,7 +88,7 @@ class SerialDriver:
         self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
-        self._acquired_ns = 0
+        self._acquired_ns = self._taken_ns = self._taken_us = 0
         self._commanded_at, self._obeys = None, False
         self._scaler = Scaler(self.rig, hello)
         self._closing = False
@@ -110,12 +113,24 @@ class SerialDriver:
                 if self._failure is not None:
                     raise self._failure
                 remaining = deadline - time.monotonic()
-                data = self._port.receive(min(max(remaining, 0.0), PATIENCE))
+                data = self._received(self._port, min(max(remaining, 0.0), PATIENCE))
                 pieces = self._take(self._decoder.feed(data), unix_ns())
                 if remaining <= 0.0 and self._failure is None:
                     break
             self._count()
         return Batch.joined(pieces, self._scaler.width)
+
+    @staticmethod
+    def _received(port: Port, timeout: float) -> bytes:
+        """All that has come in; of a queue the last frame is the new one."""
+        data = more = port.receive(timeout)
+        while more and len(data) < LARGEST_READ:
+            try:
+                more = port.receive(0.0)
+            except ConnectError:  # the next read says so, once what came before it is taken
+                break
+            data += more
+        return data
 
     def _take(self, frames: Sequence[Frame], now_ns: int) -> list[Batch]:
         pieces: list[Batch] = []
@@ -170,11 +185,16 @@ class SerialDriver:
                 f"{self.address}: expected samples of {self._scaler.width} channels, found {raw.shape[1]}"
             )
         count = np.arange(len(raw))
-        first = self._numbers[kind].unwrap(number)
+        # a machine that was suspended has missed wraps: its clock tells those of the device's, and that the rest
+        passed_us = (t_acq_ns - self._taken_ns) * 1e-3 * self._hello.speed if self._taken_ns else 0.0
+        t_us = self._clock.unwrap(frame.t_us, passed_us)
+        samples = (t_us - self._taken_us) * 1e3 / self._period_ns if self._taken_ns else 0.0
+        first = self._numbers[kind].unwrap(number, samples)
+        self._taken_ns, self._taken_us = t_acq_ns, t_us
         if self._last_seq is not None:
             self.counters.lost += max(first - self._last_seq - 1, 0)
         self._last_seq = first + len(raw) - 1
-        t_hw_ns = self._clock.unwrap(frame.t_us) * 1000 + np.rint(count * self._period_ns).astype(np.int64)
+        t_hw_ns = t_us * 1000 + np.rint(count * self._period_ns).astype(np.int64)
         return Batch(first + count, np.full(len(raw), t_acq_ns), t_hw_ns, self._scaler.values(raw))
 
     def _check_flags(self, flags: int) -> None:
