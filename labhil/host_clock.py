@@ -91,6 +91,18 @@ def session_clock() -> Iterator[int]:
         _anchor.close_session()
 
 
+class SuspendWatch:
+    """Notices that the machine was suspended: the monotonic clock stood still, and the steady one did not."""
+
+    def __init__(self) -> None:
+        self._asleep_ns = _asleep_ns()
+
+    def slept(self) -> float:
+        """Return for how long the machine was suspended since the last call, s; some µs mean nothing."""
+        before_ns, self._asleep_ns = self._asleep_ns, _asleep_ns()
+        return (self._asleep_ns - before_ns) * 1e-9
+
+
 class HostClockWatch:
     """Notices between two looks what happened to the machine's clocks: the wall clock set, a suspend.
 
@@ -100,13 +112,12 @@ class HostClockWatch:
 
     def __init__(self, smallest: float = 0.1) -> None:
         self._smallest = smallest
-        self._wall_ns, self._asleep_ns = _measure_offset(), _asleep_ns()
+        self._wall_ns, self._suspends = _measure_offset(), SuspendWatch()
 
     def look(self) -> list[tuple[str, str]]:
         """Return what has happened since the last look: a kind of event and a sentence, each."""
         happened = []
-        asleep_ns = _asleep_ns()
-        slept = (asleep_ns - self._asleep_ns) * 1e-9
+        slept = self._suspends.slept()
         if slept >= self._smallest:
             happened.append(("suspended", f"the machine was suspended for {slept:.3g} s"))
         wall_ns = _measure_offset()
@@ -115,7 +126,7 @@ class HostClockWatch:
             ahead = "ahead" if step > 0.0 else "back"
             message = f"the wall clock was set {ahead} by {abs(step):.6g} s; stamps go on as before"
             happened.append(("clock_set", message))
-        self._wall_ns, self._asleep_ns = wall_ns, asleep_ns
+        self._wall_ns = wall_ns
         return happened
 
 

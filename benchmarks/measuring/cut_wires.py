@@ -138,8 +138,8 @@ class SerialWire:
         with self._lock:
             self.hold = False
             held, self._held = self._held, []
-            for to_host, data in held:
-                self._deliver(to_host, data)
+            for to_host in (True, False):
+                self._deliver(to_host, b"".join(data for side, data in held if side is to_host))
 
     # the thread
 

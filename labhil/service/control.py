@@ -25,7 +25,7 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
-from labhil.host_clock import unix_ns
+from labhil.host_clock import SuspendWatch, unix_ns
 from labhil.service.commands import COMMANDS, is_guarded, reader_of
 from labhil.service.declared import command_stream, stream_metadata
 from labhil.service.inbox import Inbox
@@ -89,6 +89,7 @@ class DeviceControl:
         self._quiet = False
         self._mending = False
         self._unheard = 0
+        self._suspends = SuspendWatch()
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -153,6 +154,9 @@ class DeviceControl:
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
         self._check_bus()
+        if (slept := self._suspends.slept()) > SILENCE:
+            # the device made itself safe meanwhile, and what waits for us on its wire is as old as that
+            raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(before) else IDLE_TIMEOUT)
         now = time.monotonic()
         if len(batch):
@@ -210,6 +214,7 @@ class DeviceControl:
         booted = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
         self._info = info
         self._heard_any, self._quiet, self._unheard = False, False, 0
+        self._suspends.slept()
         self._continuation.tear()
         gap = time.monotonic() - lost_at
         self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")
