@@ -332,27 +332,20 @@ class Decoder:
 class Unwrapper:
     """Turns a counter that wraps after ``bits`` bits into one that does not.
 
-    Values are taken to go forward: a step back is read as a wrap. A silence longer than one wrap can only be
-    seen by another clock.
+    Values are taken to go forward: a step back is read as a wrap, and a silence longer than one
+    wrap cannot be seen.
     """
 
     def __init__(self, bits: int) -> None:
         self._modulus = 1 << bits
         self._last: int | None = None
 
-    def unwrap(self, value: int, advance: float = 0.0) -> int:
-        """Return the counter that continues the one before.
-
-        Args:
-            value: What the counter shows.
-            advance: By how much it has advanced since the value before, as far as another clock can tell
-                (within half a wrap); 0 where none can.
-        """
+    def unwrap(self, value: int) -> int:
+        """Return the counter that continues the one before."""
         if self._last is None:
             self._last = value
         else:
-            least = (value - self._last) % self._modulus
-            self._last += least + max(round((advance - least) / self._modulus), 0) * self._modulus
+            self._last += (value - self._last) % self._modulus
         return self._last
 
 

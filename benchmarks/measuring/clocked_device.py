@@ -11,7 +11,7 @@ import tty
 import numpy as np
 
 from labhil.host_clock import unix_ns
-from labhil.link import ChannelScale
+from labhil.link import ChannelScale, MessageType
 from labhil.serial_twin.firmware import Firmware
 from labhil_sim_ball_beam.rig import board
 
@@ -20,6 +20,15 @@ STEP = 1e-4
 """m; a count of the position, which here is the number of the sample."""
 
 MODULUS = 1000
+
+
+class PatientFirmware(Firmware):
+    """A firmware whose samples may be taken by the hour."""
+
+    def take(self, count: int) -> None:
+        """Take so many samples that nobody receives."""
+        self._taken += count
+        self._sent[MessageType.STATE] += count
 
 
 class ClockedDevice:
@@ -31,8 +40,8 @@ class ClockedDevice:
 
     def __init__(self, drift: float = 0.0, clock_start: float = 0.0) -> None:
         self.taken: dict[int, int] = {}
-        """When each sample was taken, Unix ns."""
-        self._firmware = Firmware(board(ChannelScale(STEP, 0.0), 1.0, clock_start, 1e-7))
+        """When each sample was taken, Unix ns, with all the time that passed at once."""
+        self._firmware = PatientFirmware(board(ChannelScale(STEP, 0.0), 1.0, clock_start, 1e-7))
         self._period_ns = 1e9 / RATE / (1.0 + drift)
         self._lock, self._over = threading.RLock(), threading.Event()
         self._port, theirs = os.openpty()
@@ -41,7 +50,7 @@ class ClockedDevice:
         self.address = os.ttyname(theirs)
         self._theirs = theirs
         self._firmware.boot(time.monotonic())
-        self._origin_ns, self._number = unix_ns(), 0
+        self._origin_ns, self._number, self._passed_ns = unix_ns(), 0, 0
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
@@ -57,10 +66,11 @@ class ClockedDevice:
         count = round(seconds * 1e9 / self._period_ns)
         with self._lock:
             self._firmware.watch(time.monotonic() + 1e6)
-            for first in range(0, count, MODULUS):
-                self._firmware.samples(self._rows(min(count - first, MODULUS)))
+            self._firmware.take(count)
+            self._number += count
             ns = round(count * self._period_ns)
             self._origin_ns -= ns
+            self._passed_ns += ns
         return ns
 
     def freeze(self, seconds: float) -> None:
@@ -84,7 +94,7 @@ class ClockedDevice:
                     self._write(answer)
                 self._firmware.watch(now)
                 while (due_ns := self._origin_ns + round(self._number * self._period_ns)) <= now_ns:
-                    self.taken[self._number] = due_ns
+                    self.taken[self._number] = due_ns + self._passed_ns
                     for message in self._firmware.samples(self._rows(1)):
                         self._write(message)
             self._over.wait(max((due_ns - unix_ns()) * 1e-9, 0.0005))

@@ -88,7 +88,7 @@ class SerialDriver:
         self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
-        self._acquired_ns = self._taken_ns = self._taken_us = 0
+        self._acquired_ns = 0
         self._commanded_at, self._obeys = None, False
         self._scaler = Scaler(self.rig, hello)
         self._closing = False
@@ -185,16 +185,11 @@ class SerialDriver:
                 f"{self.address}: expected samples of {self._scaler.width} channels, found {raw.shape[1]}"
             )
         count = np.arange(len(raw))
-        # a machine that was suspended has missed wraps: its clock tells those of the device's, and that the rest
-        passed_us = (t_acq_ns - self._taken_ns) * 1e-3 * self._hello.speed if self._taken_ns else 0.0
-        t_us = self._clock.unwrap(frame.t_us, passed_us)
-        samples = (t_us - self._taken_us) * 1e3 / self._period_ns if self._taken_ns else 0.0
-        first = self._numbers[kind].unwrap(number, samples)
-        self._taken_ns, self._taken_us = t_acq_ns, t_us
+        first = self._numbers[kind].unwrap(number)
         if self._last_seq is not None:
             self.counters.lost += max(first - self._last_seq - 1, 0)
         self._last_seq = first + len(raw) - 1
-        t_hw_ns = t_us * 1000 + np.rint(count * self._period_ns).astype(np.int64)
+        t_hw_ns = self._clock.unwrap(frame.t_us) * 1000 + np.rint(count * self._period_ns).astype(np.int64)
         return Batch(first + count, np.full(len(raw), t_acq_ns), t_hw_ns, self._scaler.values(raw))
 
     def _check_flags(self, flags: int) -> None:

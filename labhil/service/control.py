@@ -154,10 +154,8 @@ class DeviceControl:
     def _turn(self, before: float) -> float:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
         self._check_bus()
-        if (slept := self._suspends.slept()) > SILENCE:
-            # the device made itself safe meanwhile, and what waits for us on its wire is as old as that
-            raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(before) else IDLE_TIMEOUT)
+        self._check_suspend()
         now = time.monotonic()
         if len(batch):
             self._heard_at, self._heard_any = now, True
@@ -174,6 +172,14 @@ class DeviceControl:
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
         self._check_watchdog(now, now - before)
         return now
+
+    def _check_suspend(self) -> None:
+        """Raise DeviceSilentError where the machine was suspended.
+
+        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that.
+        """
+        if (slept := self._suspends.slept()) > SILENCE:
+            raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
 
     def _look_whether_heard(self, now: float) -> None:
         """Note that the device made itself safe, as it no longer heard us, though its samples come in.
@@ -211,11 +217,12 @@ class DeviceControl:
         finally:
             search.cancel()
         refuse_another(self._config.address, self._info, info)
-        booted = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
+        same_boot = info.boot_id == self._info.boot_id
+        booted = "the same boot" if same_boot else "it has booted again"
         self._info = info
         self._heard_any, self._quiet, self._unheard = False, False, 0
         self._suspends.slept()
-        self._continuation.tear()
+        self._continuation.tear(same_boot=same_boot)
         gap = time.monotonic() - lost_at
         self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")
 
@@ -279,6 +286,10 @@ class DeviceControl:
         for request in self._inbox.take(patience):
             try:
                 answer = self._answers[request.name](request.payload, now)
+            except DeviceSilentError as error:
+                if request.answer is not None:
+                    request.answer.set_exception(CommandRefusedError(str(error)))
+                raise
             except CommandRefusedError as error:
                 if request.answer is None:
                     self._check_latch(now)  # a stop that came in with it is announced before the refusal
@@ -378,6 +389,7 @@ class DeviceControl:
         age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
         oldest = self._config.watchdog
         if age > oldest:
+            self._check_suspend()
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
             raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")

@@ -23,6 +23,10 @@ the talk that comes before its first sample takes up to a second."""
 GIVE_UP = 60.0
 """How long a lost device is looked for, s."""
 
+LATE_NS, UNSURE = 250_000_000, 0.01
+"""A gap by the device's clock and one by the host's agree within what stamps are late by, and this share: more
+than an oscillator is off."""
+
 
 class Search:
     """Connects again and again, until it works or ``give_up`` s have passed. One use each."""
@@ -87,8 +91,9 @@ def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:
 class Continuation:
     """Sequence numbers and the device's clock, carried on across connections.
 
-    After a gap both begin anew at the device. The clock goes on by the host's, and the hole in ``seq`` is
-    as large as the host's clock says that samples are missing at ``rate`` (per s of the host).
+    After a gap both begin anew at the device. A clock that went on in the same boot tells how long the gap was;
+    else the host's does, and the time across the gap is as sure as the host's stamps. The hole in ``seq`` is as
+    large as samples are missing at ``rate`` (per s of the host).
     """
 
     rate: float
@@ -97,10 +102,12 @@ class Continuation:
     _t_hw_ns: int = 0
     _last: tuple[int, int, int] | None = None
     _torn: bool = False
+    _same_boot: bool = False
 
-    def tear(self) -> None:
+    def tear(self, *, same_boot: bool = False) -> None:
         """The next batch is the first of another connection."""
         self._torn = self._last is not None
+        self._same_boot = same_boot
 
     def carry_on(self, batch: Batch) -> Batch:
         """Return the batch (not empty) as the continuation of what came before."""
@@ -113,8 +120,12 @@ class Continuation:
 
     def _tie(self, batch: Batch, seq: int, t_acq_ns: int, t_hw_ns: int) -> None:
         gap_ns = max(int(batch.t_acq_ns[-1]) - t_acq_ns, 1)
+        # the device's own clock, where it went on: what it shows now less what it showed last
+        by_device_ns = (int(batch.t_hw_ns[-1]) + self._t_hw_ns - t_hw_ns) / self.speed
+        within = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
+        if self._same_boot and abs(by_device_ns - gap_ns) < LATE_NS + UNSURE * gap_ns:
+            gap_ns = max(round(by_device_ns), within + 1)
         missing = max(round(gap_ns * 1e-9 * self.rate), len(batch))
         self._seq = seq + missing - int(batch.seq[-1])
-        within = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
         self._t_hw_ns = t_hw_ns + max(round(gap_ns * self.speed), within + 1) - int(batch.t_hw_ns[-1])
         self._torn = False
