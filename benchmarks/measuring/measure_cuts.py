@@ -62,6 +62,9 @@ BETWEEN = (0.3, 0.8)
 BACK = 40.0
 """s; a run that has not gone on by then does not."""
 
+START = 150.0
+"""s that a run may take until it follows its steps."""
+
 OWN_WATCHDOG = 0.3
 """s; what the devices wait for a word of their host."""
 
@@ -325,15 +328,24 @@ def started(
     (folder / "e.toml").write_text(text)
     command = [sys.executable, "-P", "-m", "labhil", "run", "e.toml"]
     run = stack.enter_context(process(command, folder))
-    heard = Heard(endpoint_of(run, "run"), stack)
+    heard = Heard(patiently(run), stack)
     scene = Scene(rig, wire, run, heard, folder, restart)
-    wait_for_steps(scene, 0)
+    if wait_for_steps(scene, 0, START) is None:
+        raise ValueError("the run did not begin")
     yield scene
 
 
-def wait_for_steps(scene: Scene, after_ns: int) -> int | None:
+def patiently(run: subprocess.Popen[str]) -> str:
+    """Where the run can be reached; a busy machine takes minutes to start it."""
+    for _ in range(2):
+        with suppress(TimeoutError):
+            return endpoint_of(run, "run")
+    return endpoint_of(run, "run")
+
+
+def wait_for_steps(scene: Scene, after_ns: int, patience: float = BACK) -> int | None:
     """When the run went on after a cut, Unix ns; it may have gone on all the time. None if it did not."""
-    deadline = time.monotonic() + BACK
+    deadline = time.monotonic() + patience
     while time.monotonic() < deadline and scene.run.poll() is None:
         since, newest = scene.heard.running_since(), max(scene.heard.arrived.values(), default=0)
         if since is not None and newest > after_ns:
@@ -375,9 +387,13 @@ def stop(scene: Scene) -> str:
 # what the recording says
 
 
+WRONG, UNKNOWN = -1, -2
+"""Rows of samples that were sent otherwise, and of those whose number the log does not hold."""
+
+
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """The samples of a recording, and which of those that were sent each is (row; −1: none)."""
+    """The samples of a recording, and which of those that were sent each is: a row, ``WRONG`` or ``UNKNOWN``."""
 
     stream: StreamData
     rows: IntArray
@@ -391,13 +407,13 @@ def match(stream: StreamData, values: np.ndarray, sent: Sent, seams_ns: Sequence
     begin at ``seams_ns``. ``reach`` (s) is how long before its stamp the first sample may have been sent.
     """
     connection = np.searchsorted(np.array(seams_ns, dtype=np.int64), stream.t_acq_ns, side="right")
-    rows = np.full(len(stream.seq), -1)
+    rows = np.full(len(stream.seq), UNKNOWN)
     for number in np.unique(connection):
         here = np.flatnonzero(connection == number)
         first = int(here[0])
         near = np.abs(sent.t_ns - stream.t_acq_ns[first]) < reach * 1e9
         candidates = np.flatnonzero(near & (sent.values == values[first]).all(axis=1))
-        best = np.full(len(here), -1)
+        best = np.full(len(here), UNKNOWN)
         for candidate in candidates:
             found = rows_from(stream, values, sent, here, int(candidate))
             if np.count_nonzero(found >= 0) > np.count_nonzero(best >= 0):
@@ -409,7 +425,7 @@ def match(stream: StreamData, values: np.ndarray, sent: Sent, seams_ns: Sequence
 def rows_from(
     stream: StreamData, values: np.ndarray, sent: Sent, here: IntArray, candidate: int
 ) -> IntArray:
-    """Which row each sample of a connection is, if its first one is ``candidate``; −1 where none."""
+    """Which row each sample of a connection is, if its first one is ``candidate``."""
     same_boot = np.flatnonzero(sent.boot == sent.boot[candidate])
     numbers = stream.seq[here] - stream.seq[here[0]] + sent.number[candidate]
     places = np.minimum(np.searchsorted(sent.number[same_boot], numbers), len(same_boot) - 1)
@@ -417,7 +433,7 @@ def rows_from(
     clock = stream.t_hw_ns[here] - stream.t_hw_ns[here[0]] + sent.t_hw_ns[candidate]
     good = (sent.number[found] == numbers) & (np.abs(sent.t_hw_ns[found] - clock) <= 1000)
     good &= (sent.values[found] == values[here]).all(axis=1)
-    return np.where(good, found, -1)
+    return np.where(sent.number[found] != numbers, UNKNOWN, np.where(good, found, WRONG))
 
 
 def examine(scene: Scene, ending: str) -> dict[str, Any]:
@@ -440,7 +456,8 @@ def examine(scene: Scene, ending: str) -> dict[str, Any]:
         "cuts": len(scene.cuts),
         "end": ending,
         "recorded": len(stream.seq),
-        "not_sent_so": int(np.count_nonzero(~known)),
+        "not_sent_so": int(np.count_nonzero(matched.rows == WRONG)),
+        "not_in_the_log": int(np.count_nonzero(matched.rows == UNKNOWN)),
         "out_of_order": int(
             np.count_nonzero(np.diff(stream.seq) <= 0)
             + np.count_nonzero(np.diff(stream.t_hw_ns) <= 0)

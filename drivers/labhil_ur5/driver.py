@@ -29,7 +29,7 @@ from labhil_ur5.declared import (
 )
 from labhil_ur5.fault import SAFETY_NORMAL, fault_of
 from labhil_ur5.motion import Motion, MotionState
-from labhil_ur5.rtde import Receiver
+from labhil_ur5.rtde import ANSWER_WITHIN, Receiver
 from labhil_ur5.stream_order import in_stream_order, variables
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
@@ -42,6 +42,11 @@ THERE = 1e-3
 PATIENCE = 0.05
 """How long (s) ``close`` from another thread waits for ``read`` to notice."""
 FIRST_SAMPLE = 2.0
+QUICK_ANSWER = 0.3
+"""How long the controller may take for one answer where a broken connection is made again, s: meanwhile nobody
+who asks the device's host is answered."""
+CUT_OFF = 0.2
+"""How long a client may take to end that cannot reach the controller any more, s."""
 RESTART_AFTER = 1.0
 """How long after the loss of the client process another one is started, s."""
 BEGINNING = 0.2
@@ -90,7 +95,7 @@ class Ur5Driver:
         self._reading = threading.RLock()
         self._lost_because = ""
         self._lost_at = self._first_lost_at = 0.0
-        self._timed = False
+        self._timed = self._cut_off = False
         self._begun_at = -math.inf
 
     def connect(self) -> DeviceInfo:
@@ -111,8 +116,8 @@ class Ur5Driver:
                 self.close()
                 raise
 
-    def _listen(self) -> None:
-        receiver = Receiver(self.address)
+    def _listen(self, timeout: float = ANSWER_WITHIN) -> None:
+        receiver = Receiver(self.address, timeout)
         try:
             self._check_version(*receiver.greet())
             needed, optional = variables()
@@ -172,8 +177,9 @@ class Ur5Driver:
             # a connection that breaks while the controller lives leaves a hole and nothing more
             self._receiver.close()
             try:
-                self._listen()
+                self._listen(QUICK_ANSWER)
             except ConnectError as error:
+                self._cut_off = True
                 raise ConnectError(
                     f"{self.address}: the RTDE connection broke and could not be made again: {error}"
                 ) from error
@@ -338,7 +344,11 @@ class Ur5Driver:
         """Stop the arm, end its program and let go of the wire. Safe to call twice."""
         self._closing = True
         with self._reading:
-            self._motion.end()
+            if self._cut_off:
+                self._motion.end(CUT_OFF)
+            else:
+                self._motion.end()
+            self._cut_off = False
             if self._receiver is not None:
                 self._receiver.close()
             self._receiver = None

@@ -22,6 +22,8 @@ SILENCE = 2.0
 START_TIMEOUT = 15.0
 """How long it may take to connect and to start its program on the controller, s."""
 END_TIMEOUT = 3.0
+ENDING_ALREADY = 0.2
+"""How long an order to stop waits for another thread, s; whoever gives it is waited for."""
 STOP_TIMEOUT = 1.5
 """How long a dashboard may take to stop the program, s."""
 
@@ -126,14 +128,22 @@ class Motion:
 
     def stop(self) -> None:
         """Come to rest and stay; by the dashboard where the client is no more. Never raises."""
-        with self._writing:
+        # where another thread ends the client, which takes seconds, that stops the arm as well
+        if not self._writing.acquire(timeout=ENDING_ALREADY):
+            return
+        try:
             if self._process is not None and self._process.poll() is None:
                 self.tell({"stop": True})
             elif self._process is not None:
                 self._stop_by_dashboard()
+        finally:
+            self._writing.release()
 
-    def end(self) -> None:
-        """Stop the arm, end the controller's program and the client; safe to call twice."""
+    def end(self, patience: float = END_TIMEOUT) -> None:
+        """Stop the arm, end the controller's program and the client; safe to call twice.
+
+        A client that takes longer than ``patience`` s is killed; the controller's watchdog stops the arm then.
+        """
         with self._writing:
             if self._stopping is not None:
                 self._stopping.join(STOP_TIMEOUT)
@@ -144,7 +154,7 @@ class Motion:
             with contextlib.suppress(OSError):
                 process.stdin.close()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(END_TIMEOUT)
+                process.wait(patience)
             if process.poll() != 0:
                 process.kill()
                 process.wait()

@@ -22,6 +22,8 @@ PROTOCOL_VERSION = 2
 ANSWER_WITHIN = 3.0
 """How long the controller may take for one answer, s."""
 CHUNK = 1 << 16
+LARGEST_READ = 1 << 22
+"""Bytes that are taken at once: seconds of samples."""
 HEADER = struct.Struct(">HB")
 
 ASK_PROTOCOL, ASK_VERSION, SETUP_OUTPUTS, START, DATA = b"VvOSU"
@@ -154,15 +156,21 @@ class Receiver:
             self._socket.close()
 
     def _receive(self) -> bytes:
-        if not select.select([self._socket], [], [], 0)[0]:
-            return b""
-        try:
-            data = self._socket.recv(CHUNK)
-        except OSError as error:
-            raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
-        if not data:
-            raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
-        return data
+        """All that has come in: what waited, in the network or for a busy machine, came before the last of it."""
+        received = bytearray()
+        while len(received) < LARGEST_READ and select.select([self._socket], [], [], 0)[0]:
+            try:
+                data = self._socket.recv(CHUNK)
+            except OSError as error:
+                if received:
+                    break  # the next call says so
+                raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
+            if not data:
+                if received:
+                    break
+                raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
+            received += data
+        return bytes(received)
 
     def _set_up(self, names: Sequence[str], rate: float) -> tuple[int, list[str]]:
         payload = struct.pack(">d", rate) + ",".join(names).encode()

@@ -31,6 +31,10 @@ ENDING = 10.0
 """The same once its host has reported a failure, s: it has to bring its device to safety first."""
 
 
+OWN_STALL = 1.0
+"""s between two looks of a run, after which it has stood still itself: by a stop signal, or a busy machine."""
+
+
 class Devices:
     """The devices of one run with their hosts; ``duration`` is that of the steps, s of their clocks."""
 
@@ -41,6 +45,7 @@ class Devices:
         self.runs: list[DeviceRun] = []
         self._hosts: list[HostProcess] = []
         self._bus, self._holder, self._duration, self._changed = bus, holder, duration, changed
+        self._looked_at = time.monotonic()
 
     def start_host(self, config: HostConfig) -> None:
         """Start the host of one device, without waiting for it."""
@@ -78,6 +83,12 @@ class Devices:
             failure = host.failure()
             if failure is not None:
                 raise failure
+        now, before = time.monotonic(), self._looked_at
+        self._looked_at = now
+        if now - before > OWN_STALL:
+            # what this process has not taken in while it stood still is nobody's silence
+            for run in self.runs:
+                run.heard_at = max(run.heard_at, now)
         for run in self.runs:
             fault = run.failure()
             if fault is not None:

@@ -45,7 +45,8 @@ class ClockFit:
     host's (50e-6: 50 ppm fast; 0 where unknown), ``jitter`` the robust standard deviation of the stamps'
     delays, s; ``outliers`` how many are far off. ``offset_error`` (s, in the middle of the longest stretch
     without steps) and ``drift_error`` are standard errors; None where unknown. ``steps`` are jumps of the
-    host's stamps against the device's clock; ``map`` leads from the one to the other.
+    host's stamps against the device's clock; ``map`` leads from the one to the other. ``spread`` (s) is by how
+    much the middle one of the stamps is later than the least delayed ones, on which the map lies.
     """
 
     t: FloatArray
@@ -57,6 +58,7 @@ class ClockFit:
     drift_error: float | None = None
     steps: tuple[ClockStep, ...] = ()
     map: ClockMap | None = None
+    spread: float = 0.0
 
 
 def keeps_its_rate(t_hw_ns: IntArray, seq: IntArray, rate: float) -> bool:
@@ -98,7 +100,8 @@ def fit_clock(
     paused = wrong and 0.0 < line.slope < LONGEST_PAUSES and _is_even(device)
     if wrong and not steady and not paused:
         return ClockFit(host * speed, 0.0, 0.0, 0, device_clock=False)
-    jitter, outliers = _jitter(host - clock_map.host(x))
+    late = host - clock_map.host(x)
+    jitter, outliers = _jitter(late)
     begin = float(clock_map.steady_host(np.zeros(1))[0])
     return ClockFit(
         t=np.asarray(device + speed * begin, dtype=np.float64),
@@ -111,6 +114,7 @@ def fit_clock(
         drift_error=None if wrong else line.slope_error,
         steps=steps,
         map=clock_map,
+        spread=max(float(np.median(late)), 0.0) * speed,
     )
 
 

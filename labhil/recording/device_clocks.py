@@ -29,6 +29,9 @@ LARGEST = 16384
 """As many stamps are looked at; of more, those that came in with the least delay."""
 
 
+SURE = 2.0
+"""Standard errors within which something lies, but for one time in twenty."""
+
 MOST_PIECES = 512
 """Pieces that stamps stand in before they are put together."""
 
@@ -41,7 +44,7 @@ class DeviceClock:
     of the host. ``offset_error`` (s) and ``drift_error`` are standard errors, at that moment; ``jitter`` (s)
     is the robust standard deviation of the stamps' delays. Of ``samples`` looked at, ``outliers`` came far
     later than usual. ``stepped`` (s of the host) is by how much the stamps jump in all, either way: 0 for a
-    sound map.
+    sound map. ``spread`` (s) is by how much the middle one of the stamps is later than the least delayed ones.
     """
 
     t_host_ns: int
@@ -54,6 +57,7 @@ class DeviceClock:
     samples: int
     outliers: int
     stepped: float = 0.0
+    spread: float = 0.0
 
     def device_ns(self, t_host_ns: int) -> int:
         """Return what the device's clock shows at Unix time ``t_host_ns``."""
@@ -68,14 +72,28 @@ class DeviceClock:
         away = (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error
         return hypot(self.offset_error, away, self.stepped * self.speed)
 
+    def bound_at(self, t_host_ns: int) -> float:
+        """Return a bound of that error, s of the device's world.
+
+        Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's bound
+        is half of the round trip, so half of the delay that is seen to vary is taken for what is not seen,
+        beside two standard errors. A latency that never varies is not in it.
+        """
+        return SURE * self.error_at(t_host_ns) + 0.5 * self.spread
+
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """By how much (s) one device's clock was ahead of another's at ``t_host_ns``; ``error`` is 1 σ."""
+    """By how much (s) one device's clock was ahead of another's at ``t_host_ns``.
+
+    ``error`` is 1 σ of what the stamps scatter; ``bound`` holds what they cannot show, too
+    (:meth:`DeviceClock.bound_at` of both): the true offset lies within it.
+    """
 
     offset: float
     error: float
     t_host_ns: int
+    bound: float = 0.0
 
 
 class ClockWatch:
@@ -146,6 +164,7 @@ def device_clock(stamps: Stamps, fit: ClockFit | None = None) -> DeviceClock | N
         samples=len(stamps.seq),
         outliers=fit.outliers,
         stepped=float(sum(abs(step.size) for step in fit.steps)),
+        spread=fit.spread,
     )
 
 
@@ -157,7 +176,9 @@ def offsets_between(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str], 
             continue
         at = (a.t_host_ns + b.t_host_ns) // 2
         offset = (a.device_ns(at) - b.device_ns(at)) * 1e-9
-        offsets[first, second] = ClockOffset(offset, hypot(a.error_at(at), b.error_at(at)), at)
+        error = hypot(a.error_at(at), b.error_at(at))
+        bound = SURE * error + 0.5 * (a.spread + b.spread)
+        offsets[first, second] = ClockOffset(offset, error, at, bound)
     return offsets
 
 

@@ -85,6 +85,7 @@ class DeviceControl:
         self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
         self._heard_at = 0.0
+        self._woken_at = -math.inf
         self._heard_any = False
         self._quiet = False
         self._mending = False
@@ -158,6 +159,8 @@ class DeviceControl:
         self._check_suspend()
         now = time.monotonic()
         if len(batch):
+            if now - self._heard_at > self._config.watchdog / 2:
+                self._woken_at = now
             self._heard_at, self._heard_any = now, True
             self._take_in(self._continuation.carry_on(batch))
             self._look_whether_heard(now)
@@ -410,8 +413,10 @@ class DeviceControl:
         self._output.unheard += min(turn, LONGEST_STALL)
         if self._output.unheard > self._config.watchdog:
             stopped = f"watchdog: commands stopped for {self._config.watchdog:g} s"
-            if now - self._heard_at > self._config.watchdog / 2:
-                # a controller that follows the samples has nothing to say when there are none
+            silent = now - self._heard_at > self._config.watchdog / 2
+            if silent or now - self._woken_at < self._config.watchdog:
+                # a controller that follows the samples has nothing to say when there are none, and takes a moment
+                # when they come again
                 self._quiet = self._config.reconnect
                 self._to_safety(HostState.IDLE, f"{stopped}, as the device sends no samples", "quiet")
             else:

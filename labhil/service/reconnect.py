@@ -27,6 +27,9 @@ LATE_NS, UNSURE = 250_000_000, 0.01
 """A gap by the device's clock and one by the host's agree within what stamps are late by, and this share: more
 than an oscillator is off."""
 
+WRAP_NS = (1 << 32) * 1000
+"""Where a counter of µs of 32 bits begins anew, as ``micros()`` does; a longer gap has several."""
+
 
 class Search:
     """Connects again and again, until it works or ``give_up`` s have passed. One use each."""
@@ -121,10 +124,12 @@ class Continuation:
     def _tie(self, batch: Batch, seq: int, t_acq_ns: int, t_hw_ns: int) -> None:
         gap_ns = max(int(batch.t_acq_ns[-1]) - t_acq_ns, 1)
         # the device's own clock, where it went on: what it shows now less what it showed last
-        by_device_ns = (int(batch.t_hw_ns[-1]) + self._t_hw_ns - t_hw_ns) / self.speed
+        by_device_ns = int(batch.t_hw_ns[-1]) + self._t_hw_ns - t_hw_ns
+        by_device_ns += max(round((gap_ns * self.speed - by_device_ns) / WRAP_NS), 0) * WRAP_NS
+        by_device_ns = round(by_device_ns / self.speed)
         within = int(batch.t_hw_ns[-1] - batch.t_hw_ns[0])
         if self._same_boot and abs(by_device_ns - gap_ns) < LATE_NS + UNSURE * gap_ns:
-            gap_ns = max(round(by_device_ns), within + 1)
+            gap_ns = max(by_device_ns, 1)
         missing = max(round(gap_ns * 1e-9 * self.rate), len(batch))
         self._seq = seq + missing - int(batch.seq[-1])
         self._t_hw_ns = t_hw_ns + max(round(gap_ns * self.speed), within + 1) - int(batch.t_hw_ns[-1])
