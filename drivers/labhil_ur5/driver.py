@@ -176,6 +176,7 @@ class Ur5Driver:
         except ConnectError:
             # a connection that breaks while the controller lives leaves a hole and nothing more
             self._receiver.close()
+            began = time.monotonic()
             try:
                 self._listen(QUICK_ANSWER)
             except ConnectError as error:
@@ -184,6 +185,9 @@ class Ur5Driver:
                     f"{self.address}: the RTDE connection broke and could not be made again: {error}"
                 ) from error
             self.counters.resyncs += 1
+            if self._timed and time.monotonic() - began > COMMAND_TIMEOUT / 2:
+                self.counters.unheard += 1  # no waypoint went out meanwhile, and the client stops without
+                self._cut_off = True
             return []
 
     def _rows(self, payloads: Iterable[bytes]) -> list[Row]:

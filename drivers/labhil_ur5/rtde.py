@@ -22,6 +22,9 @@ PROTOCOL_VERSION = 2
 ANSWER_WITHIN = 3.0
 """How long the controller may take for one answer, s."""
 CHUNK = 1 << 16
+SILENT, BEHIND, LONGEST_BURST = 0.1, 0.005, 0.03
+"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for at most
+``LONGEST_BURST``."""
 LARGEST_READ = 1 << 22
 """Bytes that are taken at once: seconds of samples."""
 HEADER = struct.Struct(">HB")
@@ -107,6 +110,7 @@ class Receiver:
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._packages = Packages(host)
+        self._received_at = 0.0
         self._early: list[bytes] = []
         self.version: tuple[int, int, int, int] = (0, 0, 0, 0)
 
@@ -156,9 +160,15 @@ class Receiver:
             self._socket.close()
 
     def _receive(self) -> bytes:
-        """All that has come in: what waited, in the network or for a busy machine, came before the last of it."""
-        received = bytearray()
-        while len(received) < LARGEST_READ and select.select([self._socket], [], [], 0)[0]:
+        """All that has come in: what waited, in the network or for a busy machine, came before the last of it.
+
+        After a silence the first bytes may be the oldest of a queue that follows.
+        """
+        received, began = bytearray(), time.monotonic()
+        wait = BEHIND if began - self._received_at > SILENT else 0.0
+        while len(received) < LARGEST_READ and time.monotonic() - began < LONGEST_BURST:
+            if not select.select([self._socket], [], [], wait if received else 0.0)[0]:
+                break
             try:
                 data = self._socket.recv(CHUNK)
             except OSError as error:
@@ -170,6 +180,8 @@ class Receiver:
                     break
                 raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
             received += data
+        if received:
+            self._received_at = began
         return bytes(received)
 
     def _set_up(self, names: Sequence[str], rate: float) -> tuple[int, list[str]]:

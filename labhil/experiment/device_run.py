@@ -36,7 +36,7 @@ from labhil.experiment.plan import DevicePlan
 from labhil.experiment.step_clock import StepClock
 from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
-from labhil.service.messages import Setpoint
+from labhil.service.messages import WATCHDOG, Setpoint
 from labhil.signals import Batch
 
 PATIENCE = 10.0
@@ -46,6 +46,10 @@ ASK_TIMEOUT = 2.0
 
 FOLLOWED = 2048
 """Messages of a device that may wait, a fifth of a second at 10 kHz; a flood delays them by as many."""
+
+OLDEST_FIRST = WATCHDOG
+"""s; steps begin at a sample that is not older than this: what waited on a wire or on a busy machine is not where
+the device is now."""
 
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
@@ -225,9 +229,10 @@ class DeviceRun:
             for t_ns, values in samples:
                 watch.take(t_ns, values)
         if self._running:
-            self._follow_steps(samples)
+            self._follow_steps(samples, unix_ns() - int(batch.t_acq_ns[-1]))
 
-    def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]]) -> None:
+    def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]], age_ns: int) -> None:
+        """Answer samples with a setpoint; the newest of them came in ``age_ns`` ago."""
         requested: dict[str, float] = {}
         t_hw_ns: int | None = None
         newest_ns = samples[-1][0]
@@ -237,7 +242,7 @@ class DeviceRun:
                 in_place = self._approach.is_there(requested, values)
                 # the steps begin where their first setpoint can act: samples that waited on a busy machine
                 # may be as many as a step is long, and the step would be over before its first setpoint
-                if not in_place or t_ns < newest_ns:
+                if not in_place or t_ns < newest_ns or age_ns > OLDEST_FIRST * 1e9:
                     continue
                 self.clock.start(t_ns)
                 if self._waypoints.rate:

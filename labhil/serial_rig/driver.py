@@ -28,6 +28,10 @@ PATIENCE = 0.05
 TAKEN_UP = 0.1
 """s after a first command; until then samples from before it may still come in."""
 
+SILENT, BEHIND, LONGEST_BURST = 0.1, 0.005, 0.03
+"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for at most
+``LONGEST_BURST``."""
+
 LARGEST_READ = 1 << 16
 """Bytes that are taken at once; more than an operating system keeps for a port."""
 
@@ -56,6 +60,7 @@ class SerialDriver:
         self._writing = threading.RLock()
         self._commanded_at: float | None = None
         self._obeys = False
+        self._received_at = 0.0
 
     def connect(self) -> DeviceInfo:
         """Open the port, wait for HELLO, send the configuration; the device is in its safe state then.
@@ -120,16 +125,21 @@ class SerialDriver:
             self._count()
         return Batch.joined(pieces, self._scaler.width)
 
-    @staticmethod
-    def _received(port: Port, timeout: float) -> bytes:
-        """All that has come in; of a queue the last frame is the new one."""
+    def _received(self, port: Port, timeout: float) -> bytes:
+        """All that has come in; of a queue the last frame is the new one.
+
+        After a silence the first bytes may be the oldest of a queue that follows.
+        """
         data = more = port.receive(timeout)
-        while more and len(data) < LARGEST_READ:
-            try:
-                more = port.receive(0.0)
-            except ConnectError:  # the next read says so, once what came before it is taken
-                break
-            data += more
+        if data:
+            wait = BEHIND if time.monotonic() - self._received_at > SILENT else 0.0
+            self._received_at = time.monotonic()
+            while more and len(data) < LARGEST_READ and time.monotonic() - self._received_at < LONGEST_BURST:
+                try:
+                    more = port.receive(wait)
+                except ConnectError:  # the next read says so, once what came before it is taken
+                    break
+                data += more
         return data
 
     def _take(self, frames: Sequence[Frame], now_ns: int) -> list[Batch]:
