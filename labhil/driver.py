@@ -69,8 +69,8 @@ class DeviceInfo:
 class Counters:
     """What happened on the wire since the connection was made.
 
-    ``lost`` samples are holes in ``seq``; ``stale`` ones bore the time of the sample before. ``unheard`` counts
-    how often the device made itself safe although it was commanded: it heard nothing for so long.
+    ``lost`` samples are holes in ``seq``; ``stale`` ones bore the time of the sample before. ``unheard``
+    counts how often the device made itself safe although it was commanded: it heard nothing for so long.
     """
 
     frames: int = 0

@@ -1,4 +1,4 @@
-"""A device with a clock of its own that nothing else of the machine moves: the bench's firmware on a port of ours."""
+"""A device with a clock that nothing else of the machine moves: the bench's firmware on a port of ours."""
 
 from __future__ import annotations
 
@@ -103,4 +103,3 @@ class ClockedDevice:
         if data:
             with contextlib.suppress(OSError):
                 os.write(self._port, data)
-

@@ -1,4 +1,4 @@
-"""Wires that can be cut, held up and disturbed, with a log of what the device sent: serial, and a UR's ports."""
+"""Wires that can be cut, held up and disturbed, with a log of what the device sent: serial and a UR's."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CLOSED = -1
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """What a device sent, a row a sample: Unix time (ns) when it came by, boot, number, clock (ns), values."""
+    """What a device sent, a row a sample: Unix time (ns) when it came by, boot, number, clock, values."""
 
     t_ns: IntArray
     boot: IntArray
@@ -375,4 +375,3 @@ class ArmWire:
         t_ns = unix_ns() * same - (t_hw_ns[-1] - t_hw_ns)
         with self._lock:
             self._log.append(Sent(t_ns, self._boots * same, number, t_hw_ns, still, rows[:, 1:7]))
-

@@ -260,7 +260,7 @@ def judge(recording: Recording, status: int, taken: Mapping[int, int], case: Cas
 
 
 def identify(shown: np.ndarray, t_acq_ns: np.ndarray, taken: Mapping[int, int]) -> tuple[np.ndarray, int]:
-    """The number of each sample, which shows only its last digits; and how many show other ones than follow."""
+    """The number of each sample, which shows only its last digits; and how many show other ones."""
     taken_numbers = np.array(sorted(taken), dtype=np.int64)
     first = [n for n in taken_numbers.tolist() if n % MODULUS == shown[0]]
     start = min(first, key=lambda n: abs(taken[n] - int(t_acq_ns[0])))
@@ -277,7 +277,11 @@ def identify(shown: np.ndarray, t_acq_ns: np.ndarray, taken: Mapping[int, int]) 
 def spread_of(values: Sequence[float] | np.ndarray) -> dict[str, float]:
     """The smallest, the median and the largest."""
     low, middle, high = np.quantile(np.asarray(values, dtype=float), [0.0, 0.5, 1.0])
-    return {"smallest": round(float(low), 2), "median": round(float(middle), 2), "largest": round(float(high), 2)}
+    return {
+        "smallest": round(float(low), 2),
+        "median": round(float(middle), 2),
+        "largest": round(float(high), 2),
+    }
 
 
 def main() -> None:

@@ -140,7 +140,7 @@ def measure(seconds: float, fast_ppm: float, directory: Path) -> dict[str, float
 
 
 def covered(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How often the true error lay within what the recording states: twice the standard error, and the bound."""
+    """How often the true error lay within what is stated: twice the standard error, and the bound."""
     errors = [abs(run["alignment_error_us"]) for run in runs]
     drifts = [abs(run["drift_ppm"] - FAST_PPM) for run in runs]
     return {

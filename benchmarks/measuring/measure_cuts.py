@@ -2,8 +2,8 @@
 
     python benchmarks/measuring/measure_cuts.py --cuts 50 -o benchmarks/results/cuts.json
 
-A `labhil run` with ``reconnect = true`` commands a twin through a wire of ours that is cut 50 times, at random,
-for 0.1 to 1 s: the line dead, the port gone, the device without power, bytes held and delivered late, noise;
+A `labhil run` with ``reconnect = true`` commands a twin through a wire of ours that is cut 50 times, at
+random, for 0.1 to 1 s: the line dead, the port gone, the device without power, bytes held and delivered late, noise;
 now and then the device boots, or comes back only after some seconds. The wire logs what the twin sent. After
 the run each sample of the recording is held against that log: it has to be one that the twin sent, in order,
 stamped when it came, and the hole in ``seq`` has to be as large as what is missing.
@@ -303,8 +303,11 @@ def arm_scene(rig: str, folder: Path, _chance: random.Random) -> Iterator[Scene]
         twins[-1].stop()
         twins.append(start_arm())
 
+    def stop_newest() -> None:
+        twins[-1].stop()
+
     with ExitStack() as stack:
-        stack.callback(lambda: twins[-1].stop())
+        stack.callback(stop_newest)
         wire = ArmWire(TWIN_AT, ARM_AT, 500.0)
         stack.callback(wire.close)
         (folder / "rig.toml").write_text(ARM_RIG)
@@ -363,7 +366,14 @@ def cut_many(scene: Scene, kinds: Kinds, cuts: int, chance: random.Random) -> No
         began_ns, returned_ns = kinds[kind][0](scene, chance.uniform(*CUT))
         # what was heard too late is heard by then: a silent device is given up after a second
         settled = returned_ns
-        if kind in ("line dead", "line to the device dead", "bytes held", "noise", "device boots", "RTDE connections closed"):
+        if kind in (
+            "line dead",
+            "line to the device dead",
+            "bytes held",
+            "noise",
+            "device boots",
+            "RTDE connections closed",
+        ):
             time.sleep(0.4)
         cut = Cut(kind, began_ns, returned_ns, wait_for_steps(scene, settled))
         scene.cuts.append(cut)
@@ -393,14 +403,16 @@ WRONG, UNKNOWN = -1, -2
 
 @dataclass(frozen=True, slots=True)
 class Matched:
-    """The samples of a recording, and which of those that were sent each is: a row, ``WRONG`` or ``UNKNOWN``."""
+    """The samples of a recording, and which of those sent each is: a row, ``WRONG`` or ``UNKNOWN``."""
 
     stream: StreamData
     rows: IntArray
     connections: IntArray
 
 
-def match(stream: StreamData, values: np.ndarray, sent: Sent, seams_ns: Sequence[int], reach: float) -> Matched:
+def match(
+    stream: StreamData, values: np.ndarray, sent: Sent, seams_ns: Sequence[int], reach: float
+) -> Matched:
     """Find each recorded sample among those that were sent.
 
     Within one connection number and clock of both differ by constants, and all values are equal. Connections
@@ -422,9 +434,7 @@ def match(stream: StreamData, values: np.ndarray, sent: Sent, seams_ns: Sequence
     return Matched(stream, rows, connection)
 
 
-def rows_from(
-    stream: StreamData, values: np.ndarray, sent: Sent, here: IntArray, candidate: int
-) -> IntArray:
+def rows_from(stream: StreamData, values: np.ndarray, sent: Sent, here: IntArray, candidate: int) -> IntArray:
     """Which row each sample of a connection is, if its first one is ``candidate``."""
     same_boot = np.flatnonzero(sent.boot == sent.boot[candidate])
     numbers = stream.seq[here] - stream.seq[here[0]] + sent.number[candidate]
@@ -525,7 +535,11 @@ def gaps(scene: Scene, recording: Recording, matched: Matched, sent: Sent) -> di
         unheard = cut.kind == "line to the device dead" and cut.returned_ns - cut.began_ns > 0.35e9
         told = {kind for t_ns, kind in events if low < t_ns < high}
         lost = unheard or bool(missing.any() and away[missing].max() > 0.35)
-        if not is_marked or (lost and not told & {"lost", "quiet"}) or (told & {"lost"} and "reconnected" not in told):
+        if (
+            not is_marked
+            or (lost and not told & {"lost", "quiet"})
+            or (told & {"lost"} and "reconnected" not in told)
+        ):
             unmarked.append(f"{cut.kind}: {sorted(map(str, told - {None}))}")
     errors = np.abs(hole - away)[seam]
     return {
@@ -549,8 +563,13 @@ def safety(scene: Scene, recording: Recording, sent: Sent) -> dict[str, Any]:
     for cut in scene.cuts:
         if cut.kind in ("noise", "device boots"):
             continue
-        until = max((end for begin, end in pauses if end and cut.began_ns <= begin <= cut.returned_ns + 10**9), default=cut.returned_ns)
-        during = (sent.t_ns > cut.began_ns + int(settle * 1e9)) & (sent.t_ns < min(until, cut.goes_on_ns or until))
+        until = max(
+            (end for begin, end in pauses if end and cut.began_ns <= begin <= cut.returned_ns + 10**9),
+            default=cut.returned_ns,
+        )
+        during = (sent.t_ns > cut.began_ns + int(settle * 1e9)) & (
+            sent.t_ns < min(until, cut.goes_on_ns or until)
+        )
         looked_at += int(np.count_nonzero(during))
         active += int(np.count_nonzero(during & ~sent.safe))
     return {"samples_while_cut": looked_at, "of_them_not_safe": active}
@@ -569,7 +588,9 @@ def late_at_start(rig: str, folder: Path, chance: random.Random, repeat: int) ->
                 config = HostConfig("bench", rig, str(place), {}, bus.endpoint, reconnect=True, patient=True)
                 first: list[int] = []
                 one.enter_context(
-                    subscribe(bus, stream_key("bench", "state"), lambda _k, _p, first=first: first.append(unix_ns()))
+                    subscribe(
+                        bus, stream_key("bench", "state"), lambda _k, _p, first=first: first.append(unix_ns())
+                    )
                 )
                 host = HostProcess(config)
                 one.callback(host.stop)

@@ -43,8 +43,8 @@ PATIENCE = 0.05
 """How long (s) ``close`` from another thread waits for ``read`` to notice."""
 FIRST_SAMPLE = 2.0
 QUICK_ANSWER = 0.3
-"""How long the controller may take for one answer where a broken connection is made again, s: meanwhile nobody
-who asks the device's host is answered."""
+"""How long the controller may take for one answer where a broken connection is made again, s: meanwhile
+nobody who asks the device's host is answered."""
 CUT_OFF = 0.2
 """How long a client may take to end that cannot reach the controller any more, s."""
 RESTART_AFTER = 1.0
@@ -291,6 +291,12 @@ class Ur5Driver:
             if not self.fault():
                 motion.start()
         elif motion.state is MotionState.IDLE and not at_target and not (begins and self._timed):
+            if t_hw_ns is not None and self._begun_at > -math.inf:
+                # the client has not taken the path up: it hangs on a connection that broke, or has no time
+                self._begun_at = -math.inf
+                self.counters.unheard += 1
+                self._cut_off = True
+                return
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)

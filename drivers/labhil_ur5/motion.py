@@ -142,7 +142,7 @@ class Motion:
     def end(self, patience: float = END_TIMEOUT) -> None:
         """Stop the arm, end the controller's program and the client; safe to call twice.
 
-        A client that takes longer than ``patience`` s is killed; the controller's watchdog stops the arm then.
+        A client that takes longer than ``patience`` s is killed; the controller's watchdog stops the arm.
         """
         with self._writing:
             if self._stopping is not None:

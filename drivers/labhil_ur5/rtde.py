@@ -23,8 +23,8 @@ ANSWER_WITHIN = 3.0
 """How long the controller may take for one answer, s."""
 CHUNK = 1 << 16
 SILENT, BEHIND, LONGEST_BURST = 0.1, 0.005, 0.03
-"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for at most
-``LONGEST_BURST``."""
+"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for
+``LONGEST_BURST`` at most."""
 LARGEST_READ = 1 << 22
 """Bytes that are taken at once: seconds of samples."""
 HEADER = struct.Struct(">HB")
@@ -160,7 +160,7 @@ class Receiver:
             self._socket.close()
 
     def _receive(self) -> bytes:
-        """All that has come in: what waited, in the network or for a busy machine, came before the last of it.
+        """All that has come in: what waited, in the network or for a busy machine, came before its last.
 
         After a silence the first bytes may be the oldest of a queue that follows.
         """

@@ -48,8 +48,8 @@ FOLLOWED = 2048
 """Messages of a device that may wait, a fifth of a second at 10 kHz; a flood delays them by as many."""
 
 OLDEST_FIRST = WATCHDOG
-"""s; steps begin at a sample that is not older than this: what waited on a wire or on a busy machine is not where
-the device is now."""
+"""s; steps begin at a sample that is not older than this: what waited on a wire or on a busy machine is not
+where the device is now."""
 
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_RESTING: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}

@@ -32,7 +32,7 @@ ENDING = 10.0
 
 
 OWN_STALL = 1.0
-"""s between two looks of a run, after which it has stood still itself: by a stop signal, or a busy machine."""
+"""s between two looks of a run, after which it has stood still itself: stopped, or for a busy machine."""
 
 
 class Devices:

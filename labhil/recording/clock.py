@@ -45,8 +45,8 @@ class ClockFit:
     host's (50e-6: 50 ppm fast; 0 where unknown), ``jitter`` the robust standard deviation of the stamps'
     delays, s; ``outliers`` how many are far off. ``offset_error`` (s, in the middle of the longest stretch
     without steps) and ``drift_error`` are standard errors; None where unknown. ``steps`` are jumps of the
-    host's stamps against the device's clock; ``map`` leads from the one to the other. ``spread`` (s) is by how
-    much the middle one of the stamps is later than the least delayed ones, on which the map lies.
+    host's stamps against the device's clock; ``map`` leads from the one to the other. ``spread`` (s) is by
+    how much the middle one of the stamps is later than the least delayed ones, on which the map lies.
     """
 
     t: FloatArray

@@ -44,7 +44,7 @@ class DeviceClock:
     of the host. ``offset_error`` (s) and ``drift_error`` are standard errors, at that moment; ``jitter`` (s)
     is the robust standard deviation of the stamps' delays. Of ``samples`` looked at, ``outliers`` came far
     later than usual. ``stepped`` (s of the host) is by how much the stamps jump in all, either way: 0 for a
-    sound map. ``spread`` (s) is by how much the middle one of the stamps is later than the least delayed ones.
+    sound map. ``spread`` (s) is by how much the middle one of the stamps is later than the earliest.
     """
 
     t_host_ns: int
@@ -75,8 +75,8 @@ class DeviceClock:
     def bound_at(self, t_host_ns: int) -> float:
         """Return a bound of that error, s of the device's world.
 
-        Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's bound
-        is half of the round trip, so half of the delay that is seen to vary is taken for what is not seen,
+        Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's
+        bound is half of the round trip, so half of the delay that is seen to vary is taken for what is not seen,
         beside two standard errors. A latency that never varies is not in it.
         """
         return SURE * self.error_at(t_host_ns) + 0.5 * self.spread

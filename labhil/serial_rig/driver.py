@@ -29,8 +29,8 @@ TAKEN_UP = 0.1
 """s after a first command; until then samples from before it may still come in."""
 
 SILENT, BEHIND, LONGEST_BURST = 0.1, 0.005, 0.03
-"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for at most
-``LONGEST_BURST``."""
+"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for
+``LONGEST_BURST`` at most."""
 
 LARGEST_READ = 1 << 16
 """Bytes that are taken at once; more than an operating system keeps for a port."""

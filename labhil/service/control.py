@@ -415,8 +415,8 @@ class DeviceControl:
             stopped = f"watchdog: commands stopped for {self._config.watchdog:g} s"
             silent = now - self._heard_at > self._config.watchdog / 2
             if silent or now - self._woken_at < self._config.watchdog:
-                # a controller that follows the samples has nothing to say when there are none, and takes a moment
-                # when they come again
+                # a controller that follows the samples has nothing to say when there are none, and takes a
+                # moment when they come again
                 self._quiet = self._config.reconnect
                 self._to_safety(HostState.IDLE, f"{stopped}, as the device sends no samples", "quiet")
             else:

@@ -24,8 +24,8 @@ GIVE_UP = 60.0
 """How long a lost device is looked for, s."""
 
 LATE_NS, UNSURE = 250_000_000, 0.01
-"""A gap by the device's clock and one by the host's agree within what stamps are late by, and this share: more
-than an oscillator is off."""
+"""A gap by the device's clock and one by the host's agree within what stamps are late by, and this share:
+more than an oscillator is off."""
 
 WRAP_NS = (1 << 32) * 1000
 """Where a counter of µs of 32 bits begins anew, as ``micros()`` does; a longer gap has several."""
@@ -94,9 +94,9 @@ def refuse_another(address: str, before: DeviceInfo, now: DeviceInfo) -> None:
 class Continuation:
     """Sequence numbers and the device's clock, carried on across connections.
 
-    After a gap both begin anew at the device. A clock that went on in the same boot tells how long the gap was;
-    else the host's does, and the time across the gap is as sure as the host's stamps. The hole in ``seq`` is as
-    large as samples are missing at ``rate`` (per s of the host).
+    After a gap both begin anew at the device. A clock that went on in the same boot tells how long the gap
+    was; else the host's does, and the time across the gap is as sure as the host's stamps. The hole in ``seq``
+    is as large as samples are missing at ``rate`` (per s of the host).
     """
 
     rate: float

@@ -78,8 +78,8 @@ MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
 class RecordingSummary:
     """What was recorded: ``duration`` in s of the host's clock, from the first sample to the last.
 
-    ``warnings`` say what is wrong with the stamps of the devices' clocks, and what happened to the machine's, a
-    sentence each; once it has ended.
+    ``warnings`` say what is wrong with the stamps of the devices' clocks, and what happened to the machine's,
+    a sentence each; once it has ended.
     """
 
     path: Path

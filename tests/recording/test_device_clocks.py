@@ -56,7 +56,10 @@ def test_the_bound_holds_where_a_whole_recording_was_late():
     # a queue that is never empty, as of a busy machine
     late = 0.001 + 0.0004 + rng.gamma(2.0, 0.0004, len(true))
     watch = ClockWatch()
-    watch.add(START_NS + np.round((true + late) * 1e9).astype(np.int64), np.round((7.0 + true) * 1e9).astype(np.int64))
+    watch.add(
+        START_NS + np.round((true + late) * 1e9).astype(np.int64),
+        np.round((7.0 + true) * 1e9).astype(np.int64),
+    )
     clocks = {"late": watch.clock(), "sound": watched(rng, 0.0, 5.0)}
     found = offsets_between(clocks)["late", "sound"]
     assert abs(found.offset - 2.0) > 3 * found.error

@@ -1,4 +1,4 @@
-"""Numbers and the device's clock go on across a gap: by its own clock where it kept its boot, else by the host's."""
+"""Numbers and times go on across a gap: by the device's own clock where it kept its boot, else by the host's."""
 
 from __future__ import annotations
 
