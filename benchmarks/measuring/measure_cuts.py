@@ -2,8 +2,8 @@
 
     python benchmarks/measuring/measure_cuts.py --cuts 50 -o benchmarks/results/cuts.json
 
-A `labhil run` with ``reconnect = true`` commands a twin through a wire of ours that is cut 50 times, at
-random, for 0.1 to 1 s: the line dead, the port gone, the device without power, bytes held and delivered late, noise;
+A `labhil run` with ``reconnect = true`` commands a twin through a wire that is cut 50 times, at random, for
+0.1 to 1 s: the line dead, the port gone, the device without power, bytes held and delivered late, noise;
 now and then the device boots, or comes back only after some seconds. The wire logs what the twin sent. After
 the run each sample of the recording is held against that log: it has to be one that the twin sent, in order,
 stamped when it came, and the hole in ``seq`` has to be as large as what is missing.
@@ -537,7 +537,7 @@ def gaps(scene: Scene, recording: Recording, matched: Matched, sent: Sent) -> di
         lost = unheard or bool(missing.any() and away[missing].max() > 0.35)
         if (
             not is_marked
-            or (lost and not told & {"lost", "quiet"})
+            or (lost and not told & {"lost", "quiet", "reconnected"})
             or (told & {"lost"} and "reconnected" not in told)
         ):
             unmarked.append(f"{cut.kind}: {sorted(map(str, told - {None}))}")

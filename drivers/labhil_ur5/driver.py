@@ -173,6 +173,9 @@ class Ur5Driver:
         assert self._receiver is not None
         try:
             return self._receiver.packages()
+        except ProtocolError:
+            self._cut_off = True  # the device is looked for anew, and soon
+            raise
         except ConnectError:
             # a connection that breaks while the controller lives leaves a hole and nothing more
             self._receiver.close()

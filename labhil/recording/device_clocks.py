@@ -76,8 +76,8 @@ class DeviceClock:
         """Return a bound of that error, s of the device's world.
 
         Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's
-        bound is half of the round trip, so half of the delay that is seen to vary is taken for what is not seen,
-        beside two standard errors. A latency that never varies is not in it.
+        bound is half of the round trip, so half of the delay that is seen to vary is taken for what is not
+        seen, beside two standard errors. A latency that never varies is not in it.
         """
         return SURE * self.error_at(t_host_ns) + 0.5 * self.spread
 

@@ -95,8 +95,8 @@ class Continuation:
     """Sequence numbers and the device's clock, carried on across connections.
 
     After a gap both begin anew at the device. A clock that went on in the same boot tells how long the gap
-    was; else the host's does, and the time across the gap is as sure as the host's stamps. The hole in ``seq``
-    is as large as samples are missing at ``rate`` (per s of the host).
+    was; else the host's does, and the time across it is as sure as the host's stamps. The hole in ``seq`` is
+    as large as samples are missing at ``rate`` (per s of the host).
     """
 
     rate: float

@@ -1,4 +1,4 @@
-"""Numbers and times go on across a gap: by the device's own clock where it kept its boot, else by the host's."""
+"""Numbers and times go on across a gap: by the device's clock where it kept its boot, else the host's."""
 
 from __future__ import annotations
 
