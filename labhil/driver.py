@@ -69,7 +69,8 @@ class DeviceInfo:
 class Counters:
     """What happened on the wire since the connection was made.
 
-    ``lost`` samples are holes in ``seq``; ``stale`` ones bore the time of the sample before.
+    ``lost`` samples are holes in ``seq``; ``stale`` ones bore the time of the sample before. ``unheard``
+    counts how often the device made itself safe although it was commanded: it heard nothing for so long.
     """
 
     frames: int = 0
@@ -78,6 +79,7 @@ class Counters:
     crc_errors: int = 0
     resyncs: int = 0
     resets: int = 0
+    unheard: int = 0
 
 
 @runtime_checkable

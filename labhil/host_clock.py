@@ -91,6 +91,53 @@ def session_clock() -> Iterator[int]:
         _anchor.close_session()
 
 
+class SuspendWatch:
+    """Notices that the machine was suspended: the monotonic clock stood still, and the steady one did not."""
+
+    def __init__(self) -> None:
+        self._asleep_ns = _asleep_ns()
+
+    def slept(self) -> float:
+        """Return for how long the machine was suspended since the last call, s; some µs mean nothing."""
+        before_ns, self._asleep_ns = self._asleep_ns, _asleep_ns()
+        return (self._asleep_ns - before_ns) * 1e-9
+
+
+class HostClockWatch:
+    """Notices between two looks what happened to the machine's clocks: the wall clock set, a suspend.
+
+    Stamps do not jump by either, but whoever compares them with other times, or wonders where the samples of
+    a minute are, has to know. Changes below ``smallest`` s are not named: NTP slews a clock all the time.
+    """
+
+    def __init__(self, smallest: float = 0.1) -> None:
+        self._smallest = smallest
+        self._wall_ns, self._suspends = _measure_offset(), SuspendWatch()
+
+    def look(self) -> list[tuple[str, str]]:
+        """Return what has happened since the last look: a kind of event and a sentence, each."""
+        happened = []
+        slept = self._suspends.slept()
+        if slept >= self._smallest:
+            happened.append(("suspended", f"the machine was suspended for {slept:.3g} s"))
+        wall_ns = _measure_offset()
+        step = (wall_ns - self._wall_ns) * 1e-9
+        if abs(step) >= self._smallest:
+            ahead = "ahead" if step > 0.0 else "back"
+            message = f"the wall clock was set {ahead} by {abs(step):.6g} s; stamps go on as before"
+            happened.append(("clock_set", message))
+        self._wall_ns = wall_ns
+        return happened
+
+
+def _asleep_ns() -> int:
+    """How long the machine has been suspended since it was started, ns; 0 where that cannot be known."""
+    before = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    steady = steady_ns()
+    after = time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    return steady - (before + after) // 2
+
+
 def _inherit_offset() -> int:
     try:
         return int(os.environ[OFFSET_VARIABLE])

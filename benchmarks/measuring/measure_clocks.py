@@ -19,6 +19,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ from labhil.link import Decoder, MessageType, Unwrapper
 from labhil.recording.reader import read_recording
 from measure_safety import _pass_on, _receive
 from measured import tell
+
+FAST_PPM = 200.0
 
 DEVICE = """
 [devices.NAME]
@@ -126,12 +129,29 @@ def measure(seconds: float, fast_ppm: float, directory: Path) -> dict[str, float
     return {
         "alignment_error_us": round(1e6 * (offset.offset - (true["fast"] - true["even"])), 1),
         "told_error_us": round(1e6 * offset.error, 1),
+        "told_bound_us": round(1e6 * offset.bound, 1),
         "drift_ppm": round(1e6 * clock.drift, 3),
         "told_drift_error_ppm": round(1e6 * clock.drift_error, 3),
         "jitter_us": round(1e6 * clock.jitter, 1),
+        "stepped_ms": round(1e3 * max(clock.stepped, recording.clocks["even"].stepped), 1),
         "outliers": clock.outliers,
         "samples": clock.samples,
         "load_average": round(os.getloadavg()[0], 1),
+    }
+
+
+def covered(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """How often the true error lay within what is stated: twice the standard error, and the bound."""
+    errors = [abs(run["alignment_error_us"]) for run in runs]
+    drifts = [abs(run["drift_ppm"] - FAST_PPM) for run in runs]
+    return {
+        "runs": len(runs),
+        "within_2_sigma": sum(e <= 2 * run["told_error_us"] for e, run in zip(errors, runs, strict=True)),
+        "within_bound": sum(e <= run["told_bound_us"] for e, run in zip(errors, runs, strict=True)),
+        "drift_within_2_sigma": sum(
+            d <= 2 * run["told_drift_error_ppm"] for d, run in zip(drifts, runs, strict=True)
+        ),
+        "without_steps": sum(run["stepped_ms"] == 0.0 for run in runs),
     }
 
 
@@ -146,7 +166,7 @@ def main() -> None:
     for _ in range(options.repeat):
         with tempfile.TemporaryDirectory() as directory:
             os.environ["XDG_RUNTIME_DIR"] = directory
-            figures = measure(options.seconds, 200.0, Path(directory))
+            figures = measure(options.seconds, FAST_PPM, Path(directory))
         print(figures, file=sys.stderr, flush=True)
         if figures is None:
             unusable += 1
@@ -155,8 +175,9 @@ def main() -> None:
     result = {
         "schema": "labhil.clocks/1",
         "seconds": options.seconds,
-        "drift_ppm": 200.0,
+        "drift_ppm": FAST_PPM,
         "unusable": unusable,
+        "covered": covered(runs),
         "runs": runs,
     }
     tell(result, options.out)

@@ -32,7 +32,7 @@ from labhil_ur5.reported_signals import (
     TARGET_COLUMNS,
     TIMESTAMP,
 )
-from labhil_ur5.rtde import Receiver
+from labhil_ur5.rtde import ANSWER_WITHIN, Receiver
 from labhil_ur5.stream_order import row_reader, variable_names
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
@@ -45,6 +45,11 @@ START_TOLERANCE = 1e-3
 POLL_PERIOD = 0.05
 """Longest time in which ``read`` notices a ``close`` from another thread, s."""
 FIRST_SAMPLE_TIMEOUT = 2.0
+RECONNECT_TIMEOUT = 0.3
+"""Time for one answer of the controller where a broken connection is made again, s: meanwhile nobody who asks
+the device's host is answered."""
+CUT_OFF_TIMEOUT = 0.2
+"""Time in which a client that cannot reach the controller any more has to end, s."""
 RESTART_DELAY = 1.0
 """Time from the loss of the client process to its restart, s."""
 PATH_START_TIMEOUT = 0.2
@@ -96,7 +101,7 @@ class Ur5Driver:
         self._read_lock = threading.RLock()
         self._loss_reason = ""
         self._last_loss = self._first_loss = 0.0
-        self._follows_path = False
+        self._follows_path = self._is_cut_off = False
         self._path_started_at = -math.inf
 
     def connect(self) -> DeviceInfo:
@@ -122,8 +127,8 @@ class Ur5Driver:
                 self.close()
                 raise
 
-    def _listen(self) -> None:
-        receiver = Receiver(self.address)
+    def _listen(self, timeout: float = ANSWER_WITHIN) -> None:
+        receiver = Receiver(self.address, timeout)
         try:
             self._check_version(*receiver.greet())
             needed, optional = variable_names()
@@ -179,16 +184,24 @@ class Ur5Driver:
         assert self._receiver is not None
         try:
             return self._receiver.packages()
+        except ProtocolError:
+            self._is_cut_off = True  # the device is looked for anew, and soon
+            raise
         except ConnectError:
             # a connection that breaks while the controller runs causes a gap only
             self._receiver.close()
+            began = time.monotonic()
             try:
-                self._listen()
+                self._listen(RECONNECT_TIMEOUT)
             except ConnectError as error:
+                self._is_cut_off = True
                 raise ConnectError(
                     f"{self.address}: the RTDE connection broke and could not be made again: {error}"
                 ) from error
             self.counters.resyncs += 1
+            if self._follows_path and time.monotonic() - began > COMMAND_TIMEOUT / 2:
+                self.counters.unheard += 1  # no waypoint went out meanwhile, and the client stops without
+                self._is_cut_off = True
             return []
 
     def _rows(self, payloads: Iterable[bytes]) -> list[Row]:
@@ -296,6 +309,12 @@ class Ur5Driver:
             if not self.fault():
                 motion.start()
         elif motion.state is MotionState.IDLE and not at_target and not (is_starting and self._follows_path):
+            if t_hw_ns is not None and self._path_started_at > -math.inf:
+                # the client has not started the path: its connection is broken, or the machine is too busy
+                self._path_started_at = -math.inf
+                self.counters.unheard += 1
+                self._is_cut_off = True
+                return
             if t_hw_ns is not None:
                 raise CommandRefusedError(f"{self.address}: the arm does not stand where its path begins")
             motion.move(q)
@@ -353,7 +372,11 @@ class Ur5Driver:
         """Stop the arm, end its program and close the connection. May be called again."""
         self._closing = True
         with self._read_lock:
-            self._motion.end()
+            if self._is_cut_off:
+                self._motion.end(CUT_OFF_TIMEOUT)
+            else:
+                self._motion.end()
+            self._is_cut_off = False
             if self._receiver is not None:
                 self._receiver.close()
             self._receiver = None

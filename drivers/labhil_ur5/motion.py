@@ -40,6 +40,7 @@ class Motion:
         start_timeout: Time in which the client has to connect and to start its program, s.
         end_timeout: Time in which the client has to end, s.
         stop_timeout: Time in which a dashboard has to stop the program, s.
+        lock_timeout: Time that a request to stop waits for another thread, s, before the dashboard is asked.
     """
 
     def __init__(
@@ -51,9 +52,11 @@ class Motion:
         start_timeout: float = 15.0,
         end_timeout: float = 3.0,
         stop_timeout: float = 1.5,
+        lock_timeout: float = 0.2,
     ) -> None:
         self._max_silence, self._start_timeout = max_silence, start_timeout
         self._end_timeout, self._stop_timeout = end_timeout, stop_timeout
+        self._lock_timeout = lock_timeout
         self._command = [sys.executable, "-P", "-m", "labhil_ur5.client", host, repr(rate)]
         self._host = host
         self._process: subprocess.Popen[bytes] | None = None
@@ -141,14 +144,25 @@ class Motion:
 
     def stop(self) -> None:
         """Stop and hold, by the dashboard where the client is dead. Never raises."""
-        with self._lock:
+        # another thread may be ending the client, which takes seconds, or be blocked by its full pipe
+        if not self._lock.acquire(timeout=self._lock_timeout):
+            self._stop_by_dashboard()
+            return
+        try:
             if self._process is not None and self._process.poll() is None:
                 self.send({"stop": True})
             elif self._process is not None:
                 self._stop_by_dashboard()
+        finally:
+            self._lock.release()
 
-    def end(self) -> None:
-        """Stop the arm, end the controller's program and the client; safe to call twice."""
+    def end(self, timeout: float | None = None) -> None:
+        """Stop the arm, end the controller's program and the client; safe to call twice.
+
+        Args:
+            timeout: Time in which the client has to end, s; None for the usual one. A client that takes
+                longer is killed, and the controller's watchdog stops the arm.
+        """
         with self._lock:
             if self._stopping is not None:
                 self._stopping.join(self._stop_timeout)
@@ -159,7 +173,7 @@ class Motion:
             with contextlib.suppress(OSError):
                 process.stdin.close()
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(self._end_timeout)
+                process.wait(self._end_timeout if timeout is None else timeout)
             if process.poll() != 0:
                 process.kill()
                 process.wait()

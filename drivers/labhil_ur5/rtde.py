@@ -22,6 +22,11 @@ PROTOCOL_VERSION = 2
 ANSWER_TIMEOUT = 3.0
 """Longest time of an answer of the controller, s."""
 CHUNK = 1 << 16
+SILENT, BEHIND, LONGEST_BURST = 0.1, 0.005, 0.03
+"""s: after so long a silence bytes that follow within ``BEHIND`` of one another belong to one queue, for
+``LONGEST_BURST`` at most."""
+LARGEST_READ = 1 << 22
+"""Bytes that are taken at once: seconds of samples."""
 HEADER = struct.Struct(">HB")
 
 ASK_PROTOCOL, ASK_VERSION, SETUP_OUTPUTS, START, DATA = b"VvOSU"
@@ -121,6 +126,7 @@ class Receiver:
             ) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._packages = PackageParser(host)
+        self._received_at = 0.0
         self._early: list[bytes] = []
         self.version: tuple[int, int, int, int] = (0, 0, 0, 0)
 
@@ -183,15 +189,29 @@ class Receiver:
             self._socket.close()
 
     def _receive(self) -> bytes:
-        if not select.select([self._socket], [], [], 0)[0]:
-            return b""
-        try:
-            data = self._socket.recv(CHUNK)
-        except OSError as error:
-            raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
-        if not data:
-            raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
-        return data
+        """All that has come in: what waited, in the network or for a busy machine, came before its last.
+
+        After a silence the first bytes may be the oldest of a queue that follows.
+        """
+        received, began = bytearray(), time.monotonic()
+        wait = BEHIND if began - self._received_at > SILENT else 0.0
+        while len(received) < LARGEST_READ and time.monotonic() - began < LONGEST_BURST:
+            if not select.select([self._socket], [], [], wait if received else 0.0)[0]:
+                break
+            try:
+                data = self._socket.recv(CHUNK)
+            except OSError as error:
+                if received:
+                    break  # the next call says so
+                raise ConnectError(f"{self.host}: the RTDE connection broke: {error}") from error
+            if not data:
+                if received:
+                    break
+                raise ConnectError(f"{self.host}: the controller closed the RTDE connection")
+            received += data
+        if received:
+            self._received_at = began
+        return bytes(received)
 
     def _set_up(self, names: Sequence[str], rate: float) -> tuple[int, list[str]]:
         payload = struct.pack(">d", rate) + ",".join(names).encode()

@@ -39,7 +39,9 @@ def serve_lab(
     lab = load_lab(config) if config is not None else _example_lab()
     check_policies(lab)
     # without a lab file the recordings go to the current folder
-    recordings_folder = make_recordings_folder(lab, folder if folder is not None or config is not None else Path())
+    recordings_folder = make_recordings_folder(
+        lab, folder if folder is not None or config is not None else Path()
+    )
     endpoint = None if connect is None else check_loopback(connect)
     keep_few_arenas()
     with Interruption() as interrupted, open_bus(endpoint) as bus:

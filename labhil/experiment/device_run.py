@@ -40,7 +40,7 @@ from labhil.experiment.plan import DevicePlan
 from labhil.experiment.step_clock import StepClock
 from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
-from labhil.service.messages import Setpoint
+from labhil.service.messages import WATCHDOG, Setpoint
 from labhil.signals import Batch
 
 HOST_DISCOVERY_TIMEOUT = 10.0
@@ -51,6 +51,10 @@ ANSWER_TIMEOUT = 2.0
 
 QUEUE_DEPTH = 2048
 """Messages of a device that may wait: 0.2 s at 10 kHz. A flood of messages delays them by as many."""
+
+MAX_START_AGE = WATCHDOG
+"""s; steps begin at a sample that is not older than this: what waited on a wire or on a busy machine is not
+where the device is now."""
 
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_PAUSED: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
@@ -238,9 +242,10 @@ class DeviceRun:
             for t_ns, values in samples:
                 watch.take(t_ns, values)
         if self._running:
-            self._follow_steps(samples)
+            self._follow_steps(samples, unix_ns() - int(batch.t_acq_ns[-1]))
 
-    def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]]) -> None:
+    def _follow_steps(self, samples: Sequence[tuple[int, Sequence[float]]], age_ns: int) -> None:
+        """Answer samples with a setpoint; the newest of them was acquired ``age_ns`` ago."""
         setpoints: dict[str, float] = {}
         t_hw_ns: int | None = None
         newest_ns = samples[-1][0]
@@ -250,7 +255,7 @@ class DeviceRun:
                 has_arrived = self._approach.has_arrived(setpoints, values)
                 # the steps begin at the newest sample, where the first setpoint can act: on a busy machine
                 # as many samples may have waited as a step is long, and it would be over before that
-                if not has_arrived or t_ns < newest_ns:
+                if not has_arrived or t_ns < newest_ns or age_ns > MAX_START_AGE * 1e9:
                     continue
                 self.clock.start(t_ns)
                 if self._waypoints.rate:

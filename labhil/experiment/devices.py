@@ -23,6 +23,9 @@ from labhil.experiment.plan import DevicePlan
 from labhil.service.hosts import HostProcess
 from labhil.service.messages import HostConfig
 
+OWN_STALL = 1.0
+"""s between two looks of a run, after which it has stood still itself: stopped, or for a busy machine."""
+
 
 class Devices:
     """The devices of one run with their hosts.
@@ -42,6 +45,7 @@ class Devices:
         self.runs: list[DeviceRun] = []
         self._hosts: list[HostProcess] = []
         self._bus, self._holder, self._duration, self._changed = bus, holder, duration, changed
+        self._looked_at = time.monotonic()
 
     def start_host(self, config: HostConfig) -> None:
         """Start the host of one device; does not wait for it."""
@@ -91,6 +95,12 @@ class Devices:
             failure = host.failure()
             if failure is not None:
                 raise failure
+        now, before = time.monotonic(), self._looked_at
+        self._looked_at = now
+        if now - before > OWN_STALL:
+            # what this process has not taken in while it stood still is nobody's silence
+            for run in self.runs:
+                run.heard_at = max(run.heard_at, now)
         for run in self.runs:
             failure_of_run = run.failure()
             if failure_of_run is not None:

@@ -40,7 +40,8 @@ class ClockFit:
         offset_error: standard error of the map in the middle of its longest line, s; None if unknown.
         drift_error: standard error of ``drift``; None if unknown.
         steps: steps of the host's stamps against the device's clock.
-        map: map between both clocks.
+        map: map between both clocks. ``spread`` (s) is by
+    how much the middle one of the stamps is later than the least delayed ones, on which the map lies.
     """
 
     t: FloatArray
@@ -52,6 +53,7 @@ class ClockFit:
     drift_error: float | None = None
     steps: tuple[ClockStep, ...] = ()
     map: ClockMap | None = None
+    spread: float = 0.0
 
 
 def keeps_declared_rate(
@@ -112,7 +114,8 @@ def fit_clock(
     paused = implausible and 0.0 < line.slope < max_pauses and _is_even(device)
     if implausible and not steady and not paused:
         return ClockFit(host * speed, 0.0, 0.0, 0, device_clock=False)
-    jitter, outliers = _jitter(host - clock_map.host(x))
+    late = host - clock_map.host(x)
+    jitter, outliers = _jitter(late)
     begin = float(clock_map.steady_host(np.zeros(1))[0])
     return ClockFit(
         t=np.asarray(device + speed * begin, dtype=np.float64),
@@ -125,6 +128,7 @@ def fit_clock(
         drift_error=None if implausible else line.slope_error,
         steps=steps,
         map=clock_map,
+        spread=max(float(np.median(late)), 0.0) * speed,
     )
 
 

@@ -27,6 +27,9 @@ OFFSETS = "clock_offsets"
 MAX_STAMPS = 16384
 """Largest number of stamps of a device that are kept; of more, those with the least delay."""
 
+STANDARD_ERRORS = 2.0
+"""Standard errors of a bound: 95 % of a normal distribution lie within."""
+
 MAX_ARRAYS = 512
 """Arrays of stamps from which they are joined: an array of one sample takes ten times its content."""
 
@@ -46,6 +49,7 @@ class DeviceClock:
         samples: number of stamps used.
         outliers: number of stamps with unusual delays.
         stepped: sum of the absolute steps of the host's stamps, s of the host; 0 for a sound map.
+        spread: median delay of the stamps over the least one, s.
     """
 
     t_host_ns: int
@@ -58,6 +62,7 @@ class DeviceClock:
     samples: int
     outliers: int
     stepped: float = 0.0
+    spread: float = 0.0
 
     def device_ns(self, t_host_ns: int) -> int:
         """What the device's clock shows at Unix time ``t_host_ns``, ns."""
@@ -72,14 +77,31 @@ class DeviceClock:
         drift_error = (t_host_ns - self.t_host_ns) * 1e-9 * self.speed * self.drift_error
         return hypot(self.offset_error, drift_error, self.stepped * self.speed)
 
+    def bound_at(self, t_host_ns: int) -> float:
+        """Return a bound of that error, s of the device's world.
+
+        Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's
+        bound is half of the round trip, so half of the delay that is seen to vary is taken for what is not
+        seen, beside two standard errors. A latency that never varies is not in it.
+        """
+        return STANDARD_ERRORS * self.error_at(t_host_ns) + 0.5 * self.spread
+
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """Lead of one device's clock over another's at ``t_host_ns``, s, with its standard error."""
+    """Lead of one device's clock over another's.
+
+    Attributes:
+        offset: the lead, s.
+        error: standard error that the scatter of the stamps gives, s.
+        t_host_ns: Unix time at which it holds.
+        bound: bound of the error, s, with what the stamps cannot show (:meth:`DeviceClock.bound_at`).
+    """
 
     offset: float
     error: float
     t_host_ns: int
+    bound: float = 0.0
 
 
 class StampCollector:
@@ -172,6 +194,7 @@ def estimate_device_clock(stamps: Stamps, fit: ClockFit | None = None) -> Device
         samples=len(stamps.seq),
         outliers=fit.outliers,
         stepped=float(sum(abs(step.size) for step in fit.steps)),
+        spread=fit.spread,
     )
 
 
@@ -190,7 +213,9 @@ def pairwise_offsets(clocks: Mapping[str, DeviceClock]) -> dict[tuple[str, str],
             continue
         t_ns = (a.t_host_ns + b.t_host_ns) // 2
         offset = (a.device_ns(t_ns) - b.device_ns(t_ns)) * 1e-9
-        offsets[first, second] = ClockOffset(offset, hypot(a.error_at(t_ns), b.error_at(t_ns)), t_ns)
+        error = hypot(a.error_at(t_ns), b.error_at(t_ns))
+        bound = STANDARD_ERRORS * error + 0.5 * (a.spread + b.spread)
+        offsets[first, second] = ClockOffset(offset, error, t_ns, bound)
     return offsets
 
 

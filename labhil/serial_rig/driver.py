@@ -25,6 +25,19 @@ from labhil.signals import Batch
 MAX_READ_WAIT = 0.05
 """Longest wait of ``read`` for bytes, s, and so of a ``close`` from another thread."""
 
+COMMAND_DELAY = 0.1
+"""s after a first command; until then samples from before it may still come in."""
+
+MIN_SILENCE, MAX_FRAME_GAP, MAX_BURST = 0.1, 0.005, 0.03
+"""s: after so long a silence bytes that follow within ``MAX_FRAME_GAP`` of one another belong to one queue, for
+``MAX_BURST`` at most."""
+
+MAX_READ_BYTES = 1 << 16
+"""Bytes that are taken at once; more than an operating system keeps for a port."""
+
+MAX_DELAY = 10.0
+"""s; bytes that waited for longer than that are of a device that was given up, or its clock went astray."""
+
 
 class SerialDriver:
     """Satisfies :class:`labhil.driver.Driver`; a plugin sets ``rig`` and its ``spec``.
@@ -45,6 +58,9 @@ class SerialDriver:
         # reentrant: a signal handler may close the driver in the middle of a read
         self._reading = threading.RLock()
         self._writing = threading.RLock()
+        self._first_command_at: float | None = None
+        self._is_commanded = False
+        self._received_at = 0.0
 
     def connect(self) -> DeviceInfo:
         """Open the port, wait for HELLO and send the configuration; the device is in its safe state then.
@@ -78,6 +94,8 @@ class SerialDriver:
         self._numbers = {MessageType.STATE: Unwrapper(16), MessageType.SAMPLES: Unwrapper(32)}
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
+        self._acquired_ns = 0
+        self._first_command_at, self._is_commanded = None, False
         self._scaler = Scaler(self.rig, hello)
         self._closing = False
         self.spec = self.rig.spec_of(hello)
@@ -104,24 +122,60 @@ class SerialDriver:
                 if self._failure is not None:
                     raise self._failure
                 remaining = deadline - time.monotonic()
-                data = self._port.receive(min(max(remaining, 0.0), MAX_READ_WAIT))
+                data = self._receive(self._port, min(max(remaining, 0.0), MAX_READ_WAIT))
                 pieces = self._take(self._decoder.feed(data), unix_ns())
                 if remaining <= 0.0 and self._failure is None:
                     break
             self._update_counters()
         return Batch.joined(pieces, self._scaler.width)
 
-    def _take(self, frames: Sequence[Frame], t_acq_ns: int) -> list[Batch]:
+    def _receive(self, port: Port, timeout: float) -> bytes:
+        """All that has come in; of a queue the last frame is the new one.
+
+        After a silence the first bytes may be the oldest of a queue that follows.
+        """
+        data = more = port.receive(timeout)
+        if data:
+            wait = MAX_FRAME_GAP if time.monotonic() - self._received_at > MIN_SILENCE else 0.0
+            self._received_at = time.monotonic()
+            while more and len(data) < MAX_READ_BYTES and time.monotonic() - self._received_at < MAX_BURST:
+                try:
+                    more = port.receive(wait)
+                except ConnectError:  # the next read says so, once what came before it is taken
+                    break
+                data += more
+        return data
+
+    def _take(self, frames: Sequence[Frame], now_ns: int) -> list[Batch]:
         pieces: list[Batch] = []
-        for frame in frames:
+        for frame, delay_ns in zip(frames, self._delays_of(frames), strict=True):
+            self._acquired_ns = max(self._acquired_ns, now_ns - delay_ns)
             try:
-                piece = self._decode_frame(frame, t_acq_ns)
+                piece = self._decode_frame(frame, self._acquired_ns)
             except DeviceError as error:
                 self._failure = error
                 break
             if piece is not None:
                 pieces.append(piece)
         return pieces
+
+    def _delays_of(self, frames: Sequence[Frame]) -> list[int]:
+        """Time that each of the frames of one read waited on its way, ns of the host.
+
+        The newest frame came in now, and the others before it by the device's clock: what waited in an
+        adapter or for a busy machine is older than the newest.
+        """
+        delays_ns: list[int] = []
+        newest: int | None = None
+        for frame in reversed(frames):
+            if frame.type not in self._numbers:
+                newest = None  # a boot: the clock restarts
+                delays_ns.append(0)
+                continue
+            newest = frame.t_us if newest is None else newest
+            delay_ns = ((newest - frame.t_us) & 0xFFFFFFFF) / self._hello.speed * 1000
+            delays_ns.append(round(delay_ns) if delay_ns < MAX_DELAY * 1e9 else 0)
+        return delays_ns[::-1]
 
     def _decode_frame(self, frame: Frame, t_acq_ns: int) -> Batch | None:
         if frame.type == MessageType.HELLO:
@@ -160,6 +214,11 @@ class SerialDriver:
                 f"{self.address}: expected an output of {self.spec.longest_output:g} s at most without a"
                 " break, found that it lasted longer: the device has ended it"
             )
+        if flags & StateFlag.SAFE:
+            self.counters.unheard += self._is_commanded
+            self._is_commanded = False
+        elif self._first_command_at is not None and time.monotonic() - self._first_command_at > COMMAND_DELAY:
+            self._is_commanded = True
 
     def _check_boot(self, hello: Hello) -> None:
         if hello.boot_id != self._hello.boot_id:
@@ -197,6 +256,8 @@ class SerialDriver:
             names = [command.name for command in self.spec.commands]
             raw = tuple(scale.raw(values[name]) for name, scale in zip(names, scales, strict=True))
             self._sender.send(MessageType.SET, SetCommand(raw).pack())
+            if self._first_command_at is None:
+                self._first_command_at = time.monotonic()
 
     def _check_command(self, name: str, value: float) -> None:
         if name not in self.spec.ranges:
@@ -210,6 +271,7 @@ class SerialDriver:
     def safe(self) -> None:
         """Bring the device to its safe output, until the next command; never raises."""
         with self._writing, contextlib.suppress(DeviceError):
+            self._first_command_at, self._is_commanded = None, False
             if self._port is not None:
                 self._sender.send(MessageType.SAFE)
 

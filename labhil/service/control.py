@@ -24,7 +24,7 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
-from labhil.host_clock import unix_ns
+from labhil.host_clock import SuspendWatch, unix_ns
 from labhil.service.commands import COMMANDS, is_guarded, reader_of
 from labhil.service.declared import command_stream, stream_metadata
 from labhil.service.inbox import Inbox
@@ -84,9 +84,12 @@ class DeviceControl:
         self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
         self._last_sample_at = 0.0
+        self._resumed_at = -math.inf
         self._has_samples = False
         self._is_silent = False
         self._is_recovering = False
+        self._unheard = 0
+        self._suspends = SuspendWatch()
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -152,10 +155,14 @@ class DeviceControl:
         """Read samples, answer requests and check the watchdog; return the time of this turn."""
         self._check_bus()
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(previous) else IDLE_TIMEOUT)
+        self._check_suspend()
         now = time.monotonic()
         if len(batch):
+            if now - self._last_sample_at > self._config.watchdog / 2:
+                self._resumed_at = now
             self._last_sample_at, self._has_samples = now, True
             self._take_in(self._continuation.apply(batch))
+            self._check_device_heard(now)
         elif now - self._last_sample_at > MAX_SILENCE:
             raise DeviceSilentError(
                 f"{self._config.address}: the device said nothing for {MAX_SILENCE:g} s; "
@@ -167,6 +174,29 @@ class DeviceControl:
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
         self._check_watchdog(now, now - previous)
         return now
+
+    def _check_suspend(self) -> None:
+        """Raise DeviceSilentError where the machine was suspended.
+
+        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that.
+        """
+        if (slept := self._suspends.slept()) > MAX_SILENCE:
+            raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
+
+    def _check_device_heard(self, now: float) -> None:
+        """Note that the device made itself safe, as it no longer heard us, though its samples come in.
+
+        Raises DeviceSilentError where a lost device is looked for: the configuration is sent again then, and
+        the device has to confirm it. Else the run goes on, and the output comes from the safe value.
+        """
+        unheard, self._unheard = self._driver.counters.unheard - self._unheard, self._driver.counters.unheard
+        if unheard <= 0 or self.state is not HostState.ACTIVE:
+            return
+        message = f"{self._config.address}: the device heard no command for so long that it made itself safe"
+        if self._config.reconnect:
+            raise DeviceSilentError(message)
+        self._output.begin_from_safe(now)
+        self._announce("unheard", message)
 
     def _check_bus(self) -> None:
         """Raise BusError where a part of the bus failed: a host that hears nothing must not command."""
@@ -189,10 +219,12 @@ class DeviceControl:
         finally:
             search.cancel()
         refuse_another(self._config.address, self._info, info)
-        boot = "the same boot" if info.boot_id == self._info.boot_id else "it has booted again"
+        same_boot = info.boot_id == self._info.boot_id
+        boot = "the same boot" if same_boot else "it has booted again"
         self._info = info
-        self._has_samples, self._is_silent = False, False
-        self._continuation.note_new_connection()
+        self._has_samples, self._is_silent, self._unheard = False, False, 0
+        self._suspends.slept()
+        self._continuation.note_new_connection(same_boot=same_boot)
         gap = time.monotonic() - lost_at
         self._note_return(f"after {gap:.2f} s the device is back, its configuration sent again: {boot}")
 
@@ -256,6 +288,10 @@ class DeviceControl:
         for request in self._inbox.take(patience):
             try:
                 answer = self._answers[request.name](request.payload, now)
+            except DeviceSilentError as error:
+                if request.answer is not None:
+                    request.answer.set_exception(CommandRefusedError(str(error)))
+                raise
             except CommandRefusedError as error:
                 if request.answer is None:
                     self._check_latch(now)  # an emergency stop is announced before the refusal it causes
@@ -355,6 +391,7 @@ class DeviceControl:
         age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
         oldest = self._config.watchdog
         if age > oldest:
+            self._check_suspend()
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
             raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")
@@ -375,8 +412,10 @@ class DeviceControl:
         self._output.unheard += min(turn, MAX_TURN)
         if self._output.unheard > self._config.watchdog:
             message = f"watchdog: commands stopped for {self._config.watchdog:g} s"
-            if now - self._last_sample_at > self._config.watchdog / 2:
-                # a controller that answers samples sends nothing when there are none
+            is_silent = now - self._last_sample_at > self._config.watchdog / 2
+            if is_silent or now - self._resumed_at < self._config.watchdog:
+                # a controller that answers samples sends nothing when there are none, and needs a moment when
+                # they resume
                 self._is_silent = self._config.reconnect
                 self._to_safety(HostState.IDLE, f"{message}, as the device sends no samples", "quiet")
             else:

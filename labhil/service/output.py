@@ -58,6 +58,11 @@ class Output:
         """Prepare the first command, which may change as much as in one sample period after any pause."""
         self.sent_at = now - self._sample_period
 
+    def begin_from_safe(self, now: float) -> None:
+        """The device went to its safe output by itself: the next command starts from there."""
+        self.begin(now)
+        self.applied = dict(self._safe)
+
     def take(self, values: Mapping[str, float]) -> None:
         """Note requested values; they must be finite and known."""
         self.requested.update(values)

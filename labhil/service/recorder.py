@@ -30,7 +30,7 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
-from labhil.host_clock import unix_ns
+from labhil.host_clock import HostClockWatch, unix_ns
 from labhil.recording.device_clocks import DeviceClock, StampCollector, clocks_to_metadata
 from labhil.recording.stamps import HOST_CLOCK
 from labhil.recording.writer import RecordingWriter, media_type
@@ -65,6 +65,9 @@ UNEXPLAINED = (
     ArithmeticError,
 )
 """A publisher that is not known yet, or gone for good, or that says something else than what a stream is."""
+
+MOST_TOLD = 20
+"""How often a recording's warnings say that the wall clock was set, or the machine suspended."""
 
 MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
 """How many events of a device that are none are kept as text, and how many bytes of each."""
@@ -112,6 +115,8 @@ class Recorder:
         self._queue: queue.Queue[tuple[str, list[bytes]] | None] = queue.Queue()
         self._arrived_at = time.monotonic()
         self._status_at = time.monotonic()
+        self._host_clocks = HostClockWatch()
+        self._happened: list[str] = []
         self._writer = RecordingWriter(path)
         self._finished = False
         self._warnings: tuple[str, ...] = ()
@@ -348,6 +353,10 @@ class Recorder:
         self._writer.event(
             "recorder", now, {"streams": streams, "queued": self._queue.qsize()}, topic="status"
         )
+        for kind, message in self._host_clocks.look():
+            self._writer.event("recorder", now, {"kind": kind, "message": message})
+            if len(self._happened) < MOST_TOLD:
+                self._happened.append(message)
 
     def _write_rest(self, exit_status: str, reason: str) -> None:
         """Write the last status, samples without a schema, and the end of the file."""
@@ -361,13 +370,14 @@ class Recorder:
                 self._keep_unexplained(channel)
         lost = self._ends.count_missing(self._channels.values())
         self._write_status()
-        self._warnings = lost + tuple(
+        notes = lost + tuple(
             f"{channel.device}/{channel.stream}: {fault.statement}"
             for channel in self._channels.values()
             for fault in channel.clock_faults()
         )
-        for warning in self._warnings:
-            self._note(warning)
+        for note in notes:
+            self._note(note)
+        self._warnings = notes + tuple(self._happened)
         for name, table in clocks_to_metadata(self._clocks()).items():
             self._writer.metadata(name, table)
         self._writer.finish(exit_status, reason)

@@ -296,3 +296,13 @@ def test_what_strangers_publish_is_left_out_and_said(bus, tmp_path):
     said = [str(event.body["message"]) for event in recording.events if event.body.get("kind") == "rejected"]
     for key in (stream_key("bench", "state"), "lab/nobody/event", "lab/bench/@schema/state"):
         assert any(f"refused at {key}: not authenticated" in text for text in said), said
+
+
+def test_what_happens_to_the_machines_clocks_stands_in_the_recording_and_is_told(bus, tmp_path, monkeypatch):
+    wall = time.time_ns
+    with Recorder(bus, tmp_path / "a.mcap") as recorder:
+        monkeypatch.setattr(time, "time_ns", lambda: wall() + 3_600_000_000_000)
+        summary = recorder.finish("0", "done")
+    assert summary.warnings == ("the wall clock was set ahead by 3600 s; stamps go on as before",)
+    (event,) = [e for e in read_recording(summary.path).events if e.body.get("kind") == "clock_set"]
+    assert event.device == "recorder" and event.body["message"] == summary.warnings[0]

@@ -42,10 +42,29 @@ def test_two_clocks_200_ppm_apart_are_aligned_within_the_error_that_is_told():
         elapsed = (found.t_host_ns - START_NS) * 1e-9 - 0.001  # both wires have the same latency
         truth = 95.0 + 200e-6 * elapsed
         assert abs(found.offset - truth) < 1e-4 and found.error < 1e-4
+        assert abs(found.offset - truth) < found.bound < 3e-3
         misses.append((found.offset - truth) / found.error)
         assert clocks["a"].drift == pytest.approx(200e-6, abs=6 * clocks["a"].drift_error)
         assert clocks["a"].outliers > 50
     assert np.mean(np.abs(misses) < 2.0) >= 0.9
+
+
+def test_the_bound_holds_where_a_whole_recording_was_late():
+    """What all stamps of one wire share does not scatter: only how late they usually are tells of it."""
+    rng = np.random.default_rng(7)
+    true = np.arange(6000) / 100.0
+    # a queue that is never empty, as of a busy machine
+    late = 0.001 + 0.0004 + rng.gamma(2.0, 0.0004, len(true))
+    watch = StampCollector()
+    watch.add(
+        START_NS + np.round((true + late) * 1e9).astype(np.int64),
+        np.round((7.0 + true) * 1e9).astype(np.int64),
+    )
+    clocks = {"late": watch.clock(), "sound": watched(rng, 0.0, 5.0)}
+    found = pairwise_offsets(clocks)["late", "sound"]
+    assert abs(found.offset - 2.0) > 3 * found.error
+    assert abs(found.offset - 2.0) < found.bound
+    assert clocks["late"].bound_at(found.t_host_ns) > 2 * clocks["late"].error_at(found.t_host_ns)
 
 
 def test_a_host_clock_that_was_set_makes_an_offset_as_unsure_as_it_jumped():

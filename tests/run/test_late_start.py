@@ -70,14 +70,17 @@ def test_a_step_is_not_over_before_it_was_asked_for(tmp_path: Path) -> None:
     device = ConnectedDevice(stream, plan.spec.safe, 1.0, "", "")
     codec = Codec(stream)
 
-    def samples(first: int, count: int) -> list[bytes]:
+    def samples(first: int, count: int, age: float = 0.0) -> list[bytes]:
         seq = np.arange(first, first + count)
-        t_ns = seq * 10_000_000
-        return codec.encode(Batch(seq, t_ns, t_ns, np.zeros((count, len(stream.columns())))))
+        came_ns = np.full(count, unix_ns() - round(age * 1e9))
+        return codec.encode(Batch(seq, came_ns, seq * 10_000_000, np.zeros((count, len(stream.columns())))))
 
     with open_bus() as bus, DeviceRun(bus, plan, device, 1.0, changed, Refusals()) as run:
         key = stream_key("bench", stream.name)
         run.start()
+        for first in range(-300, 0, 50):
+            run._take_samples(key, samples(first, 50, age=0.5))  # in pieces, and each of them old
+        assert run.elapsed == 0.0
         run._take_samples(key, samples(0, 300))  # three seconds of them at once, of a step of one second
         assert not run.done
         assert run.elapsed == 0.0

@@ -310,7 +310,9 @@ def _hidden_effects() -> list[tuple[str, int | None]]:
     return effects
 
 
-def _draw_parameter(name: str, default: float | PerJoint, joint: int | None, rng: np.random.Generator) -> float:
+def _draw_parameter(
+    name: str, default: float | PerJoint, joint: int | None, rng: np.random.Generator
+) -> float:
     """Draw the value of one of an effect's parameters."""
     value = default if isinstance(default, float) else default[joint or 0] or max(default)
     if name in KNOWN_PARAMETERS:
