@@ -32,7 +32,7 @@ from labhil_ur5.reported_signals import (
     TARGET_COLUMNS,
     TIMESTAMP,
 )
-from labhil_ur5.rtde import ANSWER_WITHIN, Receiver
+from labhil_ur5.rtde import ANSWER_TIMEOUT, Receiver
 from labhil_ur5.stream_order import row_reader, variable_names
 
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
@@ -127,7 +127,7 @@ class Ur5Driver:
                 self.close()
                 raise
 
-    def _listen(self, timeout: float = ANSWER_WITHIN) -> None:
+    def _listen(self, timeout: float = ANSWER_TIMEOUT) -> None:
         receiver = Receiver(self.address, timeout)
         try:
             self._check_version(*receiver.greet())

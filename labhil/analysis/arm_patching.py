@@ -120,7 +120,8 @@ def repair_arm(
         )
     )
     return Patch(
-        out, code, tuple(candidate.text.changes), tuple(candidate.remaining), unified_diff(candidate.text, out),
+        out, code, tuple(candidate.text.changes), tuple(candidate.remaining),
+        unified_diff(candidate.text, out),
         source.promised, promised.rmse, before.rmse, tuple(attempts), "noise floors", joints,
         companion.unsupported,
     )  # fmt: skip

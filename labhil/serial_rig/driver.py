@@ -29,8 +29,8 @@ COMMAND_DELAY = 0.1
 """s after a first command; until then samples from before it may still come in."""
 
 MIN_SILENCE, MAX_FRAME_GAP, MAX_BURST = 0.1, 0.005, 0.03
-"""s: after so long a silence bytes that follow within ``MAX_FRAME_GAP`` of one another belong to one queue, for
-``MAX_BURST`` at most."""
+"""s: after so long a silence bytes that follow within ``MAX_FRAME_GAP`` of one another belong to one queue,
+for ``MAX_BURST`` at most."""
 
 MAX_READ_BYTES = 1 << 16
 """Bytes that are taken at once; more than an operating system keeps for a port."""
