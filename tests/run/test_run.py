@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.errors import RecordingError
 from labhil.experiment.experiment import parse_experiment
@@ -73,7 +73,7 @@ class Cli:
     def start(self, text: str, *options: str) -> subprocess.Popen[str]:
         (self.directory / "experiment.toml").write_text(text)
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "labhil", "run", "experiment.toml", *options],
+            [*PATIENT_LABHIL, "run", "experiment.toml", *options],
             cwd=self.directory,
             env={**os.environ, MARK: self.mark},
             stdin=subprocess.DEVNULL,
