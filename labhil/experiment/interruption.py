@@ -57,6 +57,16 @@ def in_place_of(error: LabhilError | None) -> LabhilError | None:
     return error
 
 
+def reason_of(error: LabhilError) -> str:
+    """Return what an error says, with the emergency stop that stands beside it.
+
+    A run that something else has ended a moment before states both: the stop has to be released before the
+    next.
+    """
+    standing, reason = _standing(), str(error)
+    return reason if standing is None or "emergency stop" in reason else f"{reason}; {standing}"
+
+
 def _standing() -> EmergencyStopError | None:
     try:
         standing = read_latch()

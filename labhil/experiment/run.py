@@ -35,7 +35,7 @@ from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, at_once, host_config
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.hooks import Hook
-from labhil.experiment.interruption import Interruption, in_place_of, raise_standing_stop
+from labhil.experiment.interruption import Interruption, in_place_of, raise_standing_stop, reason_of
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
@@ -141,8 +141,9 @@ class _Run:
                     return self._record(self._bus, twins)
             except LabhilError as error:
                 # only what happens before there is a recorder, or to the recorder itself, comes by here
-                self._give_up(str(error))
-                return RunResult(self._existing_recording(), error.exit_status, 0.0, (), str(error), error)
+                reason = reason_of(error)
+                self._give_up(reason)
+                return RunResult(self._existing_recording(), error.exit_status, 0.0, (), reason, error)
             finally:
                 self._bus = None
 
@@ -192,7 +193,7 @@ class _Run:
             finally:
                 failure = self._stop(recorder, devices, error, reason)
             error = in_place_of(recorder.failure or error or failure)
-            reason = reason if error is None else str(error)
+            reason = reason if error is None else reason_of(error)
             self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()
             status = 0 if error is None else error.exit_status

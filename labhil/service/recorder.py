@@ -3,7 +3,8 @@
 A thread of the subscription hands payloads over; one writer thread learns what a stream is (its publisher
 says so before the first sample, and is asked where that was missed), stores the bytes, counts the holes
 in ``seq`` and forces the file to the disk. A stream whose publisher dies is kept as far as it came; a
-disk that fails ends the recording, but never holds up the publishers.
+disk that fails ends the recording, but never holds up the publishers. What a slow disk has not taken yet
+waits in memory; where too much waits, the recording ends with all that waits.
 """
 
 from __future__ import annotations
@@ -93,6 +94,12 @@ class Recorder:
     ``failure`` tells why the recording ended early (the disk), None while all is well; ``on_failure`` is
     called once it does, in the writer's thread. One that ``waits`` keeps events from the start, and of the
     samples before :meth:`begin` only the newest second: devices of one run are not ready at the same time.
+
+    ``most_queued`` is how much may wait for the disk, bytes, before :meth:`check` says that the disk is too
+    slow: some minutes of a fast device, as much as waits for an explanation. What comes beyond twice that,
+    while the run ends, is left out and counted as missing. A disk that takes longer than ``slow_flush`` (s)
+    for what is forced to it is called slow, in an event and in the summary's warnings: one that spins up
+    takes a second.
     """
 
     def __init__(
@@ -104,8 +111,16 @@ class Recorder:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         waits: bool = False,
         on_failure: Callable[[], object] = lambda: None,
+        most_queued: int = MOST_WAITING,
+        slow_flush: float = 2.0,
     ) -> None:
         self._waits = waits
+        self._most_queued, self._slow_flush = most_queued, slow_flush
+        # each counted by one thread: bytes that came in and were kept, and those taken for the file
+        self._received = self._taken = 0
+        self._longest_queue = 0
+        self._left_out = 0
+        self._is_called_slow = False
         self.failure: RecordingFailedError | None = None
         self._deaf: RecordingFailedError | None = None
         self._on_failure = on_failure
@@ -187,6 +202,13 @@ class Recorder:
 
     def _receive(self, key: str, payloads: list[bytes]) -> None:
         self._arrived_at = time.monotonic()
+        size = sum(map(len, payloads))
+        queued = self._received + size - self._taken
+        if queued > 2 * self._most_queued:
+            self._left_out += len(payloads)
+            return
+        self._received += size
+        self._longest_queue = max(self._longest_queue, queued)
         self._queue.put((key, payloads))
 
     def check(self) -> None:
@@ -196,6 +218,12 @@ class Recorder:
             why = next((why for part in parts if (why := part.failure())), "")
             if why:
                 self._deaf = RecordingFailedError(f"{self._writer.path}: the recorder failed: {why}")
+            elif (queued := self._received - self._taken) > self._most_queued:
+                self._deaf = RecordingFailedError(
+                    f"{self._writer.path}: the recording ended early, because the disk is too slow: "
+                    f"{queued / 1e6:.1f} MB wait to be written; they are written before the recording ends"
+                )
+            if self._deaf is not None:
                 raise self._deaf
         if self.failure is not None:
             raise self.failure
@@ -220,6 +248,7 @@ class Recorder:
             if item is None:
                 return
             self._guard(self._take, *item)
+            self._taken += sum(map(len, item[1]))
             self._guard(self._tick)
 
     def _guard(self, action: Callable[..., None], *args: Any) -> None:
@@ -284,6 +313,22 @@ class Recorder:
         if time.monotonic() >= self._status_at:
             self._write_status()
         self._writer.flush_when_due()
+        if not self._is_called_slow and (slow := self._slowness()):
+            self._is_called_slow = True
+            self._writer.event("recorder", unix_ns(), {"kind": "slow_disk", "message": slow})
+
+    def _slowness(self) -> str:
+        """What is to be said of a slow disk; "" of one that is none."""
+        longest, megabytes = self._writer.longest_flush, self._longest_queue / 1e6
+        if longest <= self._slow_flush and not self._left_out:
+            return ""
+        lost = "nothing is lost"
+        if self._left_out:
+            lost = f"{self._left_out} messages found no room and are missing"
+        return (
+            f"the disk is slow: it took up to {longest:.1f} s for what was forced to it, and up to "
+            f"{megabytes:.2f} MB waited for it; {lost}"
+        )
 
     def _store(self, channel: RecordedStream) -> None:
         """Write what waits, as soon as it is known what it is."""
@@ -364,10 +409,15 @@ class Recorder:
                 self._keep_unexplained(channel)
         lost = self._ends.count_missing(self._channels.values())
         self._write_status()
-        self._warnings = lost + tuple(
-            f"{channel.device}/{channel.stream}: {fault.statement}"
-            for channel in self._channels.values()
-            for fault in channel.clock_faults()
+        slow = self._slowness()
+        self._warnings = (
+            lost
+            + ((slow,) if slow else ())
+            + tuple(
+                f"{channel.device}/{channel.stream}: {fault.statement}"
+                for channel in self._channels.values()
+                for fault in channel.clock_faults()
+            )
         )
         for warning in self._warnings:
             self._note(warning)
