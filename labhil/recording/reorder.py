@@ -11,7 +11,7 @@ from mcap.records import Channel
 
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
-from labhil.recording.message_store import Message
+from labhil.recording.message_store import Message, channels_of
 from labhil.recording.runs import MixedRunsError, late, order_of
 
 BLOCK = 1 << 14
@@ -71,9 +71,9 @@ def _places(messages: Sequence[Message], channels: Mapping[int, Channel]) -> dic
     """Where the messages of each stream of ours stand, by its channel."""
     places: dict[int, array[int]] = {}
     ours = {number for number, channel in channels.items() if "labhil.stream" in channel.metadata}
-    for place, message in enumerate(messages):
-        if message.channel in ours:
-            places.setdefault(message.channel, array("Q")).append(place)
+    for place, number in enumerate(channels_of(messages)):
+        if number in ours:
+            places.setdefault(number, array("Q")).append(place)
     return places
 
 

@@ -138,7 +138,7 @@ class _Walk:
                 let_go_at = end
         self._judge_stray()
         names = self._names
-        names.settle({message.channel for message in result.messages})
+        names.settle(set(result.messages.channels))
         result.schemas, result.channels, result.spliced = names.schemas, names.channels, names.renumbered
         return result
 
