@@ -243,7 +243,8 @@ def press(relay: Relay, state: str, way: str) -> dict[str, Any]:
         recording = read_recording(paths[0]) if paths else None
         end = {} if recording is None else recording.metadata.get("end", {})
         outcome["recorded_reason"] = end.get("reason", "no end")
-        if "commands stopped" in outcome["recorded_reason"]:
+        reasons = outcome["recorded_reason"] + outcome["said"]
+        if "commands stopped" in reasons and "emergency stop" not in reasons:
             raise ValueError("the machine was too busy: the watchdog had ended the run before")
         outcome["recorded"] = recording is not None and any(
             "emergency stop" in str(event.body.get("message", "")) for event in recording.events

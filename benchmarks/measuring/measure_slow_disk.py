@@ -15,6 +15,7 @@ behind a relay that sees when the device is safe: the disk takes too little, so 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import platform
 import subprocess
@@ -195,12 +196,18 @@ def main() -> None:
     parser.add_argument(
         "--run-bytes", type=int, default=20_000, help="bytes a second that a run's disk takes"
     )
+    parser.add_argument("--only", help="parts of names: half,still,too slow,run")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
-    result: dict[str, Any] = {"schema": "labhil.slow_disk/1", "recorder": {}}
+    result: dict[str, Any] = {"schema": "labhil.slow_disk/1", "recorder": {}, "run": []}
+    wanted = [*SLOW, "run"]
+    if options.only:
+        wanted = [name for name in wanted if any(part in name for part in options.only.split(","))]
+        if options.out is not None and options.out.exists():
+            result = json.loads(options.out.read_text())  # the others stay
     loads = [os.getloadavg()[0]]
     with slow_disk() as disk:
-        for how in SLOW:
+        for how in [name for name in wanted if name in SLOW]:
             trials = []
             for _ in range(options.repeat):
                 try:
@@ -218,7 +225,7 @@ def main() -> None:
             }
         trials = []
         with twin_behind_a_relay("solenoid", SAMPLING) as relay:
-            for _ in range(options.repeat):
+            for _ in range(options.repeat if "run" in wanted else 0):
                 try:
                     trials.append(run_ended(disk, relay, options.run_bytes))
                 except (LabhilError, ValueError, TimeoutError, subprocess.TimeoutExpired) as error:
@@ -226,8 +233,8 @@ def main() -> None:
                 latch.release()
                 loads.append(os.getloadavg()[0])
                 print(f"run: {trials[-1]}", file=sys.stderr, flush=True)
-        result["run"] = trials
-    result["load_average"] = [round(min(loads), 1), round(max(loads), 1)]
+        result["run"] = trials if "run" in wanted else result["run"]
+    result.setdefault("load_average", {})["; ".join(wanted)] = [round(min(loads), 1), round(max(loads), 1)]
     result["machine"] = {"cores": os.cpu_count(), "python": platform.python_version()}
     tell(result, options.out)
 
