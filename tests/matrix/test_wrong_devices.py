@@ -26,7 +26,7 @@ from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.recording import read_recording
 
-PATIENCE = 30.0
+PATIENCE = 180.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
 
 RIG = """

@@ -125,7 +125,7 @@ def test_a_failing_device_ends_its_host_with_its_error(
 ) -> None:
     bench = start_bench(set={fault: 0.2})
     bench.take_lease()
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 90.0
     while (failure := bench.host.failure()) is None and time.monotonic() < deadline:
         bench.put(0.0)
         time.sleep(0.02)
@@ -144,7 +144,7 @@ def test_a_port_that_is_not_there_is_told_by_name() -> None:
 
 def test_a_host_that_was_killed_is_told_by_its_signal(bench: Any) -> None:
     os.kill(bench.host.pid, signal.SIGKILL)
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 90.0
     while (failure := bench.host.failure()) is None and time.monotonic() < deadline:
         time.sleep(0.02)
     assert isinstance(failure, BusError)

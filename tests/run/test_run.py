@@ -28,7 +28,7 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
 MARK = "LABHIL_TEST_RUN"
-PATIENCE = 30.0
+PATIENCE = 120.0
 
 RIG = """
 [rig]
@@ -86,7 +86,7 @@ class Cli:
         return self.finish(self.start(text, *options))
 
     def finish(self, process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
-        out, err = process.communicate(timeout=60.0)
+        out, err = process.communicate(timeout=300.0)
         assert "Traceback" not in err
         self.wait_for_silence()
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)
