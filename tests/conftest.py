@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -18,7 +19,9 @@ from xdist.scheduler import LoadScopeScheduling
 # they are loaded, which comes later; child processes inherit it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-PATIENCE = 5.0
+sys.path.insert(0, str(Path(__file__).parent))  # for patient_labhil, which tests import
+
+PATIENCE = 20.0
 # kept by the standard library for the life of the process, once a process pool was used
 # and by us, for the next file that is read in a process of its own
 KEPT_PROCESSES = ("resource_tracker", "forkserver", "labhil.recording.formats.reader_process")
@@ -62,6 +65,19 @@ def runtime_directory(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("runtime")))
         yield
+
+
+@pytest.fixture(autouse=True)
+def patient_watchdogs(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the hosts of a run in this process wait longer for commands, as ``patient_labhil`` does.
+
+    Tests of the watchdog itself make their hosts' configurations themselves.
+    """
+    if request.path.parent.name in {*KEEPING_TIME, "campaign"}:
+        import patient_labhil
+
+        monkeypatch.setattr("labhil.experiment.devices.HostConfig", patient_labhil.patient_config)
+        monkeypatch.setattr("labhil.experiment.twins.twin_command", patient_labhil.patient_twin_command)
 
 
 @pytest.fixture(autouse=True)

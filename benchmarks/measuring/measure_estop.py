@@ -4,9 +4,11 @@
 
 A run drives a twin behind a relay that sees when the device is safe (as in ``measure_safety.py``). The stop
 is pressed while the run starts, runs, is paused, or ends; and while it runs on a machine with twice as many
-busy processes as cores, or with a full disk. It is pressed by its file, by a question on the bus, by
-``labhil estop``, and by the key in a terminal UI. Each time the stop has to stand afterwards, the device has
-to be safe, and the run's exit status (1) and its recording have to report an emergency stop.
+busy processes as cores, with a full disk (a small one of its own in memory, which root may mount; a limit on
+the size of files for others), or with the host's connection to the bus cut. It is pressed by its file, by a
+question on the bus, by ``labhil estop``, and by the key in a terminal UI. Each time the stop has to stand
+afterwards, the device has to be safe, and the run's exit status (1) and its recording have to report an
+emergency stop; on a full disk, which may hold no more, what the run prints.
 """
 
 from __future__ import annotations
@@ -27,6 +29,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from kill_trials import read_all
 from labhil.bus import latch
 from labhil.bus.ask import ask, ask_all
@@ -36,10 +40,21 @@ from labhil.errors import BusError, CommandRefusedError, LabhilError
 from labhil.recording.reader import read_recording
 from measure_safety import EXPERIMENT, Relay, twin_behind_a_relay
 from measured import tell
-from victims import endpoint_of, process, wait_until
+from victims import endpoint_of, family_of, process, wait_until
 
 LABHIL = [sys.executable, "-P", "-m", "labhil"]
-STATES = ("starting", "running", "paused", "stopping", "running, busy machine", "running, disk full")
+STATES = (
+    "starting",
+    "running",
+    "paused",
+    "stopping",
+    "running, busy machine",
+    "running, disk full",
+    "running, bus cut",
+)
+DISK_MB = 64
+"""MB of the disk that is filled; a recording needs 16 of them free."""
+
 STOP_KEY = b"\x1b[24~"
 """F12, as a terminal sends it."""
 
@@ -50,7 +65,10 @@ class Run:
     def __init__(self, relay: Relay, folder: Path, stack: ExitStack) -> None:
         (folder / "e.toml").write_text(EXPERIMENT.replace("ADDRESS", relay.address))
         self.folder, self.relay = folder, relay
-        self.process = stack.enter_context(process([*LABHIL, "run", "e.toml"], folder))
+        elsewhere = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        self.said = elsewhere / "said.txt"
+        command = [*LABHIL, "run", str(folder / "e.toml"), "--out", str(folder)]
+        self.process = stack.enter_context(process(command, elsewhere))
         self.endpoint = endpoint_of(self.process, "run")
         self.bus: Bus = stack.enter_context(open_bus(self.endpoint))
 
@@ -72,12 +90,51 @@ class Run:
                 stack.enter_context(busy())
             time.sleep(0.5)
         elif state == "running, disk full":
-            (part,) = self.folder.glob("*.part")
+            self._fill_disk()
+        elif state == "running, bus cut":
+            self._cut_bus()
+
+    def _fill_disk(self) -> None:
+        (part,) = self.folder.glob("*.part")
+        if os.path.ismount(self.folder):
+            with (self.folder / "filler").open("wb") as filler, suppress(OSError):
+                while filler.write(bytes(1 << 20)):
+                    filler.flush()
+        else:
             resource.prlimit(self.process.pid, resource.RLIMIT_FSIZE, (part.stat().st_size,) * 2)
+
+    def _cut_bus(self) -> None:
+        """Close the connections between the run's bus and the host; the run hears of no device any more."""
+        hosts = [
+            child.pid for child in family_of(self.process.pid) if "labhil.service.host" in child.cmdline()
+        ]
+        if not hosts:
+            raise ValueError("the run has no host")
+        for pid in hosts:
+            for connection in psutil.Process(pid).net_connections(kind="tcp"):
+                if connection.status == psutil.CONN_ESTABLISHED and self.relay.port != connection.raddr.port:
+                    cut(connection.laddr.port)
 
     def _stop_in_the_background(self) -> None:
         with suppress(LabhilError):
             self.control("stop")
+
+
+def cut(port: int) -> None:
+    """Close the connection that this port of the machine is an end of."""
+    subprocess.run(["ss", "-K", "-t", "sport", "=", f":{port}"], check=True, capture_output=True)
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[None]:
+    """Let a folder be a disk of its own in memory, if one may be mounted."""
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "tmpfs", str(folder)]
+    mounted = subprocess.run(mount, check=False, capture_output=True).returncode == 0
+    try:
+        yield
+    finally:
+        if mounted:
+            subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
 @contextmanager
@@ -152,14 +209,22 @@ WAYS: dict[str, Callable[[Run], None]] = {
 }
 
 
-TOO_LATE = {"starting": ("key",), "stopping": ("command", "key")}
-"""Ways that take seconds themselves: the run is in another state by then."""
+TOO_LATE = {
+    "starting": ("key",),
+    "stopping": ("command", "key"),
+    "running, disk full": ("key",),
+    "running, bus cut": ("bus", "key"),
+}
+"""Ways that take seconds themselves: the run is in another state by then, or at its end. A bus that is cut
+hands nothing on."""
 
 
 def press(relay: Relay, state: str, way: str) -> dict[str, Any]:
     """Press the stop once, and return the outcome."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        if state == "running, disk full":
+            stack.enter_context(small_disk(folder))
         run = Run(relay, folder, stack)
         run.bring_to(state, stack)
         if run.process.poll() is not None:
@@ -172,12 +237,14 @@ def press(relay: Relay, state: str, way: str) -> dict[str, Any]:
         outcome["device_safe"] = relay.safe
         if was_active and way in ("file", "bus") and relay.safe:
             outcome["safe_after_ms"] = round(1e3 * (relay.safe_since - began), 1)
-        outcome["said"] = (folder / "said.txt").read_text()[-160:]
+        # where the disk is full, what a run prints is in a file elsewhere
+        outcome["said"] = run.said.read_text()[-300:]
         paths = list(folder.glob("*.mcap*"))
         recording = read_recording(paths[0]) if paths else None
         end = {} if recording is None else recording.metadata.get("end", {})
         outcome["recorded_reason"] = end.get("reason", "no end")
-        if "commands stopped" in outcome["recorded_reason"]:
+        reasons = outcome["recorded_reason"] + outcome["said"]
+        if "commands stopped" in reasons and "emergency stop" not in reasons:
             raise ValueError("the machine was too busy: the watchdog had ended the run before")
         outcome["recorded"] = recording is not None and any(
             "emergency stop" in str(event.body.get("message", "")) for event in recording.events
@@ -187,7 +254,7 @@ def press(relay: Relay, state: str, way: str) -> dict[str, Any]:
 
 def is_right(trial: dict[str, Any]) -> bool:
     """Whether the stop stands, the device is safe, and exit status and recording state the reason."""
-    is_reported = "emergency stop" in trial["recorded_reason"] or trial["recorded"]
+    is_reported = "emergency stop" in trial["recorded_reason"] + trial["said"] or trial["recorded"]
     return bool(trial["latched"] and trial["device_safe"] and trial["exit_status"] == 1 and is_reported)
 
 

@@ -5,7 +5,8 @@
 Recordings of a simulated motor with 22 columns, of 10⁷ samples 2.3 GB; one as it was finished, and one as a
 killed recorder leaves it. Each command runs in a process of its own, whose memory is looked at every 20 ms:
 what it has for itself (``anonymous``: what a machine must have), and all that is resident, pages of files
-among it that the system takes away when it needs them.
+among it that the system takes away when it needs them. Whether time is linear is seen in the processor's time
+(``cpu_seconds``), which other work on the machine does not stretch.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ def watch(arguments: list[str], folder: Path, patience: float) -> dict[str, Any]
     anonymous = resident = 0.0
     with (folder / "said.txt").open("w") as output:
         process = subprocess.Popen(command, cwd=folder, stdout=output, stderr=output)
+        before = os.times()
         while process.poll() is None and time.monotonic() - began < patience:
             memory = memory_of(process.pid)
             anonymous, resident = max(anonymous, memory[0]), max(resident, memory[1])
@@ -51,8 +53,11 @@ def watch(arguments: list[str], folder: Path, patience: float) -> dict[str, Any]
     if not over:
         process.kill()
         process.wait()
+    after = os.times()
+    used = (after.children_user + after.children_system) - (before.children_user + before.children_system)
     return {
         "seconds": round(time.monotonic() - began, 1),
+        "cpu_seconds": round(used, 1),
         "exit_status": process.returncode if over else f"not done after {patience:g} s",
         "anonymous_mb": round(anonymous, 1),
         "resident_mb": round(resident, 1),

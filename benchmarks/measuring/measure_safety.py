@@ -67,7 +67,8 @@ class Relay:
         host, port = twin.removeprefix("socket://").split(":")
         self._twin_at = (host, int(port))
         self._door = socket.create_server(("127.0.0.1", 0))
-        self.address = f"socket://127.0.0.1:{self._door.getsockname()[1]}"
+        self.port = int(self._door.getsockname()[1])
+        self.address = f"socket://127.0.0.1:{self.port}"
         self.unplugged = False
         self.safe = True
         self.safe_since = 0.0

@@ -111,9 +111,10 @@ def endpoint_of(started: subprocess.Popen[str], kind: str) -> str:
     raise TimeoutError(f"the {kind} did not come up")
 
 
-def wait_until(condition: Callable[[], bool], what: str) -> None:
-    """ValueError where it does not come about."""
-    deadline = time.monotonic() + 20.0
+def wait_until(condition: Callable[[], bool], what: str, patience: float = 120.0) -> None:
+    """ValueError where it does not come about within ``patience`` s: a busy machine starts a process in a
+    minute."""
+    deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
             raise ValueError(f"waited in vain until {what}")

@@ -194,7 +194,7 @@ def run(
         raise UsageError(f"--anew is for campaigns; {experiment} has neither `repeat` nor [sweep]")
     result = planned.execute(out, progress=True)
     if result.error is not None:
-        complain(result.error)
+        complain(result.reason)  # which names an emergency stop beside it
     tell(result.warnings)
     if json_path is not None:
         write_json(result.to_json(), json_path)

@@ -58,6 +58,16 @@ def emergency_stop_or(error: LabhilError | None) -> LabhilError | None:
     return error
 
 
+def reason_of(error: LabhilError) -> str:
+    """Return the message of an error, with the emergency stop that holds beside it.
+
+    The reason of a run that another error ended a moment earlier states both: the stop has to be released
+    before the next run.
+    """
+    stop, reason = _emergency_stop(), str(error)
+    return reason if stop is None or "emergency stop" in reason else f"{reason}; {stop}"
+
+
 def _emergency_stop() -> EmergencyStopError | None:
     try:
         latch = read_latch()

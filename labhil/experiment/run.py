@@ -35,7 +35,7 @@ from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, host_config, run_concurrently
 from labhil.experiment.experiment import TWIN, Experiment
 from labhil.experiment.hooks import Hook
-from labhil.experiment.interruption import Interruption, emergency_stop_or, raise_emergency_stop
+from labhil.experiment.interruption import Interruption, emergency_stop_or, raise_emergency_stop, reason_of
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
@@ -147,8 +147,9 @@ class _Run:
                     return self._record(self._bus, twins)
             except LabhilError as error:
                 # only errors before there is a recorder, and those of the recorder itself, get here
-                self._fail(str(error))
-                return RunResult(self._existing_recording(), error.exit_status, 0.0, (), str(error), error)
+                reason = reason_of(error)
+                self._fail(reason)
+                return RunResult(self._existing_recording(), error.exit_status, 0.0, (), reason, error)
             finally:
                 self._bus = None
 
@@ -198,7 +199,7 @@ class _Run:
             finally:
                 failure = self._stop(recorder, devices, error, reason)
             error = emergency_stop_or(recorder.failure or error or failure)
-            reason = reason if error is None else str(error)
+            reason = reason if error is None else reason_of(error)
             self._transition(RunState.FINISHED if error is None else RunState.FAILED, reason)
             subscriptions.close()
             status = 0 if error is None else error.exit_status

@@ -78,11 +78,11 @@ class DeviceClock:
         return hypot(self.offset_error, drift_error, self.stepped * self.speed)
 
     def bound_at(self, t_host_ns: int) -> float:
-        """Return a bound of that error, s of the device's world.
+        """Bound of the error at Unix time ``t_host_ns``, s of the device's world.
 
-        Stamps that only ever come late do not show what all of them share: the least delay. As Cristian's
-        bound is half of the round trip, so half of the delay that is seen to vary is taken for what is not
-        seen, beside two standard errors. A latency that never varies is not in it.
+        Stamps that can only be late do not show their least delay. By analogy with Cristian's bound, half of
+        the round trip (Cristian 1989), half of the spread of the delays is added to two standard errors. A
+        latency that never varies is not covered.
         """
         return STANDARD_ERRORS * self.error_at(t_host_ns) + 0.5 * self.spread
 

@@ -6,7 +6,7 @@ import mmap
 import struct
 import weakref
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import BinaryIO, overload
 
@@ -32,11 +32,17 @@ class Message:
     data: bytes
 
 
+def channels_of(messages: Sequence[Message]) -> Iterable[int]:
+    """Return the channel of each message; of a store without a look at the messages."""
+    return messages.channels if isinstance(messages, MessageStore) else (each.channel for each in messages)
+
+
 class MessageStore(Sequence[Message]):
     """A sequence of messages with ``append``, which raises DiskFailedError if the disk is full."""
 
     def __init__(self) -> None:
         self._positions: array[int] = array("Q")
+        self._channels: array[int] = array("I")
         self._memory = bytearray()
         self._file: BinaryIO | None = None
         self._mapped: mmap.mmap | None = None
@@ -49,6 +55,7 @@ class MessageStore(Sequence[Message]):
             message.channel, message.sequence, message.log_time, message.publish_time, len(message.data)
         )
         self._positions.append(len(self._memory) + self._written)
+        self._channels.append(message.channel)
         if len(self._memory) < MAX_BYTES_IN_MEMORY:
             self._memory += head + message.data
             return
@@ -63,10 +70,16 @@ class MessageStore(Sequence[Message]):
         """Remove a message and return it."""
         message = self[index]
         self._positions.pop(index)
+        self._channels.pop(index)
         return message
 
     def __len__(self) -> int:
         return len(self._positions)
+
+    @property
+    def channels(self) -> Sequence[int]:
+        """The channel of each message, without a look at the message."""
+        return self._channels
 
     @overload
     def __getitem__(self, index: int) -> Message: ...

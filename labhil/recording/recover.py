@@ -194,7 +194,7 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
             "whole chunk of one; nothing was written"
         )
     messages: Sequence[Message] = salvaged.messages
-    nameless = sum(message.channel not in salvaged.channels for message in salvaged.messages)
+    nameless = sum(number not in salvaged.channels for number in salvaged.messages.channels)
     if nameless:
         messages = [message for message in salvaged.messages if message.channel in salvaged.channels]
     if not messages:

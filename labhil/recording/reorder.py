@@ -11,7 +11,7 @@ from mcap.records import Channel
 
 from labhil.codec import stamps_of
 from labhil.errors import ProtocolError
-from labhil.recording.message_store import Message
+from labhil.recording.message_store import Message, channels_of
 from labhil.recording.runs import MixedRunsError, count_late, order_samples
 
 BLOCK_MESSAGES = 1 << 14
@@ -80,9 +80,9 @@ def _message_indices(messages: Sequence[Message], channels: Mapping[int, Channel
     """Indices of the messages of each stream, by channel."""
     indices: dict[int, array[int]] = {}
     ours = {number for number, channel in channels.items() if "labhil.stream" in channel.metadata}
-    for index, message in enumerate(messages):
-        if message.channel in ours:
-            indices.setdefault(message.channel, array("Q")).append(index)
+    for index, number in enumerate(channels_of(messages)):
+        if number in ours:
+            indices.setdefault(number, array("Q")).append(index)
     return indices
 
 

@@ -162,7 +162,7 @@ class _Salvager:
                 let_go_at = end
         self._classify_strays()
         names = self._definitions
-        names.resolve({message.channel for message in result.messages})
+        names.resolve(set(result.messages.channels))
         result.schemas, result.channels, result.spliced = names.schemas, names.channels, names.renumbered
         return result
 

@@ -49,6 +49,8 @@ class RecordingWriter:
         RecordingError: The file or an unfinished recording of its name exists.
         RecordingFailedError: The disk failed (any method). The ``.part`` file remains, readable up to the
             last flush.
+
+    ``longest_flush`` is how long the disk took at most to take what was forced to it, s.
     """
 
     def __init__(self, path: Path, *, flush_interval: float = FLUSH_INTERVAL) -> None:
@@ -56,6 +58,7 @@ class RecordingWriter:
         self._flush_interval = flush_interval
         self.part = path.with_name(path.name + ".part")
         self.failure: str | None = None
+        self.longest_flush = 0.0
         self._finished = False
         self._codecs: dict[int, Codec] = {}
         self._log_times: dict[int, LogTimes] = {}
@@ -173,7 +176,9 @@ class RecordingWriter:
         """Close the open chunk and force everything to the disk."""
         with self._disk_errors():
             self._writer.flush()
+            began = time.monotonic()
             os.fdatasync(self._file.fileno())
+            self.longest_flush = max(self.longest_flush, time.monotonic() - began)
             free = shutil.disk_usage(self.part.parent).free
         self._flushed_at = time.monotonic()
         if free < MIN_FREE_SPACE:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from labhil.bus.incoming import excerpt
 from labhil.codec import stamps_of
+from labhil.errors import ProtocolError
 from labhil.recording.clock import fit_clock
 from labhil.recording.clock_faults import ClockFault, find_clock_faults
-from labhil.recording.device_clocks import StampCollector
+from labhil.recording.device_clocks import DeviceClock, StampCollector
+from labhil.recording.stamps import HOST_CLOCK
+from labhil.signals import Direction, Stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +76,21 @@ class RecordedStream:
     clock: StampCollector | None = None
     """Where the device's own clock stamps the samples."""
 
+    def apply_schema(self, stream: Stream, metadata: Mapping[str, str]) -> None:
+        """Take over the rate and the clock that its publisher declares.
+
+        Raises:
+            ProtocolError: The speed is not a positive number.
+        """
+        speed = float(metadata.get("speed", "1"))
+        if not 0 < speed < float("inf"):
+            raise ProtocolError(f"speed: expected a positive number, found {excerpt(metadata['speed'])}")
+        self.speed = speed
+        self.rate, self.steady_host = stream.rate, HOST_CLOCK in metadata
+        self.second = max(1, round(stream.rate * speed))
+        if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
+            self.clock = StampCollector()
+
     def count(self, payloads: list[bytes]) -> None:
         """Count stored samples and the gaps between their numbers."""
         stamps = stamps_of(payloads)
@@ -102,8 +122,28 @@ class RecordedStream:
         )
         return find_clock_faults(stamps, fit, fit.t - fit.t[0])
 
+    def status(self, now_ns: int) -> dict[str, float | None]:
+        """Return the counts of the stream, and the age of its last sample in s, at Unix time ``now_ns``."""
+        return {
+            "received": self.samples,
+            "gaps": self.gaps,
+            "refused": self.refused,
+            "waiting": len(self.waiting),
+            "lag": (now_ns - self.last_ns) * 1e-9 if self.samples else None,
+        }
+
     def summary(self) -> StreamSummary:
         """Return the summary of the stream."""
         seconds = (self.last_ns - self.first_ns) * 1e-9
         rate = (self.last_seq - self.first_seq) / seconds if seconds > 0 else 0.0
         return StreamSummary(self.device, self.stream, self.samples, self.gaps, rate)
+
+
+def device_clocks(streams: Iterable[RecordedStream]) -> dict[str, DeviceClock]:
+    """Estimate the clock of each device, from its first stream that has one."""
+    clocks: dict[str, DeviceClock] = {}
+    for stream in streams:
+        clock = stream.clock.clock(stream.speed) if stream.clock is not None else None
+        if clock is not None:
+            clocks.setdefault(stream.device, clock)
+    return clocks

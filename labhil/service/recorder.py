@@ -3,7 +3,8 @@
 The thread of the subscription queues payloads. One writer thread gets the schema of each stream, which its
 publisher declares before the first sample and otherwise answers on request, writes the bytes, counts gaps in
 ``seq`` and forces the file to the disk. The samples of a publisher that dies are kept; a disk that fails ends
-the recording but never blocks publishers.
+the recording but never blocks publishers. Payloads that a slow disk has not taken yet wait in memory; where
+too many wait, the recording ends with all that wait.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from labhil.bus.incoming import (
     MAX_SCHEMA_BYTES,
     EventMessage,
     StreamDeclaration,
-    excerpt,
     load,
     parse,
 )
@@ -31,13 +31,12 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stream_from_json
 from labhil.errors import BusError, CommandRefusedError, ProtocolError, RecordingFailedError
 from labhil.host_clock import HostClockWatch, unix_ns
-from labhil.recording.device_clocks import DeviceClock, StampCollector, clocks_to_metadata
-from labhil.recording.stamps import HOST_CLOCK
+from labhil.recording.device_clocks import clocks_to_metadata
 from labhil.recording.writer import RecordingWriter, media_type
-from labhil.service.recorded import RecordedStream, RecordingSummary
+from labhil.service.recorded import RecordedStream, RecordingSummary, device_clocks
 from labhil.service.stream_ends import StreamEnds
 from labhil.service.stream_schemas import MAX_STREAMS, StreamSchemas
-from labhil.signals import Direction
+from labhil.service.write_backlog import WriteBacklog
 from labhil.supervised import SupervisedThread
 
 GATHER, TICK = 0.04, 0.1
@@ -50,7 +49,7 @@ QUIET = 0.1
 LONGEST_SETTLING = 1.0
 """At the end what is still on its way is waited for: until nothing came for ``QUIET`` s, or so long."""
 
-MOST_WAITING = 64 * 1024 * 1024
+MAX_WAITING_BYTES = 64 * 1024 * 1024
 """Bytes of samples that wait until somebody says what they are: some minutes of a fast device, and no more
 than a small machine can spare."""
 
@@ -66,10 +65,10 @@ UNEXPLAINED = (
 )
 """A publisher that is not known yet, or gone for good, or that says something else than what a stream is."""
 
-MOST_TOLD = 20
+MAX_CLOCK_WARNINGS = 20
 """How often a recording's warnings say that the wall clock was set, or the machine suspended."""
 
-MOST_ODD_EVENTS, LONGEST_ODD_EVENT = 100, 1000
+MAX_ODD_EVENTS, MAX_ODD_EVENT_BYTES = 100, 1000
 """How many events of a device that are none are kept as text, and how many bytes of each."""
 
 
@@ -84,6 +83,9 @@ class Recorder:
         waits: Keep of the samples before :meth:`begin` only the newest second (but all events): the devices
             of one run are not ready at the same time.
         on_failure: Is called in the writer's thread once the recording fails.
+        max_backlog: Bytes that may wait for the disk before :meth:`check` raises that it is too slow.
+        slow_flush: Time of one forced write from which the disk is called slow, in an event and in the
+            warnings of the summary, s.
 
     Attributes:
         failure: Why the recording ended early, such as a full disk; None while it has not.
@@ -101,8 +103,12 @@ class Recorder:
         metadata: Mapping[str, Mapping[str, str]] | None = None,
         waits: bool = False,
         on_failure: Callable[[], object] = lambda: None,
+        max_backlog: int = MAX_WAITING_BYTES,
+        slow_flush: float = 2.0,
     ) -> None:
         self._waits = waits
+        self._backlog = WriteBacklog(max_backlog, slow_flush)
+        self._is_called_slow = False
         self.failure: RecordingFailedError | None = None
         self._deaf: RecordingFailedError | None = None
         self._on_failure = on_failure
@@ -116,7 +122,7 @@ class Recorder:
         self._arrived_at = time.monotonic()
         self._status_at = time.monotonic()
         self._host_clocks = HostClockWatch()
-        self._happened: list[str] = []
+        self._clock_warnings: list[str] = []
         self._writer = RecordingWriter(path)
         self._finished = False
         self._warnings: tuple[str, ...] = ()
@@ -189,7 +195,8 @@ class Recorder:
 
     def _receive(self, key: str, payloads: list[bytes]) -> None:
         self._arrived_at = time.monotonic()
-        self._queue.put((key, payloads))
+        if self._backlog.admit(payloads):
+            self._queue.put((key, payloads))
 
     def check(self) -> None:
         """Raise RecordingFailedError where nothing is recorded any more, for any reason."""
@@ -198,6 +205,11 @@ class Recorder:
             why = next((why for part in parts if (why := part.failure())), "")
             if why:
                 self._deaf = RecordingFailedError(f"{self._writer.path}: the recorder failed: {why}")
+            elif why := self._backlog.overflow():
+                self._deaf = RecordingFailedError(
+                    f"{self._writer.path}: the recording ended early, because {why}"
+                )
+            if self._deaf is not None:
                 raise self._deaf
         if self.failure is not None:
             raise self.failure
@@ -222,6 +234,7 @@ class Recorder:
             if item is None:
                 return
             self._guard(self._take, *item)
+            self._backlog.note_written(item[1])
             self._guard(self._tick)
 
     def _guard(self, action: Callable[..., None], *args: Any) -> None:
@@ -257,7 +270,7 @@ class Recorder:
         """Keep samples until their schema is known, as long as there is room."""
         size = sum(map(len, payloads))
         if channel.number is None:
-            if self._waiting + size > MOST_WAITING:
+            if self._waiting + size > MAX_WAITING_BYTES:
                 channel.refused += len(payloads)
                 self._refusals.note(key, f"{len(payloads)} samples that nobody explains are left out")
                 return
@@ -272,8 +285,8 @@ class Recorder:
             body = load(payload, "an event")
         except CommandRefusedError as error:
             self._refusals.note(key, str(error))
-            if self._refusals.counts[key] <= MOST_ODD_EVENTS:
-                text = payload[:LONGEST_ODD_EVENT].decode("utf-8", "replace")
+            if self._refusals.counts[key] <= MAX_ODD_EVENTS:
+                text = payload[:MAX_ODD_EVENT_BYTES].decode("utf-8", "replace")
                 self._writer.event(device, unix_ns(), {"text": text})
             return
         self._writer.event(device, t_ns, body)
@@ -286,6 +299,9 @@ class Recorder:
         if time.monotonic() >= self._status_at:
             self._write_status()
         self._writer.flush_when_due()
+        if not self._is_called_slow and (slow := self._backlog.slowness(self._writer.longest_flush)):
+            self._is_called_slow = True
+            self._writer.event("recorder", unix_ns(), {"kind": "slow_disk", "message": slow})
 
     def _store(self, channel: RecordedStream) -> None:
         """Write the waiting samples as soon as their schema is known."""
@@ -324,14 +340,7 @@ class Recorder:
             parse(StreamDeclaration, reply.stream, "a stream", MAX_SCHEMA_BYTES)
             stream = stream_from_json(reply.stream)
             metadata = dict(reply.metadata)
-            speed = float(metadata.get("speed", "1"))
-            if not 0 < speed < float("inf"):
-                raise ProtocolError(f"speed: expected a positive number, found {excerpt(metadata['speed'])}")
-            channel.speed = speed
-            channel.rate, channel.steady_host = stream.rate, HOST_CLOCK in metadata
-            channel.second = max(1, round(stream.rate * channel.speed))
-            if any(signal.direction is not Direction.REQUESTED for signal in stream.signals):
-                channel.clock = StampCollector()
+            channel.apply_schema(stream, metadata)
             channel.number = self._writer.add_stream(channel.device, stream, metadata)
         except UNEXPLAINED as error:
             # its publisher may not be known here yet, or gone for good
@@ -341,22 +350,15 @@ class Recorder:
         self._status_at = time.monotonic() + STATUS_INTERVAL
         now = unix_ns()
         streams = {
-            f"/{channel.device}/{channel.stream}": {
-                "received": channel.samples,
-                "gaps": channel.gaps,
-                "refused": channel.refused,
-                "waiting": len(channel.waiting),
-                "lag": (now - channel.last_ns) * 1e-9 if channel.samples else None,
-            }
-            for channel in self._channels.values()
+            f"/{channel.device}/{channel.stream}": channel.status(now) for channel in self._channels.values()
         }
         self._writer.event(
             "recorder", now, {"streams": streams, "queued": self._queue.qsize()}, topic="status"
         )
         for kind, message in self._host_clocks.look():
             self._writer.event("recorder", now, {"kind": kind, "message": message})
-            if len(self._happened) < MOST_TOLD:
-                self._happened.append(message)
+            if len(self._clock_warnings) < MAX_CLOCK_WARNINGS:
+                self._clock_warnings.append(message)
 
     def _write_rest(self, exit_status: str, reason: str) -> None:
         """Write the last status, samples without a schema, and the end of the file."""
@@ -370,26 +372,22 @@ class Recorder:
                 self._keep_unexplained(channel)
         lost = self._ends.count_missing(self._channels.values())
         self._write_status()
-        notes = lost + tuple(
-            f"{channel.device}/{channel.stream}: {fault.statement}"
-            for channel in self._channels.values()
-            for fault in channel.clock_faults()
+        slow = self._backlog.slowness(self._writer.longest_flush)
+        notes = (
+            lost
+            + ((slow,) if slow else ())
+            + tuple(
+                f"{channel.device}/{channel.stream}: {fault.statement}"
+                for channel in self._channels.values()
+                for fault in channel.clock_faults()
+            )
         )
         for note in notes:
             self._note(note)
-        self._warnings = notes + tuple(self._happened)
-        for name, table in clocks_to_metadata(self._clocks()).items():
+        self._warnings = notes + tuple(self._clock_warnings)
+        for name, table in clocks_to_metadata(device_clocks(self._channels.values())).items():
             self._writer.metadata(name, table)
         self._writer.finish(exit_status, reason)
-
-    def _clocks(self) -> dict[str, DeviceClock]:
-        """Return the clock of each device, from its first stream."""
-        clocks: dict[str, DeviceClock] = {}
-        for channel in self._channels.values():
-            clock = channel.clock.clock(channel.speed) if channel.clock is not None else None
-            if clock is not None:
-                clocks.setdefault(channel.device, clock)
-        return clocks
 
     def _keep_unexplained(self, channel: RecordedStream) -> None:
         """Attach the bytes of a stream whose schema is unknown, so that no sample is lost."""

@@ -56,7 +56,7 @@ def stand(bus, device):
 
 
 def question(bus, device):
-    print(ask(bus, command_key(device, "set"), {"n": 1}, timeout=5.0)["heard"], flush=True)
+    print(ask(bus, command_key(device, "set"), {"n": 1}, timeout=60.0)["heard"], flush=True)
 
 
 if __name__ == "__main__":

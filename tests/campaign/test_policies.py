@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.bus.session import open_bus
 from labhil.campaign.policies import Policies, check_policies
@@ -201,7 +201,7 @@ estimator = "nlse"
 model = "accepted.json"
 """
     shutil.copy(FIT, tmp_path / "accepted.json")
-    command = [sys.executable, "-P", "-m", "labhil", "serve", "--config", str(lab_file(tmp_path, text))]
+    command = [*PATIENT_LABHIL, "serve", "--config", str(lab_file(tmp_path, text))]
     service = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert service.stdout is not None

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.errors import ConnectError, DeviceResetError
 from labhil.signals import Batch
@@ -242,7 +243,7 @@ def test_a_run_records_it(simulated_board, tmp_path):
     with simulated_board("ball_beam") as board:
         (tmp_path / "run.toml").write_text(RUN.format(address=board.address), encoding="utf-8")
         done = subprocess.run(
-            [sys.executable, "-m", "labhil", "run", "run.toml", "--json"],
+            [*PATIENT_LABHIL, "run", "run.toml", "--json"],
             cwd=tmp_path,
             env=environment,
             capture_output=True,

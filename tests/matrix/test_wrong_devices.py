@@ -22,10 +22,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.recording import read_recording
 
-PATIENCE = 30.0
+PATIENCE = 180.0
 LABHIL = (sys.executable, "-P", "-m", "labhil")
 
 RIG = """
@@ -63,7 +64,7 @@ def start(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
         (tmp_path / "experiment.toml").write_text(EXPERIMENT.replace("ADDRESS", address))
         processes.append(
             subprocess.Popen(
-                [*LABHIL, "run", "experiment.toml"],
+                [*PATIENT_LABHIL, "run", "experiment.toml"],
                 cwd=tmp_path,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

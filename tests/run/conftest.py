@@ -11,6 +11,7 @@ from typing import Any
 
 import psutil
 import pytest
+from patient_labhil import PATIENT_WATCHDOG
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import ALL_STREAMS, command_key, event_key, setpoint_key
@@ -25,7 +26,7 @@ from labhil.service.messages import HostConfig, Setpoint
 
 DEVICE = "bench"
 LIMITS = {"servo_angle": Limit(min=-1.0, max=1.0, rate=5.0), "ball_position": Limit(min=-0.2, max=0.2)}
-PATIENCE = 20.0
+PATIENCE = 60.0
 
 
 class Bench:
@@ -78,7 +79,9 @@ def running_twin(directory: Path, **twin: Any) -> Iterator[str]:
 
 
 @contextmanager
-def running_host(address: str, limits: dict[str, Limit]) -> Iterator[Bench]:
+def running_host(
+    address: str, limits: dict[str, Limit], watchdog: float = PATIENT_WATCHDOG
+) -> Iterator[Bench]:
     """Start a host, and a bus for it; everything is stopped at the end."""
     with ExitStack() as stack:
         bus = stack.enter_context(open_bus())
@@ -89,7 +92,7 @@ def running_host(address: str, limits: dict[str, Limit]) -> Iterator[Bench]:
                 events.extend(json.loads(payload) for payload in payloads)
 
         stack.enter_context(subscribe(bus, ALL_STREAMS, collect))
-        host = HostProcess(HostConfig(DEVICE, "ball_beam", address, limits, bus.endpoint))
+        host = HostProcess(HostConfig(DEVICE, "ball_beam", address, limits, bus.endpoint, watchdog))
         stack.callback(host.stop)
         yield Bench(bus, host, host.wait_connected(), events)
 
@@ -106,9 +109,11 @@ def start_bench(tmp_path: Path, twin_address: str) -> Iterator[Callable[..., Ben
     """Return what starts a bench for this test: ``start_bench(limits, set={…})``, with a twin of its own."""
     with ExitStack() as stack:
 
-        def start(limits: dict[str, Limit] | None = None, **twin: Any) -> Bench:
+        def start(
+            limits: dict[str, Limit] | None = None, watchdog: float = PATIENT_WATCHDOG, **twin: Any
+        ) -> Bench:
             address = stack.enter_context(running_twin(tmp_path, **twin)) if twin else twin_address
-            return stack.enter_context(running_host(address, LIMITS if limits is None else limits))
+            return stack.enter_context(running_host(address, LIMITS if limits is None else limits, watchdog))
 
         yield start
 

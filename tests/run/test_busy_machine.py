@@ -68,7 +68,8 @@ def test_a_run_beside_busy_processes_is_fitted_with_what_the_twin_is_made_of(tmp
     assert np.diff(data.t) == pytest.approx(0.01, abs=1e-9)
     assert [fault.kind for fault in data.clock_faults if fault.distorts_time] == []
     # a step that is not there can only be a world that paused; the run says what the reader finds
-    assert bool(result.warnings) == bool(data.clock_faults)
+    of_clocks = [warning for warning in result.warnings if "the disk is slow" not in warning]
+    assert bool(of_clocks) == bool(data.clock_faults)
     assert all(fault.kind is not ClockFaultKind.NO_CLOCK for fault in data.clock_faults)
     if data.clock.drift_error is not None and not data.clock.steps:
         assert data.clock.drift == pytest.approx(50e-6, abs=max(5.0 * data.clock.drift_error, 20e-6))

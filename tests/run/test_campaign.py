@@ -6,11 +6,11 @@ import contextlib
 import json
 import random
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.errors import ExperimentFileError, UsageError
 from labhil.experiment.campaign import campaign_path, load_campaign, run_campaign
@@ -137,7 +137,7 @@ def test_a_campaign_killed_at_any_moment_goes_on_without_loss(tmp_path: Path, ki
     experiment = in_folder(tmp_path)
     out = tmp_path / "out"
     path = campaign_path(experiment, out)
-    command = [sys.executable, "-P", "-m", "labhil", "run", str(tmp_path / "levels.toml"), "--out", str(out)]
+    command = [*PATIENT_LABHIL, "run", str(tmp_path / "levels.toml"), "--out", str(out)]
     moments, finished = random.Random(7), {}
     for _ in range(kills):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

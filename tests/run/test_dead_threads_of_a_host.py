@@ -12,7 +12,7 @@ import pytest
 
 from labhil.errors import LabhilError
 
-PATIENCE = 20.0
+PATIENCE = 90.0
 PATCH = """
 import pathlib
 import sys

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import resource
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.recording.reader import read_recording
 
@@ -48,7 +48,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def run(folder: Path, out: Path, limit: Callable[[], None] | None = None) -> subprocess.CompletedProcess[str]:
     (folder / "e.toml").write_text(EXPERIMENT)
-    command = [sys.executable, "-P", "-m", "labhil", "run", "e.toml", "--out", str(out), "--json"]
+    command = [*PATIENT_LABHIL, "run", "e.toml", "--out", str(out), "--json"]
     return subprocess.run(
         command, cwd=folder, capture_output=True, text=True, check=False, timeout=250, preexec_fn=limit
     )

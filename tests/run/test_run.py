@@ -7,7 +7,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.errors import RecordingError
 from labhil.experiment.experiment import parse_experiment
@@ -28,7 +28,7 @@ from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
 MARK = "LABHIL_TEST_RUN"
-PATIENCE = 30.0
+PATIENCE = 120.0
 
 RIG = """
 [rig]
@@ -73,7 +73,7 @@ class Cli:
     def start(self, text: str, *options: str) -> subprocess.Popen[str]:
         (self.directory / "experiment.toml").write_text(text)
         return subprocess.Popen(
-            [sys.executable, "-P", "-m", "labhil", "run", "experiment.toml", *options],
+            [*PATIENT_LABHIL, "run", "experiment.toml", *options],
             cwd=self.directory,
             env={**os.environ, MARK: self.mark},
             stdin=subprocess.DEVNULL,
@@ -86,7 +86,7 @@ class Cli:
         return self.finish(self.start(text, *options))
 
     def finish(self, process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
-        out, err = process.communicate(timeout=60.0)
+        out, err = process.communicate(timeout=300.0)
         assert "Traceback" not in err
         self.wait_for_silence()
         return subprocess.CompletedProcess(process.args, process.returncode, out, err)

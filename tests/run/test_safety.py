@@ -133,7 +133,7 @@ def no_stop_stands() -> Iterator[None]:
 
 def labhil(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-P", "-m", "labhil", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
 
 
 # the emergency stop

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
 
 import psutil
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.bus.ask import ask
 from labhil.bus.keys import command_key
@@ -34,7 +34,7 @@ PATIENCE = 90.0
 def begin(folder: Path, text: str) -> subprocess.Popen[str]:
     (folder / "lab.toml").write_text(text)
     (folder / "ball_beam.toml").write_text(RIG.read_text())
-    command = [sys.executable, "-P", "-m", "labhil", "serve", "--config", "lab.toml"]
+    command = [*PATIENT_LABHIL, "serve", "--config", "lab.toml"]
     with (folder / "said.txt").open("w") as said:
         return subprocess.Popen(command, cwd=folder, text=True, stdout=subprocess.PIPE, stderr=said)
 

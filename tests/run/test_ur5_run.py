@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 from labhil.experiment.experiment import parse_experiment
 from labhil.experiment.twins import twin_command
@@ -58,7 +59,7 @@ def test_an_experiment_says_where_a_networked_twin_is_and_of_which_make() -> Non
 @pytest.mark.timeout(300)
 def test_two_arms_move_in_one_run(tmp_path: Path) -> None:
     (tmp_path / "e.toml").write_text(two_arms())
-    command = [sys.executable, "-P", "-m", "labhil", "run", "e.toml", "--json"]
+    command = [*PATIENT_LABHIL, "run", "e.toml", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 0, done.stderr
     recording = read_recording(tmp_path / json.loads(done.stdout)["path"])

@@ -7,6 +7,7 @@ import sys
 from importlib.resources import files
 
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 
 pytestmark = [pytest.mark.by_hand, pytest.mark.timeout(1800)]
 
@@ -21,7 +22,7 @@ TRUTH = {
 def labhil(folder, *arguments):
     environment = dict(os.environ, PYTHONPATH=os.pathsep.join(path for path in sys.path if path))
     done = subprocess.run(
-        [sys.executable, "-m", "labhil", *arguments],
+        [*PATIENT_LABHIL, *arguments],
         cwd=folder,
         env=environment,
         capture_output=True,

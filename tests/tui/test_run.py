@@ -7,12 +7,12 @@ import os
 import pty
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 from textual.events import Hide, Key
 from textual.pilot import Pilot
 from textual.widgets import DataTable
@@ -215,7 +215,7 @@ def test_however_the_screen_ends_the_run_ends_too_and_a_crash_is_a_failure(
     bench: Path, how: signal.Signals, status: str
 ) -> None:
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-P", "-m", "labhil", "tui", "--folder", str(bench)]
+    command = [*PATIENT_LABHIL, "tui", "--folder", str(bench)]
     screen = subprocess.Popen(
         command, stdin=theirs, stdout=theirs, stderr=theirs, env={**os.environ, "TERM": "xterm-256color"}
     )

@@ -7,13 +7,13 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from patient_labhil import COMMAND as PATIENT_LABHIL
 from textual.pilot import Pilot
 from textual.widgets import DataTable, OptionList, Static
 
@@ -26,7 +26,7 @@ from labhil.tui.plot import Plot
 from labhil.tui.session import Session
 
 PATIENCE = 100.0
-LABHIL = (sys.executable, "-P", "-m", "labhil")
+LABHIL = PATIENT_LABHIL
 LAB = """
 [lab]
 record = false

@@ -27,7 +27,7 @@ from labhil_sim_ur5 import TWIN
 TWIN.serve(TwinOptions(host=sys.argv[1], seed=1), lambda address: print(address, flush=True))
 """
 PORTS = (30004, 30003, 29999)
-PATIENCE = 20.0
+PATIENCE = 90.0
 STILL = 1e-3
 
 

@@ -51,7 +51,7 @@ def test_inputs_belong_to_one_client_until_it_goes(twin: tuple[str, Child]) -> N
         with RawClient(twin[0]) as second:
             assert second.ask(Command.INPUTS, wanted) == b"\x00IN_USE,IN_USE"
             assert second.ask(Command.INPUTS, b"no_such_input") == b"\x00NOT_FOUND"
-    deadline = time.monotonic() + 5.0
+    deadline = time.monotonic() + 60.0
     answer = b""
     while answer != b"\x01INT32,DOUBLE" and time.monotonic() < deadline:
         with RawClient(twin[0]) as third:
@@ -175,7 +175,7 @@ def test_faults_by_a_line() -> None:
             with pytest.raises(ConnectionError):
                 while True:
                     client.doubles()
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 60.0
         while "done: truncate" not in twin.last_error() and time.monotonic() < deadline:
             time.sleep(0.05)
         assert "done: truncate" in twin.last_error()

@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from patient_labhil import COMMAND as PATIENT_LABHIL
+
 from labhil.service.child import Child
 from labhil_sim_ur5.codec import Command, PackageParser, package
 
@@ -28,7 +30,7 @@ def address(number: int) -> str:
 @contextmanager
 def running_twin(host: str, *arguments: str) -> Iterator[Child]:
     """Start a twin at an address and stop it afterwards."""
-    command = [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", host, *arguments]
+    command = [*PATIENT_LABHIL, "twin", "ur5", "--host", host, *arguments]
     with Child("the twin", command) as twin:
         said = twin.line(START)
         assert said == host, (said, twin.last_error())
