@@ -11,20 +11,19 @@ import select
 import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from types import TracebackType
 from typing import ClassVar, Self
 
 from labhil.driver import Counters, DeviceInfo, DriverSpec
 from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
 from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
+from labhil_ur5.command_ranges import check_commands
 from labhil_ur5.dashboard import Dashboard
 from labhil_ur5.fault import SAFETY_NORMAL, fault_of
 from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.reported_signals import (
     CLIENT,
     COMMAND_TIMEOUT,
-    DIGITAL_OUTPUTS,
     OUTPUTS,
     REPORTED,
     SPEED,
@@ -38,8 +37,6 @@ from labhil_ur5.stream_order import row_reader, variable_names
 E_SERIES_RATE, CB3_RATE = 500.0, 125.0
 WAYPOINT_RATE = 100.0
 """Rate of waypoints, Hz; the client process interpolates between them."""
-MAX_ANGLE = math.radians(363.0)
-"""Largest angle of a joint, rad."""
 START_TOLERANCE = 1e-3
 """Largest distance of the arm from the start of a path, rad."""
 POLL_PERIOD = 0.05
@@ -284,7 +281,7 @@ class Ur5Driver:
         self._command(values, t_hw_ns)
 
     def _command(self, values: Mapping[str, float], t_hw_ns: int | None) -> None:
-        _check_commands(values)
+        check_commands(values)
         if self._receiver is None:
             raise ConnectError(f"{self.address}: not connected")
         self._switch({name: values[name] for name in (SPEED.name, OUTPUTS.name) if name in values})
@@ -372,10 +369,7 @@ class Ur5Driver:
         """Stop the arm, end its program and close the connection. May be called again."""
         self._closing = True
         with self._read_lock:
-            if self._is_cut_off:
-                self._motion.end(CUT_OFF_TIMEOUT)
-            else:
-                self._motion.end()
+            self._motion.end(CUT_OFF_TIMEOUT if self._is_cut_off else None)
             self._is_cut_off = False
             if self._receiver is not None:
                 self._receiver.close()
@@ -384,9 +378,7 @@ class Ur5Driver:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.safe()
         self.close()
 
@@ -396,19 +388,6 @@ class Ur5Cb3Driver(Ur5Driver):
 
     spec: ClassVar[DriverSpec] = _spec("ur5_cb3", CB3_RATE, "CB3")
     majors: ClassVar[tuple[int, ...]] = (3,)
-
-
-def _check_commands(values: Mapping[str, float]) -> None:
-    ranges = dict.fromkeys(TARGET_COLUMNS, (-MAX_ANGLE, MAX_ANGLE))
-    ranges |= {SPEED.name: (0.0, 1.0), OUTPUTS.name: (0.0, 2.0**DIGITAL_OUTPUTS - 1)}
-    for name, value in values.items():
-        if name not in ranges:
-            raise CommandRefusedError(f"expected one of the commands {', '.join(ranges)}, found {name!r}")
-        low, high = ranges[name]
-        if not low <= value <= high:
-            raise CommandRefusedError(f"{name}: expected {low:g} … {high:g}, found {value:g}")
-    if not float(values.get(OUTPUTS.name, 0.0)).is_integer():
-        raise CommandRefusedError(f"{OUTPUTS.name}: expected a whole number, found {values[OUTPUTS.name]:g}")
 
 
 def _serial(host: str) -> str:

@@ -100,7 +100,7 @@ class Devices:
         if now - before > OWN_STALL:
             # what this process has not taken in while it stood still is nobody's silence
             for run in self.runs:
-                run.last_sample_at = max(run.heard_at, now)
+                run.last_sample_at = max(run.last_sample_at, now)
         for run in self.runs:
             failure_of_run = run.failure()
             if failure_of_run is not None:

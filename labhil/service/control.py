@@ -24,8 +24,9 @@ from labhil.bus.session import Bus
 from labhil.bus.subscribe import subscribe
 from labhil.driver import DeviceInfo, Driver
 from labhil.errors import BusError, CommandRefusedError, DeviceError, DeviceSilentError
-from labhil.host_clock import SuspendWatch, unix_ns
+from labhil.host_clock import unix_ns
 from labhil.service.commands import COMMANDS, is_guarded, reader_of
+from labhil.service.contact import Contact
 from labhil.service.declared import command_stream, stream_metadata
 from labhil.service.inbox import Inbox
 from labhil.service.interlocks import Interlocks
@@ -41,8 +42,6 @@ READ_TIMEOUT, IDLE_TIMEOUT = 0.002, 0.01
 """Longest waits for samples, s, with and without a lease; they bound the delay of setpoints and requests."""
 REACTION_SHARE = 0.25
 """Share of the sample period for which the loop waits for the setpoint after a sample."""
-MAX_SILENCE = 1.0
-"""How long a connected device may send no samples, s of the host's clock."""
 MAX_TURN = 0.05
 """What one turn of the loop counts for in the watchdog at most, s: its own delays are no missing commands."""
 
@@ -71,30 +70,22 @@ class DeviceControl:
         self._interlocks = Interlocks(spec.stream, config.interlocks)
         self._latch = HostLatch()
         self._answers: dict[str, Callable[[Any, float], dict[str, Any]]] = {
-            "setpoint": self._follow,
-            "set": self._set,
-            "lease": self._take_lease,
-            "safe": self._make_safe,
-            "estop": self._estop,
-            "shutdown": self._shut_down,
-            "status": self._status,
-        }
+            "setpoint": self._follow, "set": self._set, "lease": self._take_lease, "safe": self._make_safe,
+            "estop": self._estop, "shutdown": self._shut_down, "status": self._status,
+        }  # fmt: skip
         self._shut_down_reason = ""
         self._announced_refusals: set[str] = set()
         self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
-        self._last_sample_at = 0.0
-        self._resumed_at = -math.inf
-        self._has_samples = False
+        rate = spec.stream.rate * info.speed
+        self._contact = Contact(config.address, driver, rate, config.watchdog)
         self._is_silent = False
         self._is_recovering = False
-        self._unheard = 0
-        self._suspends = SuspendWatch()
-        self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
+        self._continuation = Continuation(rate, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
         # a controller answers each sample with a setpoint: wait for it, not for the next sample
-        self._reaction_time = REACTION_SHARE / (spec.stream.rate * info.speed)
+        self._reaction_time = REACTION_SHARE / rate
         # a command is repeated four times within the device's own timeout
         self._keep_alive = spec.command_timeout / info.speed / 4
 
@@ -110,13 +101,9 @@ class DeviceControl:
             for name in COMMANDS:
                 resources.enter_context(self._serve_command(name))
             setpoints = subscribe(
-                bus,
-                setpoint_key(config.device),
-                self._inbox.put_setpoints,
-                self._refusals,
-                depth=MAX_SETPOINTS,
-                commands=True,
-            )
+                bus, setpoint_key(config.device), self._inbox.put_setpoints, self._refusals,
+                depth=MAX_SETPOINTS, commands=True,
+            )  # fmt: skip
             resources.enter_context(setpoints)
             resources.enter_context(announce(bus, config.device))
             self._resources = resources.pop_all()
@@ -127,15 +114,18 @@ class DeviceControl:
 
     def _serve_command(self, name: str) -> Responder:
         key, handler = command_key(self._config.device, name), self._handler(name)
-        guarded, refusals = partial(is_guarded, name), self._refusals
-        return serve(self._bus, key, handler, reader=reader_of(name), guarded=guarded, refusals=refusals)
+        return serve(
+            self._bus, key, handler, reader=reader_of(name), guarded=partial(is_guarded, name),
+            refusals=self._refusals,
+        )  # fmt: skip
 
     def run(self) -> str:
         """Serve the device until an end is requested, and return the reason; the device is safe then.
 
         Raises DeviceError or BusError where the driver or the bus fails; the device is safe then, too.
         """
-        self._last_sample_at = previous = time.monotonic()
+        previous = time.monotonic()
+        self._contact.restart()
         try:
             while not (reason := self._ended() or self._shut_down_reason):
                 try:
@@ -144,7 +134,8 @@ class DeviceControl:
                     if not self._config.reconnect:
                         raise
                     self._search_device(error)
-                    self._last_sample_at = now = time.monotonic()
+                    self._contact.restart()
+                    now = time.monotonic()
                 previous = now
         finally:
             self._driver.safe()
@@ -155,44 +146,30 @@ class DeviceControl:
         """Read samples, answer requests and check the watchdog; return the time of this turn."""
         self._check_bus()
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(previous) else IDLE_TIMEOUT)
-        self._check_suspend()
+        self._contact.check_suspend()
         now = time.monotonic()
         if len(batch):
-            if now - self._last_sample_at > self._config.watchdog / 2:
-                self._resumed_at = now
-            self._last_sample_at, self._has_samples = now, True
+            self._contact.note_samples(now)
             self._take_in(self._continuation.apply(batch))
-            self._check_device_heard(now)
-        elif now - self._last_sample_at > MAX_SILENCE:
-            raise DeviceSilentError(
-                f"{self._config.address}: the device said nothing for {MAX_SILENCE:g} s; "
-                f"expected {self._driver.spec.stream.rate * self._info.speed:g} samples per second"
-            )
+            self._check_commands_arrive(now)
+        else:
+            self._contact.check_silence(now)
         self._check_latch(now)
         answer_is_due = len(batch) > 0 and self.state is HostState.ACTIVE
-        if self._has_samples:  # earlier requests wait for the first sample, which shows the state
+        if self._contact.has_samples:  # earlier requests wait for the first sample, which shows the state
             self._answer_requests(now, self._reaction_time if answer_is_due else 0.0)
         self._check_watchdog(now, now - previous)
         return now
 
-    def _check_suspend(self) -> None:
-        """Raise DeviceSilentError where the machine was suspended.
+    def _check_commands_arrive(self, now: float) -> None:
+        """Start again from the safe output where the device made itself safe, though its samples come in.
 
-        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that.
+        Raises DeviceSilentError where lost devices are reconnected: the device has to confirm its
+        configuration then.
         """
-        if (slept := self._suspends.slept()) > MAX_SILENCE:
-            raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
-
-    def _check_device_heard(self, now: float) -> None:
-        """Note that the device made itself safe, as it no longer heard us, though its samples come in.
-
-        Raises DeviceSilentError where a lost device is looked for: the configuration is sent again then, and
-        the device has to confirm it. Else the run goes on, and the output comes from the safe value.
-        """
-        unheard, self._unheard = self._driver.counters.unheard - self._unheard, self._driver.counters.unheard
-        if unheard <= 0 or self.state is not HostState.ACTIVE:
+        message = self._contact.lost_commands()
+        if not message or self.state is not HostState.ACTIVE:
             return
-        message = f"{self._config.address}: the device heard no command for so long that it made itself safe"
         if self._config.reconnect:
             raise DeviceSilentError(message)
         self._output.begin_from_safe(now)
@@ -222,8 +199,8 @@ class DeviceControl:
         same_boot = info.boot_id == self._info.boot_id
         boot = "the same boot" if same_boot else "it has booted again"
         self._info = info
-        self._has_samples, self._is_silent, self._unheard = False, False, 0
-        self._suspends.slept()
+        self._is_silent = False
+        self._contact.restart()
         self._continuation.note_new_connection(same_boot=same_boot)
         gap = time.monotonic() - lost_at
         self._note_return(f"after {gap:.2f} s the device is back, its configuration sent again: {boot}")
@@ -234,9 +211,9 @@ class DeviceControl:
 
     def _check_latch(self, now: float) -> None:
         self._latch.poll(now)
-        standing = self._latch.standing
-        if standing is not None and self.state not in (HostState.LATCHED, HostState.RECONNECTING):
-            self._to_safety(HostState.LATCHED, standing.describe(), "estop")
+        stop = self._latch.standing
+        if stop is not None and self.state not in (HostState.LATCHED, HostState.RECONNECTING):
+            self._to_safety(HostState.LATCHED, stop.describe(), "estop")
 
     # what comes from the device
 
@@ -245,12 +222,11 @@ class DeviceControl:
         self._states.put(batch)
         limit_violation = self._sample_limits.violation(batch)
         self._violation = limit_violation or self._output.fault()
-        tripped = self._interlocks.take_in(batch)
         if limit_violation is None and self._config.reconnect:
             self._note_recovery()
         if self._violation is not None and not self._is_recovering and self.state in STEADY:
             self._to_safety(HostState.TRIPPED, self._violation)
-        if tripped is not None:
+        if (tripped := self._interlocks.take_in(batch)) is not None:
             state = HostState.LATCHED if self.state is HostState.LATCHED else HostState.TRIPPED
             self._to_safety(state, tripped.message, "interlock", then=tripped.then)
         if self._is_silent:
@@ -272,10 +248,10 @@ class DeviceControl:
 
     def _handler(self, name: str) -> Callable[[Any], dict[str, Any]]:
         def handle(payload: Any) -> dict[str, Any]:
-            if isinstance(payload, EstopRequest) and payload.action == "press":
+            is_stop = isinstance(payload, EstopRequest) and payload.action == "press"
+            if is_stop:
                 self._latch.press(payload.by, payload.reason)
-                self._driver.safe()
-            if name == "safe":
+            if is_stop or name == "safe":
                 self._driver.safe()
             return self._inbox.ask(name, payload)
 
@@ -289,18 +265,15 @@ class DeviceControl:
             try:
                 answer = self._answers[request.name](request.payload, now)
             except DeviceSilentError as error:
-                if request.answer is not None:
-                    request.answer.set_exception(CommandRefusedError(str(error)))
+                request.fail(CommandRefusedError(str(error)))
                 raise
             except CommandRefusedError as error:
+                request.fail(error)
                 if request.answer is None:
                     self._check_latch(now)  # an emergency stop is announced before the refusal it causes
                     self._refuse_once(str(error))
-                else:
-                    request.answer.set_exception(error)
             else:
-                if request.answer is not None:
-                    request.answer.set_result(answer)
+                request.succeed(answer)
 
     def _refuse_once(self, message: str) -> None:
         if message not in self._announced_refusals:
@@ -318,7 +291,7 @@ class DeviceControl:
             "holder": self._lease.holder if self._lease.is_held(now) else None,
             "lease_left": self._lease.remaining(now),
             "objection": self._objection(),
-            "age": now - self._last_sample_at,
+            "age": self._contact.silence(now),
             "applied": self._output.applied,
             "counters": asdict(self._driver.counters),
             "overflows": self._states.overflows + self._commands.overflows,
@@ -327,8 +300,7 @@ class DeviceControl:
 
     def _take_lease(self, request: LeaseRequest, now: float) -> dict[str, Any]:
         if request.action == "take":
-            objection = self._objection()
-            if objection is not None:
+            if (objection := self._objection()) is not None:
                 raise CommandRefusedError(objection)
             token = self._lease.take(request.holder, now)
             self._announced_refusals.clear()
@@ -387,11 +359,9 @@ class DeviceControl:
 
     def _admit(self, setpoint: Setpoint, now: float) -> None:
         # a stale setpoint must not renew the lease, so its age is checked first
-        # a sender without our session clock stamps by the wall clock, which may have been set since
-        age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
-        oldest = self._config.watchdog
+        age, oldest = setpoint.age(), self._config.watchdog
         if age > oldest:
-            self._check_suspend()
+            self._contact.check_suspend()
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
             raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")
@@ -412,10 +382,7 @@ class DeviceControl:
         self._output.unheard += min(turn, MAX_TURN)
         if self._output.unheard > self._config.watchdog:
             message = f"watchdog: commands stopped for {self._config.watchdog:g} s"
-            is_silent = now - self._last_sample_at > self._config.watchdog / 2
-            if is_silent or now - self._resumed_at < self._config.watchdog:
-                # a controller that answers samples sends nothing when there are none, and needs a moment when
-                # they resume
+            if self._contact.explains_pause(now):
                 self._is_silent = self._config.reconnect
                 self._to_safety(HostState.IDLE, f"{message}, as the device sends no samples", "quiet")
             else:

@@ -8,7 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
-from labhil.errors import BusError
+from labhil.errors import BusError, LabhilError
 
 ANSWER_TIMEOUT = 1.0
 """How long a command waits for the control thread, s."""
@@ -21,6 +21,16 @@ class Request:
     name: str
     payload: Any
     answer: Future[dict[str, Any]] | None = None
+
+    def succeed(self, answer: dict[str, Any]) -> None:
+        """Answer a sender that waits."""
+        if self.answer is not None:
+            self.answer.set_result(answer)
+
+    def fail(self, error: LabhilError) -> None:
+        """Let a sender that waits raise this error."""
+        if self.answer is not None:
+            self.answer.set_exception(error)
 
 
 class Inbox:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -10,6 +11,7 @@ from typing import Any
 
 from labhil.bus.incoming import SetpointMessage, parse, validate
 from labhil.documents import parse_json
+from labhil.host_clock import unix_ns
 from labhil.rig_sections import Interlock, Limit
 
 WATCHDOG = 0.22
@@ -117,6 +119,13 @@ class Setpoint:
     t_ns: int
     values: Mapping[str, float]
     t_hw_ns: int | None = None
+
+    def age(self) -> float:
+        """Return its age, s; negative for one from the future.
+
+        A sender without the session's clock stamps by the wall clock, which may have been set since.
+        """
+        return min(unix_ns() - self.t_ns, time.time_ns() - self.t_ns, key=abs) * 1e-9
 
     def to_json(self) -> dict[str, Any]:
         """Return the setpoint as JSON data, the request of the command ``set``."""

@@ -54,15 +54,9 @@ MAX_WAITING_BYTES = 64 * 1024 * 1024
 than a small machine can spare."""
 
 UNEXPLAINED = (
-    BusError,
-    CommandRefusedError,
-    ProtocolError,
-    LookupError,
-    AttributeError,
-    TypeError,
-    ValueError,
-    ArithmeticError,
-)
+    BusError, CommandRefusedError, ProtocolError,
+    LookupError, AttributeError, TypeError, ValueError, ArithmeticError,
+)  # fmt: skip
 """A publisher that is not known yet, or gone for good, or that says something else than what a stream is."""
 
 MAX_CLOCK_WARNINGS = 20
