@@ -6,16 +6,14 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from labhil.bounds import ImplausibleError
 from labhil.errors import TableError
-from labhil.recording.chunks import is_mcap, scan
+from labhil.recording.chunks import is_mcap
 from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
-from labhil.terminal import printable_name
 
-READ = "text tables, MAT files, Parquet, XLSX and ROS 2 bags"
+READ = "text tables, MAT files, Parquet, XLSX, MCAP files and ROS 2 bags"
 
 NOT_READ = {
     b"\xd0\xcf\x11\xe0": "an XLS workbook of the old kind: save it as .xlsx",
@@ -94,22 +92,4 @@ def _read_bag_file(path: Path, data: bytes, table: Table, wanted: Sequence[str])
                 f"{path}: expected a ROS 2 bag's SQLite file to end in .db3, found {path.suffix!r}"
             )
         return read_apart("bag", path, table, wanted)
-    if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2":
-        return read_apart("bag", path, table, wanted)
-    try:
-        channels = scan(data).channels.values()
-    except ImplausibleError as error:
-        raise TableError(f"{path}: {error}") from error
-    if any("labhil.stream" in channel.metadata for channel in channels):
-        raise TableError(f"{path}: expected a table, found an MCAP recording of ours, which needs no import")
-    topics = ", ".join(
-        printable_name(f"{channel.topic} ({channel.message_encoding or 'no encoding'})")
-        for channel in channels
-    )
-    description = f"of another program with {topics}" if topics else "without channels"
-    cdr = any(channel.message_encoding == "cdr" for channel in channels)
-    hint = "; `ros2 bag convert` writes one whose profile is ros2" if cdr else ""
-    raise TableError(
-        f"{path}: expected one of {READ} (of MCAP files those with the profile ros2 and CDR messages), "
-        f"found an MCAP file {description}{hint}"
-    )
+    return read_apart("bag" if data[MCAP_PROFILE] == b"\x04\x00\x00\x00ros2" else "mcap", path, table, wanted)

@@ -9,7 +9,7 @@ other joints. Columns of others are taken at the times of these messages.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,15 @@ import numpy as np
 
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.bag_messages import Named, Source, Way, numbers_in, sources_of
+from labhil.recording.formats.bag_messages import STAMP, Named, Source, Way, numbers_in, sources_of
 from labhil.recording.formats.columns import Columns
 from labhil.signals import FloatArray, Hold
 
 RECEIVED = "received"
 """The column of the times at which the bag's recorder received the messages of the rows' topic, s."""
+
+TIMES = ("t", "time", "timestamp")
+"""Names that stand for the time of the rows, whatever the fields of a message are called."""
 
 LONGEST_GAP = 100.0
 """Median steps of another topic; nothing is taken between messages that are further apart."""
@@ -51,6 +54,10 @@ class BagColumns(Columns):
     used: set[str] = field(default_factory=set)
 
     row_word = "message"
+    receiver = "the bag"
+    """What stamped the messages, for messages."""
+    bare_paths = False
+    """Whether a column that only one topic has is found without the topic."""
 
     @property
     def base(self) -> Source:
@@ -60,9 +67,11 @@ class BagColumns(Columns):
     @property
     def notes(self) -> tuple[str, ...]:
         """Which messages give the rows and which clock the time, and what was taken from others."""
-        clock = (
-            "the stamps in their headers" if self._has_stamps else "the times at which the bag received them"
-        )
+        in_messages = "the stamps in their headers"
+        if self.base.clock != STAMP:
+            in_messages = f"their {'.'.join(map(str, self.base.clock))}"
+        received = f"the times at which {self.receiver} received them"
+        clock = in_messages if self._has_stamps else received
         other_sources = tuple(
             f"{len(source.rows)} messages of {source.topic} are no rows: "
             f"they name {_list_names(source.names)}"
@@ -87,7 +96,10 @@ class BagColumns(Columns):
             return places
         if plain in self.refused:
             raise TableError(f"{self.path}: {source}: {self.refused[plain]}")
-        return (self.numbered[plain],) if plain in self.numbered else ()
+        if plain in self.numbered or not self.bare_paths:
+            return (self.numbered[plain],) if plain in self.numbered else ()
+        ways = [way for _, way in self.places]
+        return tuple(place for place, way in enumerate(ways) if way and _is_bare(source, way))
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """The values of a column, shape (rows,); NaN where there is none.
@@ -145,13 +157,42 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
 
 def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
     first = {c.topic: _first(reader, c) for c in reversed(reader.connections) if c.msgcount}
+    return bag_columns(path, first, lambda topic: _messages(reader, topic), wanted)
+
+
+def bag_columns(
+    path: Path,
+    first: Mapping[str, Any],
+    messages: Callable[[str], Iterable[tuple[int, Any]]],
+    wanted: Sequence[str],
+    *,
+    clocks: Mapping[str, Way] | None = None,
+    kind: type[BagColumns] = BagColumns,
+    what: str = "a bag",
+) -> BagColumns:
+    """Make columns of topics.
+
+    Args:
+        path: The file, for messages.
+        first: A message of each topic.
+        messages: Gives all messages of a topic, each with the time (ns, Unix) at which it was received.
+        wanted: The columns that are asked for; the topic of the first gives the rows.
+        clocks: The way to the stamp in the messages of a topic; ``header.stamp`` where it is missing.
+        kind: The class of the columns.
+        what: The kind of file, for messages.
+
+    Raises:
+        TableError: No message holds a number.
+    """
     listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
     if not listed:
-        raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
-    requested = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
-    topics = {topic.lstrip("/"): topic for topic in first}
-    needed = [topics[name] for name in requested if name in topics] or [listed[0][0]]
-    read = [source for topic in needed for source in sources_of(topic, _messages(reader, topic))]
+        raise TableError(f"{path}: expected {what} with messages that hold numbers, found none")
+    needed = _topics_of(wanted, listed, kind.bare_paths) or [listed[0][0]]
+    read = [
+        source
+        for topic in needed
+        for source in sources_of(topic, messages(topic), (clocks or {}).get(topic, STAMP))
+    ]
     base = _base(read, [_plain(name) for name in wanted])
     sources = [base, *(source for source in read if source is not base)]
     places: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
@@ -163,7 +204,7 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
         if topic not in read_topics:
             places.setdefault(_name(topic, way), (None, way))
     names = tuple(places)
-    return BagColumns(
+    return kind(
         names=names,
         width=len(names),
         lines=base.rows + 1,
@@ -174,6 +215,29 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
         numbered={plain: names.index(name) for plain, name in _numbered_names(sources)},
         refused=dict(_refusals(sources)),
     )
+
+
+def _topics_of(wanted: Sequence[str], listed: Sequence[tuple[str, Way]], bare_paths: bool) -> list[str]:
+    """The topics that columns stand in, in the order of the columns; of several that fit the longest."""
+    topics = {_plain(f"{topic}.")[:-1] or topic.lstrip("/"): topic for topic, _ in reversed(listed)}
+    needed: dict[str, None] = {}
+    for name in wanted:
+        beginnings = [topics[plain] for plain in topics if f"{_plain(name)}.".startswith(f"{plain}.")]
+        if beginnings:
+            needed[max(beginnings, key=len)] = None
+        elif bare_paths:
+            needed |= {topic: None for topic, way in listed if _is_bare(name, way)}
+    return list(needed)
+
+
+def _is_bare(name: str, way: Way) -> bool:
+    """Whether a column's name is the way to a number, without a topic. The time has a way of its own."""
+    steps = [step.name if isinstance(step, Named) else str(step) for step in way]
+    return name not in (*TIMES, RECEIVED) and _steps(name) == steps
+
+
+def _steps(path: str) -> list[str]:
+    return [index or part for index, part in _STEP.findall(path)]
 
 
 def _first(reader: Any, connection: Any) -> Any:
@@ -258,8 +322,7 @@ def _name(topic: str, way: Way) -> str:
 def _plain(name: str) -> str:
     """A column's name without what may be written in two ways."""
     topic, dot, rest = name.partition(".")
-    steps = [index or part for index, part in _STEP.findall(rest)]
-    return ".".join((topic.lstrip("/"), *steps)) if dot else name
+    return ".".join((topic.lstrip("/"), *_steps(rest))) if dot else name
 
 
 def _resample(t: FloatArray, times: FloatArray, values: FloatArray, hold: Hold) -> FloatArray:

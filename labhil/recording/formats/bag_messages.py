@@ -15,10 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from labhil.bounds import ImplausibleError
 from labhil.signals import FloatArray, IntArray
+from labhil.terminal import printable_name
 
 LONGEST_ARRAY = 64
 """Longer arrays (images, point clouds) are no columns."""
+
+MOST_NUMBERS = 4096
+"""Numbers in the messages of one topic; more are data of another kind, such as fields named by keys."""
 
 Labels = tuple[str, ...]
 
@@ -41,7 +46,8 @@ class Source:
     """Messages of one topic that belong together: all of them, or those that name the same joints.
 
     ``rows`` (n,) are their places in the topic, ``received`` (n,) and ``stamps`` (n,, of their headers) are s
-    of Unix time. ``orders`` says in how many messages the names had which order.
+    of Unix time. ``orders`` says in how many messages the names had which order, ``clock`` is the way to a
+    stamp.
     """
 
     topic: str
@@ -49,11 +55,12 @@ class Source:
     received: FloatArray
     values: Mapping[Way, FloatArray]
     orders: Mapping[Labels, int]
+    clock: Way = STAMP
 
     @property
     def stamps(self) -> FloatArray | None:
-        """Stamps of the headers; None where nobody filled them in."""
-        stamps = self.values.get(STAMP)
+        """Stamps in the messages; None where nobody filled them in."""
+        stamps = self.values.get(self.clock)
         return stamps if stamps is not None and (stamps > 0).all() else None
 
     @property
@@ -73,17 +80,25 @@ def numbers_in(value: Any, way: Way = (), labels: Labels = ()) -> Iterator[tuple
         for place in range(len(value) if len(value) <= LONGEST_ARRAY else 0):
             step = Named(labels[place]) if named else place
             yield from numbers_in(value[place], (*way, step), () if named else labels)
-    elif dataclasses.is_dataclass(value):
+    elif fields := _fields_of(value):
         inner_labels = labels_of(value) or labels
-        for part in dataclasses.fields(value):
-            yield from numbers_in(getattr(value, part.name), (*way, part.name), inner_labels)
+        for name, inner in fields:
+            yield from numbers_in(inner, (*way, name), inner_labels)
+
+
+def _fields_of(value: Any) -> list[tuple[str, Any]]:
+    """Names and values of a message's fields; none for what is no message."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if dataclasses.is_dataclass(value):
+        return [(part.name, getattr(value, part.name)) for part in dataclasses.fields(value)]
+    return []
 
 
 def labels_of(message: Any) -> Labels:
     """The names that a message gives the elements of its arrays: its field ``name`` or ``…names``."""
-    for part in dataclasses.fields(message):
-        value = getattr(message, part.name)
-        if not (part.name == "name" or part.name.endswith("names")) or not isinstance(value, list):
+    for name, value in _fields_of(message):
+        if not (name == "name" or name.endswith("names")) or not isinstance(value, list):
             continue
         if (
             value
@@ -97,16 +112,17 @@ def labels_of(message: Any) -> Labels:
 def _parallel_inside(value: Any, count: int) -> bool:
     """Whether the elements hold arrays as long as the names (points of a trajectory): those bear them."""
     first = value[0] if len(value) else None
-    if not dataclasses.is_dataclass(first) or labels_of(first):
+    if labels_of(first):
         return False
-    inner = (getattr(first, part.name) for part in dataclasses.fields(first))
+    inner = (values for _, values in _fields_of(first))
     return any(isinstance(values, (list, np.ndarray)) and len(values) == count for values in inner)
 
 
-def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
+def sources_of(topic: str, messages: Iterable[tuple[int, Any]], clock: Way = STAMP) -> list[Source]:
     """Read the messages of a topic, each with the time (ns, Unix) at which it was received.
 
-    Messages whose names have none in common come from several publishers, and are several sources.
+    Messages whose names have none in common come from several publishers, and are several sources. ``clock``
+    is the way to their stamps. ImplausibleError when they hold more different numbers than any device.
     """
     received: list[int] = []
     labels: list[Labels] = []
@@ -122,6 +138,10 @@ def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
             width += 1
         received.append(time_ns)
         labels.append(labels_of(message))
+        if len(columns) > MOST_NUMBERS:
+            raise ImplausibleError(
+                f"the messages of {printable_name(topic)} hold more than {MOST_NUMBERS} different numbers"
+            )
         if width != len(columns):  # an array may be shorter, or its names others, than in another message
             for column in columns.values():
                 column.extend([np.nan] * (count + 1 - len(column)))
@@ -133,7 +153,7 @@ def sources_of(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Source]:
         orders = Counter(order for order in labels if order in group)
         names = {name for order in group for name in order}
         group_columns = {way: column[rows] for way, column in values.items() if _belongs(way, names)}
-        sources.append(Source(topic, rows, seconds[rows], group_columns, orders))
+        sources.append(Source(topic, rows, seconds[rows], group_columns, orders, clock))
     return sources
 
 

@@ -21,6 +21,7 @@ from labhil.errors import LabhilError
 from labhil.recording.formats.bag import read_bag
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.matlab import read_hdf5, read_mat
+from labhil.recording.formats.mcap_file import read_mcap
 from labhil.recording.formats.parquet import read_parquet
 from labhil.recording.formats.transfer import pack
 from labhil.recording.formats.workbook import read_workbook
@@ -35,6 +36,7 @@ READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
     "parquet": lambda path, table, wanted: read_parquet(path),
     "workbook": read_workbook,
     "bag": lambda path, table, wanted: read_bag(path, wanted),
+    "mcap": lambda path, table, wanted: read_mcap(path, wanted),
 }
 
 
