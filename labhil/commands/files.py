@@ -86,20 +86,31 @@ def list_(
 
 
 def import_(
-    data: Annotated[Path, typer.Argument(help="A text table, MAT, Parquet, XLSX, or ROS 2 bag.")],
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="A text table, MAT, Parquet, XLSX, MCAP, npz, a ROS 2 bag, or a LeRobot dataset."
+        ),
+    ],
     rig: Annotated[
         Path, typer.Option(help="The rig file; its [table] and [channels] say how to read the data.")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=0, help="Which episode of a LeRobot dataset; [table] episode says so, too."
+        ),
+    ] = None,
 ) -> None:
     """Make a recording of a table that others wrote."""
     from labhil.analysis.doubts import doubts_in
     from labhil.analysis.import_check import check_table
     from labhil.recording.reader import read_recording
-    from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.recording.tables import describe_import, import_table, with_episode, write_import
     from labhil.rig import load_rig
 
-    table = import_table(data, load_rig(rig))
+    table = import_table(data, with_episode(load_rig(rig), episode))
     tell(describe_import(table))
     with status() as say:
         table, findings = check_table(table, say)

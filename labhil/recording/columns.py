@@ -10,10 +10,11 @@ from labhil.errors import TableError
 from labhil.recording.chunks import is_mcap
 from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.lerobot import is_dataset
 from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
 
-READ = "text tables, MAT files, Parquet, XLSX, MCAP files and ROS 2 bags"
+READ = "text tables, MAT files, Parquet, LeRobot datasets, XLSX, MCAP files and ROS 2 bags"
 
 NOT_READ = {
     b"\xd0\xcf\x11\xe0": "an XLS workbook of the old kind: save it as .xlsx",
@@ -33,6 +34,11 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     from data, and which topic of a bag gives the rows. TableError when the file is empty or of a kind
     that is not read, MissingExtraError when what reads it is not installed.
     """
+    if table.episode is not None and not (is_dataset(path) or data.startswith(b"PAR1")):
+        raise TableError(
+            f"{path}: expected a LeRobot dataset or a file of one, as [table] episode or --episode counts "
+            "its episodes, found none"
+        )
     if path.is_dir():
         return _read_folder(path, table, wanted)
     if not data.strip():
@@ -60,11 +66,13 @@ def _kind_of_numbers(path: Path, data: bytes) -> str | None:
 
 
 def _read_folder(path: Path, table: Table, wanted: Sequence[str]) -> Columns:
+    if is_dataset(path):
+        return read_apart("lerobot", path, table, wanted)
     if not (path / "metadata.yaml").is_file():
         content = ", ".join(sorted(inner.name for inner in path.iterdir())[:5]) or "nothing"
         raise TableError(
-            f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, "
-            f"found a folder with {content}"
+            f"{path}: expected a file, or the folder of a ROS 2 bag with its metadata.yaml, or of a LeRobot "
+            f"dataset with its meta/info.json, found a folder with {content}"
         )
     return read_apart("bag", path, table, wanted)
 

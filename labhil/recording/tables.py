@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -86,6 +86,8 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     """
     content, sha256 = _content(data)
     sheet = Sheet(data, read_columns(data, content, rig.table, _wanted_columns(rig)), rig)
+    if sheet.columns.files:
+        sha256 = _digest(data, sheet.columns.files)
     mapped, clock = _signals(sheet), _clock(sheet)
     timed = [clock.mapped] if clock is not None and clock.kind is TimeKind.NUMBER else []
     units = check_units(sheet, [*timed, *mapped])
@@ -126,6 +128,13 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         first_bad=bad.first,
         time_column=_name_of(sheet, clock),
     )
+
+
+def with_episode(rig: RigFile, episode: int | None) -> RigFile:
+    """The rig file with another ``[table] episode``; itself for None."""
+    if episode is None:
+        return rig
+    return rig.model_copy(update={"table": rig.table.model_copy(update={"episode": episode})})
 
 
 def write_import(table: ImportedTable, out: Path) -> Path:
@@ -198,13 +207,20 @@ def _content(path: Path) -> tuple[bytes, str]:
         if not path.is_dir():
             content = read_file(path)
             return content, hashlib.sha256(content).hexdigest()
-        digest = hashlib.sha256()
-        for inner in sorted(path.iterdir()):
-            if inner.is_file():
-                digest.update(inner.name.encode() + b"\x00" + inner.read_bytes())
+        inside = sorted(inner for inner in path.iterdir() if inner.is_file())
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from error
-    return b"", digest.hexdigest()
+    return b"", _digest(path, inside)
+
+
+def _digest(path: Path, files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    try:
+        for file in files:
+            digest.update(file.name.encode() + b"\x00" + file.read_bytes())
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from error
+    return digest.hexdigest()
 
 
 def _wanted_columns(rig: RigFile) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ from labhil import errors
 from labhil.errors import LabhilError, TableError
 from labhil.extras import require
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.lerobot import is_dataset
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
 from labhil.rig_sections import Table
 
@@ -45,6 +46,7 @@ takes about 8 bytes in the file and 60 as a Python object."""
 PACKAGES = {
     "hdf5": ("h5py", "a MAT file of version 7.3 (HDF5)"),
     "parquet": ("pyarrow", "a Parquet file"),
+    "lerobot": ("pyarrow", "a LeRobot dataset"),
     "workbook": ("openpyxl", "a workbook (XLSX)"),
     "bag": ("rosbags", "a ROS 2 bag"),
 }
@@ -182,8 +184,10 @@ def _exactly(child: subprocess.Popen[bytes], count: int) -> bytes:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of the files in a folder."""
+    """Bytes of a file, or of the files in a folder; of a dataset's files those of the largest."""
     try:
+        if is_dataset(path):
+            return max((file.stat().st_size for file in (path / "data").rglob("*.parquet")), default=0)
         if path.is_dir():
             return sum(inner.stat().st_size for inner in path.iterdir() if inner.is_file())
         return path.stat().st_size

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,11 @@ class Columns(ABC):
     def left_out(self) -> str:
         """What is in the file and is no column, with why, for messages; empty where that cannot be."""
         return ""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of a folder that the columns came from; empty where all in it count."""
+        return ()
 
     def find(self, source: str) -> tuple[int, ...]:
         """The numbers of the columns that bear this name: none, one or several.

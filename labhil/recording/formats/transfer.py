@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from labhil.recording.formats.bag import BagColumns
 from labhil.recording.formats.bag_messages import Named, Source
 from labhil.recording.formats.columns import NumberColumns
+from labhil.recording.formats.lerobot import LerobotColumns
 from labhil.recording.formats.mcap_file import McapColumns
 from labhil.recording.formats.notation import Notation
 from labhil.recording.formats.variables import VariableColumns
@@ -36,6 +37,7 @@ _CLASSES = {
         Notation,
         BagColumns,
         McapColumns,
+        LerobotColumns,
         Source,
         Named,
     )
