@@ -127,7 +127,7 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx or .rosbag2 (a folder)."
+            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx, .npz or .rosbag2 (a folder)."
         ),
     ],
     device: Annotated[
@@ -137,17 +137,29 @@ def export(
         str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
     ] = None,
     run: RunOption = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="For .npz: the rig file whose [model] names a MuJoCo file.")
+    ] = None,
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
 
-    A ROS 2 bag holds all streams; the others hold one.
+    A ROS 2 bag holds all streams; the others hold one. An .npz file is a trajectory for mujoco.sysid.
     """
+    from labhil.recording.export import choose_stream
     from labhil.recording.export import export as write_table
     from labhil.recording.reader import read_recording
 
     source = read_recording(recording, run).of_device(device)
     tell(source.losses())
-    show(write_table(source, out, stream))
+    if out.suffix.lower() != ".npz":
+        show(write_table(source, out, stream))
+        return
+    from labhil.rig import load_rig
+    from labhil.simulators.sysid_file import write_sysid
+
+    written = write_sysid(choose_stream(source, stream), None if rig is None else load_rig(rig), out)
+    tell(written.notes)
+    show(written.path)
 
 
 def layout(

@@ -11,10 +11,11 @@ from labhil.recording.chunks import is_mcap
 from labhil.recording.formats.apart import read_apart
 from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.lerobot import is_dataset
+from labhil.recording.formats.npz import is_npz
 from labhil.recording.formats.text import read_text
 from labhil.rig_sections import Table
 
-READ = "text tables, MAT files, Parquet, LeRobot datasets, XLSX, MCAP files and ROS 2 bags"
+READ = "text tables, MAT files, Parquet, LeRobot datasets, NPZ, XLSX, MCAP files and ROS 2 bags"
 
 NOT_READ = {
     b"\xd0\xcf\x11\xe0": "an XLS workbook of the old kind: save it as .xlsx",
@@ -43,8 +44,10 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
         return _read_folder(path, table, wanted)
     if not data.strip():
         raise TableError(f"{path}: expected a table, found an empty file")
-    if data.startswith(b"PK\x03\x04") and _is_workbook(path):
-        return read_apart("workbook", path, table, wanted)
+    if data.startswith(b"PK\x03\x04"):
+        kind = "npz" if is_npz(path) else "workbook"
+        if kind == "npz" or _is_workbook(path):
+            return read_apart(kind, path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, table, wanted)
     kind = _kind_of_numbers(path, data)

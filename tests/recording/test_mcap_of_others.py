@@ -178,10 +178,10 @@ def test_chunks_or_none_and_a_path_alone_where_one_topic_has_it(tmp_path, chunke
 
 
 def test_numbers_on_several_topics_are_taken_at_the_times_of_the_first(tmp_path):
-    topics = {"/u": as_json(lambda k: [-0.1 * k]), "/x": as_json(lambda k: 0.1 * k), "/b": as_protobuf()}
-    table = import_table(mcap(tmp_path / "a.mcap", topics), rig("/x.value", "/u.value[0]"))
+    topics = {"/uu": as_json(lambda k: [-0.1 * k]), "/xx": as_json(lambda k: 0.1 * k), "/b": as_protobuf()}
+    table = import_table(mcap(tmp_path / "a.mcap", topics), rig("/xx.value", "uu.value[0]"))
     assert table.values == pytest.approx(EXPECTED)
-    assert any("/u is another topic" in line for line in describe_import(table))
+    assert any("/uu is another topic" in line for line in describe_import(table))
     table = import_table(tmp_path / "a.mcap", rig("/b.gain.a", "/b.joints.servo.angle"))
     assert table.values == pytest.approx(EXPECTED, abs=1e-6)
 

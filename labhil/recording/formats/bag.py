@@ -187,12 +187,32 @@ def bag_columns(
     listed = [(topic, way) for topic, message in first.items() for way, _ in numbers_in(message)]
     if not listed:
         raise TableError(f"{path}: expected {what} with messages that hold numbers, found none")
-    needed = _topics_of(wanted, listed, kind.bare_paths) or [listed[0][0]]
+    needed = topics_of(wanted, listed, kind.bare_paths) or [listed[0][0]]
     read = [
         source
         for topic in needed
         for source in sources_of(topic, messages(topic), (clocks or {}).get(topic, STAMP))
     ]
+    return columns_of(path, read, wanted, listed=listed, kind=kind)
+
+
+def columns_of(
+    path: Path,
+    read: Sequence[Source],
+    wanted: Sequence[str],
+    *,
+    listed: Sequence[tuple[str, Way]] = (),
+    kind: type[BagColumns] = BagColumns,
+) -> BagColumns:
+    """Make columns of sources, of which those of the first topic may give the rows.
+
+    Args:
+        path: The file, for messages.
+        read: The sources.
+        wanted: The columns that are asked for.
+        listed: Topics and ways of numbers, of which those of other topics are named but not read.
+        kind: The class of the columns.
+    """
     base = _base(read, [_plain(name) for name in wanted])
     sources = [base, *(source for source in read if source is not base)]
     places: dict[str, tuple[int | None, Way]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
@@ -217,9 +237,9 @@ def bag_columns(
     )
 
 
-def _topics_of(wanted: Sequence[str], listed: Sequence[tuple[str, Way]], bare_paths: bool) -> list[str]:
+def topics_of(wanted: Sequence[str], listed: Sequence[tuple[str, Way]], bare_paths: bool) -> list[str]:
     """The topics that columns stand in, in the order of the columns; of several that fit the longest."""
-    topics = {_plain(f"{topic}.")[:-1] or topic.lstrip("/"): topic for topic, _ in reversed(listed)}
+    topics = {_plain(topic).lstrip("/"): topic for topic, _ in reversed(listed)}
     needed: dict[str, None] = {}
     for name in wanted:
         beginnings = [topics[plain] for plain in topics if f"{_plain(name)}.".startswith(f"{plain}.")]

@@ -23,6 +23,7 @@ from labhil.recording.formats.columns import Columns
 from labhil.recording.formats.lerobot import read_dataset, read_parquet_or_episode
 from labhil.recording.formats.matlab import read_hdf5, read_mat
 from labhil.recording.formats.mcap_file import read_mcap
+from labhil.recording.formats.npz import read_npz
 from labhil.recording.formats.transfer import pack
 from labhil.recording.formats.workbook import read_workbook
 from labhil.rig_sections import Table
@@ -37,6 +38,7 @@ READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
     "lerobot": read_dataset,
     "workbook": read_workbook,
     "bag": lambda path, table, wanted: read_bag(path, wanted),
+    "npz": lambda path, table, wanted: read_npz(path, wanted),
     "mcap": lambda path, table, wanted: read_mcap(path, wanted),
 }
 

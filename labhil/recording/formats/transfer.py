@@ -22,6 +22,7 @@ from labhil.recording.formats.columns import NumberColumns
 from labhil.recording.formats.lerobot import LerobotColumns
 from labhil.recording.formats.mcap_file import McapColumns
 from labhil.recording.formats.notation import Notation
+from labhil.recording.formats.npz import SysidColumns
 from labhil.recording.formats.variables import VariableColumns
 from labhil.recording.formats.workbook import SheetColumns
 
@@ -38,6 +39,7 @@ _CLASSES = {
         BagColumns,
         McapColumns,
         LerobotColumns,
+        SysidColumns,
         Source,
         Named,
     )
