@@ -94,7 +94,7 @@ def test_a_trajectory_of_sysid_is_imported_and_fitted(tmp_path: Path) -> None:
     lines = "\n".join(describe_import(table))
     assert "rows are the samples of sensordata; without a channel t the time is theirs" in lines
     assert "control has times of its own" in lines
-    recording = lh.read(tmp_path / "run.npz", model=rig)
+    recording = lh.read(tmp_path / "run.npz", rig=rig)
     fit = lh.fit(recording, rig)
     assert fit.parameters["rod_mass"].value == pytest.approx(MASS, rel=0.02)
 
@@ -177,7 +177,7 @@ def test_sysid_identifies_from_an_export(tmp_path: Path) -> None:
 
     rig = bench(tmp_path)
     trajectory(tmp_path).save_to_disk(tmp_path / "run.npz")
-    lh.read(tmp_path / "run.npz", model=rig).save(tmp_path / "run.mcap")
+    lh.read(tmp_path / "run.npz", rig=rig).save(tmp_path / "run.mcap")
     (data,) = read_recording(tmp_path / "run.mcap").streams
     out = write_sysid(data, load_rig(rig), tmp_path / "out.npz").path
     spec = mujoco.MjSpec.from_file(str(tmp_path / "pendulum.xml"))
