@@ -240,8 +240,9 @@ def read(
 ) -> Recording:
     """Read a recording from a file.
 
-    Recordings need nothing more. Text tables, MAT, Parquet, XLSX, NPZ, other programs' MCAP files, ROS 2 bags
-    and LeRobot datasets are read by the rules of a rig file: its ``[table]`` and ``[channels]`` say which column is which signal, in which unit.
+    Recordings need nothing more. Text tables, MAT, Parquet, XLSX, NPZ, ROS 2 bags and LeRobot datasets are
+    read by the rules of a rig file: its ``[table]`` and ``[channels]`` say which column is which signal, in
+    which unit. MCAP files of other programs are imported first (``labhil import``).
 
     Args:
         path: The file, or the folder of a ROS 2 bag.

@@ -24,6 +24,10 @@ NOT_READ = {
     b"ARROW1": "a Feather (Arrow) file: save it as Parquet",
 }
 
+HDF5 = b"\x89HDF"
+HDF5_IN_MAT = slice(512, 516)
+"""Where HDF5 begins in a MAT file of version 7.3: behind a text."""
+
 MCAP_PROFILE = slice(17, 25)
 """Where the first record of an MCAP file names its profile: a length (u32), then the text."""
 
@@ -61,9 +65,11 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
 
 def _kind_of_numbers(path: Path, data: bytes) -> str | None:
     """Which kind of file whose columns have names and numbers, so that [table] has nothing to say."""
+    if data[HDF5_IN_MAT] == HDF5:  # whatever its text says
+        return "hdf5"
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and b"\x00" in data[:20]):
         return "mat"
-    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
+    if data.startswith((b"MATLAB 7.3", HDF5)):
         return "hdf5"
     return "parquet" if data.startswith(b"PAR1") else None
 

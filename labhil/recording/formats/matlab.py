@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,8 @@ import numpy as np
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.matlab_objects import advice, objects_in
+from labhil.recording.formats.matlab_mcos import Objects, UnknownObjectError
+from labhil.recording.formats.matlab_objects import advice, objects_in, references_in
 from labhil.recording.formats.variables import MOST_PARTS, Part, VariableColumns, table_of, variables_of
 from labhil.signals import FloatArray, Stream
 
@@ -54,12 +57,15 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
         raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
+    content = path.read_bytes()
+    objects = _objects_of(variables.get("__function_workspace__"))
     parts = {
-        name: _part(name, value)
+        name: _part(name, value, objects)
         for name, value in variables.items()
         if not name.startswith("_") and type(value).__name__ != "MatlabOpaque"
     }
-    parts |= {name: Part(reason=advice(name, kind)) for name, kind in objects_in(path.read_bytes())}
+    references = references_in(content)
+    parts |= {name: _object(name, kind, references.get(name), objects) for name, kind in objects_in(content)}
     return table_of(path, variables_of(parts), wanted)
 
 
@@ -87,6 +93,52 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
 
 
+def _objects_of(workspace: Any) -> Objects | None:
+    """The objects of a MAT file of version 5, which stand in a variable that is such a file itself."""
+    from scipy.io import loadmat
+
+    if not isinstance(workspace, np.ndarray) or workspace.dtype != np.uint8:
+        return None
+    inner = workspace.tobytes()
+    order = "<" if inner[2:4] == b"IM" else ">"
+    try:
+        _, size = struct.unpack_from(f"{order}II", inner, 8)
+        # its head has 8 bytes in place of 128; of its elements the first holds the objects
+        content = b" " * 124 + inner[:4] + inner[8 : 16 + size]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            whole = loadmat(BytesIO(content), struct_as_record=False)["__function_workspace__"]
+        cells = whole[0, 0].MCOS.ravel()[0]["arr"].ravel(order="F")
+        objects = Objects(cells[0].tobytes(), lambda number: _cell_of(cells, number, objects), order)
+    except Exception:  # noqa: BLE001 - scipy raises almost anything; objects are named with what to do
+        return None
+    return objects
+
+
+def _cell_of(cells: Any, number: int, objects: Objects) -> Part:
+    value = cells[number]
+    if isinstance(value, np.ndarray) and value.dtype.kind == "c":
+        value = value.real  # a datetime: beside its milliseconds there is what they lack
+    return objects.resolved(_part("", value))
+
+
+def _object(name: str, kind: str, reference: Any, objects: Objects | None) -> Part:
+    """An object as a struct; why it is none, and what to do in MATLAB, where it cannot be read."""
+    if objects is not None and reference is not None:
+        try:
+            return _or_advice(name, kind, objects.part(reference))
+        except UnknownObjectError:
+            pass
+    return Part(reason=advice(name, kind))
+
+
+def _or_advice(name: str, kind: str, part: Part) -> Part:
+    """An object's part, or what to do in MATLAB where it holds no numbers at all."""
+    if part.array is None and not any(v.array is not None for v in variables_of({name: part})):
+        return Part(reason=advice(name, kind))
+    return part
+
+
 def _claimed_bytes(path: Path) -> int:
     """Bytes that the variables of a MAT file would take as numbers."""
     from scipy.io import whosmat
@@ -98,17 +150,18 @@ def _claimed_bytes(path: Path) -> int:
     return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
-def _part(name: str, value: Any) -> Part:
+def _part(name: str, value: Any, objects: Objects | None = None) -> Part:
     """What scipy read as the variable ``name``, or as a part of it."""
     if hasattr(value, "_fieldnames"):
         inner = {key: getattr(value, key) for key in value._fieldnames}
-        return Part(fields={key: _part(f"{name}.{key}", field) for key, field in inner.items()})
+        return Part(fields={key: _part(f"{name}.{key}", field, objects) for key, field in inner.items()})
     if not isinstance(value, np.ndarray):
         return Part(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
     if type(value).__name__ == "MatlabOpaque" and value.size:
-        return Part(reason=advice(name, _decode(value.ravel()[0]["s2"])))
+        opaque = value.ravel()[0]
+        return _object(name, _decode(opaque["s2"]), opaque["arr"], objects)
     if value.dtype == object and value.size:
-        return _elements(name, list(value.ravel(order="F")))
+        return _elements(name, list(value.ravel(order="F")), objects)
     if value.dtype.kind in NUMBERS:
         return Part(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
     text = "".join(value.ravel().tolist())[:MOST_TEXT] if value.dtype.kind in "US" else ""
@@ -116,14 +169,14 @@ def _part(name: str, value: Any) -> Part:
     return Part(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
 
 
-def _elements(name: str, values: Sequence[Any]) -> Part:
+def _elements(name: str, values: Sequence[Any], objects: Objects | None) -> Part:
     """A struct, a struct array or a cell; of many elements no more than tell that they are too many."""
     cell = not all(hasattr(element, "_fieldnames") for element in values)
     single = not cell and len(values) == 1
     paths = (
         name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MOST_PARTS + 2)
     )
-    parts = [_part(path, element) for path, element in zip(paths, values, strict=False)]
+    parts = [_part(path, element, objects) for path, element in zip(paths, values, strict=False)]
     if cell:
         return Part(elements=parts, braces="{}")
     return parts[0] if single else Part(elements=parts)
@@ -141,6 +194,28 @@ class _Hdf5:
         self._size = size
         self._claimed = 0
         self._left = MOST_PARTS_IN_ALL
+        self._within = 0
+        self._objects = self._find_objects()
+
+    def _find_objects(self) -> Objects | None:
+        """The objects of the file; None where it has none, or they cannot be read."""
+        cells = self._file.get("#subsystem#/MCOS")
+        if cells is None or not hasattr(cells, "dtype") or not self._references(cells.dtype):
+            return None
+        try:
+            references = self._values("#subsystem#", cells).ravel()
+            metadata = np.asarray(self._values("#subsystem#", self._file[references[0]]), dtype=np.uint8)
+            return Objects(metadata.tobytes(), lambda number: self._cell(references[number]))
+        except (UnknownObjectError, IndexError, ValueError, KeyError, OSError, RuntimeError, TypeError):
+            return None
+
+    def _cell(self, reference: Any) -> Part:
+        self._within += 1
+        try:
+            part = self.part("", self._file[reference])
+            return part if self._objects is None else self._objects.resolved(part)
+        finally:
+            self._within -= 1
 
     def part(self, name: str, item: Any) -> Part:
         """The variable ``name``, or a part of it."""
@@ -149,7 +224,9 @@ class _Hdf5:
             return Part(reason=f"more than {MOST_PARTS_IN_ALL} parts in the file")
         kind = _decode(item.attrs.get("MATLAB_class", b""))
         if "MATLAB_object_decode" in item.attrs and kind not in IN_WORDS:
-            return Part(reason=advice(name, kind))
+            plain = hasattr(item, "dtype") and item.dtype.kind in "iu"
+            reference = self._values(name, item) if plain else None
+            return _object(name, kind, reference, self._objects)
         if not hasattr(item, "dtype"):
             return _struct({key: self.part(name, inner) for key, inner in item.items()})
         return self._dataset(name, item, kind)
@@ -164,6 +241,8 @@ class _Hdf5:
                 for reference in inner
             ]
             return Part(elements=parts, braces="{}" if kind == "cell" else "()")
+        if self._within and item.dtype.names == ("real", "imag"):
+            return Part(array=np.atleast_2d(self._values(name, item)["real"].T))
         if item.dtype.kind not in NUMBERS or kind in IN_WORDS:
             text = "".join(map(chr, self._values(name, item).ravel()[:MOST_TEXT])) if kind == "char" else ""
             return Part(reason=IN_WORDS.get(kind, f"HDF5's {item.dtype}"), text=text)

@@ -1,7 +1,8 @@
-"""Objects of MATLAB's own classes, which only MATLAB can take apart: their names, and what to do."""
+"""Objects of MATLAB's own classes: their names, what stands for them, what to do where they are not read."""
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -15,6 +16,9 @@ OPAQUE = 17
 HEADER = 128
 HEAD_OF_ELEMENT = 1024
 """Bytes in which an element's flags, name and class stand; names have at most 63 characters."""
+
+REFERENCE = 0xDD000000
+"""The first of the whole numbers that stand for an object."""
 
 ADVICE = {
     "timetable": "S = table2struct(timetable2table({0}), 'ToScalar', true); "
@@ -58,6 +62,25 @@ def _heads(data: bytes, order: str) -> Iterator[bytes]:
         else:
             return
         position += 8 + size
+
+
+def references_in(data: bytes) -> dict[str, list[int]]:
+    """Return the whole numbers that stand for each variable that is an object, by its name."""
+    if data[126:128] not in (b"IM", b"MI"):
+        return {}
+    order = "<" if data[126:128] == b"IM" else ">"
+    found = {}
+    for head in _heads(data, order):
+        item = _object(head, order)
+        # after its class: a mark, how many axes, their lengths, a number for each object, one for the class
+        place = head.find(struct.pack(f"{order}I", REFERENCE))
+        if item is not None and place >= 0:
+            whole = head[place : place + (len(head) - place) // 4 * 4]
+            numbers = [number for (number,) in struct.iter_unpack(f"{order}I", whole)]
+            axes = numbers[1] if len(numbers) > 1 else 0
+            count = math.prod(numbers[2 : 2 + axes]) if 0 < axes <= 8 else 0
+            found[item[0]] = numbers[: 2 + axes + count + 1]
+    return found
 
 
 def _object(head: bytes, order: str) -> tuple[str, str] | None:

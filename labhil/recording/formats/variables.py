@@ -23,7 +23,10 @@ from labhil.signals import FloatArray, Hold
 MOST_PARTS = 64
 """Elements of a struct array or a cell that are looked into; more are data of another kind."""
 
-TIME = ("time", "t")
+ROUNDING = 1e-6
+"""Of a mean step; times that differ by less are the same."""
+
+TIME = ("time", "t", "Time")
 """What a struct calls the time of its signals."""
 
 _INDEX = re.compile(r"\((\d+)\)|\[(\d+)\]|\{(\d+)\}|\.(\d+)(?=\.|$|_)")
@@ -114,10 +117,12 @@ def variables_of(parts: Mapping[str, Part]) -> list[Variable]:
 def _walk(name: str, part: Part, labels: tuple[str, ...], owner: str) -> Iterator[Variable]:
     if part.fields:
         inner_owner = name if any(time in part.fields for time in TIME) else owner
-        label = part.fields["label"].text.strip() if "label" in part.fields else ""
+        label = part.fields["label"].text.strip() if "label" in part.fields else part.text
         for key, inner in part.fields.items():
             # a scope's label names its values, every other field bears its own name too
-            named = (label, f"{inner_owner}.{label}") if label and key == "values" else (key,)
+            named = (label, f"{inner_owner}.{label}") if label and key in ("values", "Data") else (key,)
+            named = ("Time", "time") if key == "Time" else named
+            named = (*named, name) if label and key == "Data" else named
             yield from _walk(f"{name}.{key}", inner, named, inner_owner)
     elif part.elements:
         if len(part.elements) > MOST_PARTS:
@@ -218,7 +223,7 @@ def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Seque
         if (
             reference.array is None
             or differing.array is None
-            or np.array_equal(reference.array.ravel(), differing.array.ravel())
+            or _same_times(reference.array.ravel(), differing.array.ravel())
         ):
             continue
         raise TableError(
@@ -226,6 +231,17 @@ def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Seque
             f"{differing.name} ({differing.shape}), which differ; take the signals of one of them, or "
             "resample in MATLAB (interp1)"
         )
+
+
+def _same_times(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two times are the same but for rounding: one may be stored, one be a start and a step."""
+    if np.array_equal(first, second):
+        return True
+    if first.shape != second.shape or not np.isfinite([first, second]).all():
+        return False
+    return bool(
+        np.allclose(first, second, rtol=1e-12, atol=ROUNDING * float(np.ptp(first)) / max(len(first), 1))
+    )
 
 
 def _asks_for(name: str, variable: Variable) -> bool:
