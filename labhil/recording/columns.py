@@ -49,9 +49,9 @@ def read_columns(path: Path, data: bytes, table: Table, wanted: Sequence[str]) -
     if not data.strip():
         raise TableError(f"{path}: expected a table, found an empty file")
     if data.startswith(b"PK\x03\x04"):
-        kind = "npz" if is_npz(path) else "workbook"
-        if kind == "npz" or _is_workbook(path):
-            return read_apart(kind, path, table, wanted)
+        zipped = "npz" if is_npz(path) else "workbook"
+        if zipped == "npz" or _is_workbook(path):
+            return read_apart(zipped, path, table, wanted)
     if data.startswith(b"SQLite format 3") or is_mcap(data):
         return _read_bag_file(path, data, table, wanted)
     kind = _kind_of_numbers(path, data)

@@ -192,7 +192,8 @@ def _start(
     model, state = described.model, mujoco.MjData(described.model)
     velocities = int(mujoco.mjtSensor.mjSENS_JOINTVEL)
     sensors = names_of(model).sensors
-    positions, rates = [], []
+    positions: list[FloatArray] = []
+    rates: list[FloatArray] = []
     for column, (name, kind) in zip(sensordata.T, measured.values(), strict=True):
         is_rate = kind == SENSOR and int(model.sensor_type[sensors.index(name)]) == velocities
         (rates if is_rate else positions).append(column)

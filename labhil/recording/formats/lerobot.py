@@ -308,8 +308,9 @@ def _names_in(info: dict[str, Any], feature: str, width: int) -> list[str]:
     names = described.get("names") if isinstance(described, dict) else None
     if isinstance(names, dict) and len(names) == 1:  # {"motors": […]}, as of version 2
         names = next(iter(names.values()))
-    good = isinstance(names, list) and len(names) == width and all(isinstance(n, str) and n for n in names)
-    return list(names) if good and len(set(names)) == width else [str(place) for place in range(width)]
+    stated = [name for name in names if isinstance(name, str) and name] if isinstance(names, list) else []
+    good = len(stated) == len(set(stated)) == width
+    return stated if good else [str(place) for place in range(width)]
 
 
 def _origin(info: dict[str, Any], number: int, rows: int) -> str:

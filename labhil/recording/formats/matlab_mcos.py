@@ -188,7 +188,7 @@ def _row_times(times: Part, rows: int) -> Part:
 def _even(start: float, step: float, rows: int) -> Part:
     if not 0 < rows <= MOST_ROWS or not np.isfinite([start, step]).all():
         return Part(reason="times without a start, a step or rows")
-    return Part(array=(start + step * np.arange(rows))[:, None])
+    return Part(array=np.asarray(start + step * np.arange(rows), dtype=np.float64)[:, None])
 
 
 def _timeseries(values: Mapping[str, Part]) -> Part:

@@ -163,7 +163,8 @@ class _File:
 
     def _candidates(self, found: set[str], tried: Counter[str]) -> Iterator[tuple[str, Any]]:
         """Messages to choose the first ones from; by topic where the file has an index, else all of it."""
-        for asked in self._topics() or [None]:
+        asked: str | None
+        for asked in self._topics() or (None,):
             for schema, channel, record in self.reader.iter_messages(asked):
                 topic = channel.topic
                 if topic not in found and tried[topic] < TRIED:
