@@ -1,8 +1,8 @@
 """Objects of MATLAB's own classes: timetables, tables, timeseries and the signals of a Simulink Dataset.
 
-The files in ``matlab_objects`` are by mat-io 1.0.2, an independent writer: 30 rows at 10 Hz with ball_position
-= t² and servo_angle = sin t. timetable, table and the times are as MATLAB keeps them. What timeseries and
-Datasets call their properties comes from the definitions of these classes, not from a file that MATLAB saved.
+The files in ``matlab_objects`` are by mat-io 1.0.2, an independent writer: 30 rows at 10 Hz, ball_position is
+t², servo_angle sin t. timetable, table and the times are as MATLAB keeps them. What timeseries and Datasets
+call their properties comes from the definitions of these classes, not from a file that MATLAB saved.
 """
 
 from pathlib import Path
