@@ -316,7 +316,7 @@ def test_a_table_that_cannot_be_read_is_refused_in_words(tmp_path, case):
 @pytest.mark.parametrize(
     ("content", "found"),
     [
-        (b"\x89MCAP0\r\n...", "an MCAP file without channels"),
+        (b"\x89MCAP0\r\n...", "expected a whole MCAP file, found one that cannot be read"),
         (b"PAR1....", "expected a Parquet file, found one that cannot be read"),
         (b"PK\x03\x04....", "XLSX.*cut or damaged"),
         (b"\x89HDF....", "expected an HDF5 file, found one that cannot be read"),
