@@ -91,6 +91,7 @@ class DeviceControl:
         self._mending = False
         self._unheard = 0
         self._suspends = SuspendWatch()
+        self._turned_at = time.monotonic()
         self._continuation = Continuation(spec.stream.rate * info.speed, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -136,7 +137,7 @@ class DeviceControl:
 
         Raises what the driver raises; the device is brought to its safe state then, too.
         """
-        self._heard_at = before = time.monotonic()
+        self._heard_at = self._turned_at = before = time.monotonic()
         try:
             while not (reason := self._ended() or self._shut_down_reason):
                 try:
@@ -156,7 +157,7 @@ class DeviceControl:
         """Take in samples, answer, keep watch; returns when that was. ``before`` is the last turn's time."""
         self._check_bus()
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(before) else IDLE_TIMEOUT)
-        self._check_suspend()
+        self._check_standstill()
         now = time.monotonic()
         if len(batch):
             if now - self._heard_at > self._config.watchdog / 2:
@@ -176,13 +177,18 @@ class DeviceControl:
         self._check_watchdog(now, now - before)
         return now
 
-    def _check_suspend(self) -> None:
-        """Raise DeviceSilentError where the machine was suspended.
+    def _check_standstill(self) -> None:
+        """Raise DeviceSilentError where the machine was suspended, or this process stood still.
 
-        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that.
+        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that. A busy
+        machine lets a process stand still, too: that ends no run that does not look for lost devices.
         """
         if (slept := self._suspends.slept()) > SILENCE:
             raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
+        before, self._turned_at = self._turned_at, time.monotonic()
+        stood = self._turned_at - before
+        if stood > SILENCE and self._config.reconnect:
+            raise DeviceSilentError(f"{self._config.address}: its host stood still for {stood:.3g} s")
 
     def _look_whether_heard(self, now: float) -> None:
         """Note that the device made itself safe, as it no longer heard us, though its samples come in.
@@ -225,6 +231,7 @@ class DeviceControl:
         self._info = info
         self._heard_any, self._quiet, self._unheard = False, False, 0
         self._suspends.slept()
+        self._turned_at = time.monotonic()
         self._continuation.tear(same_boot=same_boot)
         gap = time.monotonic() - lost_at
         self._return(f"after {gap:.2f} s the device is back, its configuration sent again: {booted}")
@@ -392,7 +399,7 @@ class DeviceControl:
         age = min(unix_ns() - setpoint.t_ns, time.time_ns() - setpoint.t_ns, key=abs) * 1e-9
         oldest = self._config.watchdog
         if age > oldest:
-            self._check_suspend()
+            self._check_standstill()
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
             raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")
