@@ -180,8 +180,8 @@ class DeviceControl:
     def _check_standstill(self) -> None:
         """Raise DeviceSilentError where the machine was suspended, or this process stood still.
 
-        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that. A busy
-        machine lets a process stand still, too: that ends no run that does not look for lost devices.
+        The device made itself safe meanwhile, and what waits on its wire and on the bus is as old as that.
+        A busy machine lets a process stand still, too: that ends no run that does not look for lost devices.
         """
         if (slept := self._suspends.slept()) > SILENCE:
             raise DeviceSilentError(f"{self._config.address}: this machine was suspended for {slept:.3g} s")
