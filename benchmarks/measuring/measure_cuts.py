@@ -419,6 +419,21 @@ def match(
     begin at ``seams_ns``. ``reach`` (s) is how long before its stamp the first sample may have been sent.
     """
     connection = np.searchsorted(np.array(seams_ns, dtype=np.int64), stream.t_acq_ns, side="right")
+    rows = rows_of(stream, values, sent, connection, reach)
+    # a sample may bear a time shortly before its connection was announced: the newest that came with it
+    late = (rows < 0) & (np.append(np.diff(connection), 0) > 0)
+    while late.any():
+        connection[late] += 1
+        again = rows_of(stream, values, sent, connection, reach)
+        late = (again < 0) & (rows < 0) & (np.append(np.diff(connection), 0) > 0) & ~late
+        rows = again
+    return Matched(stream, rows, connection)
+
+
+def rows_of(
+    stream: StreamData, values: np.ndarray, sent: Sent, connection: IntArray, reach: float
+) -> IntArray:
+    """Which row each recorded sample is, connection by connection."""
     rows = np.full(len(stream.seq), UNKNOWN)
     for number in np.unique(connection):
         here = np.flatnonzero(connection == number)
@@ -431,7 +446,7 @@ def match(
             if np.count_nonzero(found >= 0) > np.count_nonzero(best >= 0):
                 best = found
         rows[here] = best
-    return Matched(stream, rows, connection)
+    return rows
 
 
 def rows_from(stream: StreamData, values: np.ndarray, sent: Sent, here: IntArray, candidate: int) -> IntArray:
@@ -476,6 +491,7 @@ def examine(scene: Scene, ending: str) -> dict[str, Any]:
         ),
         "old_as_new": int(np.count_nonzero(age > fresh)),
         "oldest_ms": round(1e3 * float(age.max()), 1),
+        "old_after": old_after(scene, stream, age > fresh),
         "connections": len(seams) + 1,
         "configurations": len(scene.wire.configured),
         **gaps(scene, recording, matched, sent),
@@ -487,6 +503,17 @@ def examine(scene: Scene, ending: str) -> dict[str, Any]:
     }
     result["all"] = times(scene.cuts, scene, matched, sent)
     return result
+
+
+def old_after(scene: Scene, stream: StreamData, old: np.ndarray) -> dict[str, int]:
+    """How many old samples came during or right after which kind of cut, or at other times."""
+    counts: dict[str, int] = {}
+    for t_ns in stream.t_acq_ns[old].tolist():
+        kind = next(
+            (c.kind for c in scene.cuts if c.began_ns <= t_ns <= c.returned_ns + 500_000_000), "no cut"
+        )
+        counts[kind] = counts.get(kind, 0) + 1
+    return counts
 
 
 def times(cuts: Sequence[Cut], scene: Scene, matched: Matched, sent: Sent) -> dict[str, Any]:
