@@ -145,8 +145,9 @@ class Table(Section):
     """``[table]``: how to read a file that is not already in our names and units.
 
     ``thousands`` is the mark that groups digits; ``part`` (from 1) the stretch to take of a table whose clock
-    begins anew; ``blanks = "fill"`` also fills empty cells of a slower output; ``bad_rows`` drops or refuses
-    what cannot be read: without it a few rows are dropped, and many refused.
+    begins anew; ``episode`` (from 0) the one to take of a LeRobot dataset; ``blanks = "fill"`` also fills
+    empty cells of a slower output; ``bad_rows`` drops or refuses what cannot be read: without it a few rows
+    are dropped, and many refused.
     """
 
     header: bool | None = None
@@ -158,6 +159,7 @@ class Table(Section):
     comment: str | None = None
     sheet: str | None = None
     part: Annotated[int, Field(ge=1)] | None = None
+    episode: Annotated[int, Field(ge=0)] | None = None
     blanks: Literal["fill"] | None = None
     bad_rows: Literal["drop", "fail"] | None = None
 

@@ -241,8 +241,9 @@ def read(
 ) -> Recording:
     """Read a recording from a file.
 
-    Text tables, MAT, Parquet, XLSX and ROS 2 bags are read by the rules of a rig file: its ``[table]`` and
-    ``[channels]`` define signal and unit of each column. MCAP files need no rules.
+    Text tables, MAT, Parquet, XLSX, NPZ, ROS 2 bags and LeRobot datasets are read by the rules of a rig file:
+    its ``[table]`` and ``[channels]`` define signal and unit of each column. Recordings need no rules. MCAP
+    files of other programs are imported first (``labhil import``).
 
     Args:
         path: The file, or the folder of a ROS 2 bag.

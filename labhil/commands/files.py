@@ -86,20 +86,31 @@ def list_(
 
 
 def import_(
-    data: Annotated[Path, typer.Argument(help="A text table, MAT, Parquet, XLSX, or ROS 2 bag.")],
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="A text table, MAT, Parquet, XLSX, MCAP, npz, a ROS 2 bag, or a LeRobot dataset."
+        ),
+    ],
     rig: Annotated[
         Path, typer.Option(help="The rig file; its [table] and [channels] define how to read the data.")
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="The recording to write (.mcap).")],
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=0, help="Which episode of a LeRobot dataset; [table] episode says so, too."
+        ),
+    ] = None,
 ) -> None:
     """Make a recording of a table of measured data."""
     from labhil.analysis.doubts import doubts_in
     from labhil.analysis.import_check import check_table
     from labhil.recording.reader import read_recording
-    from labhil.recording.tables import describe_import, import_table, write_import
+    from labhil.recording.tables import describe_import, import_table, with_episode, write_import
     from labhil.rig import load_rig
 
-    table = import_table(data, load_rig(rig))
+    table = import_table(data, with_episode(load_rig(rig), episode))
     tell(describe_import(table))
     with status() as progress:
         table, findings = check_table(table, progress)
@@ -116,7 +127,7 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx or .rosbag2 (a folder)."
+            "-o", "--out", help="What to write: .csv, .parquet, .mat, .xlsx, .npz or .rosbag2 (a folder)."
         ),
     ],
     device: Annotated[
@@ -126,17 +137,29 @@ def export(
         str | None, typer.Option(metavar="/DEVICE/STREAM", help="Which stream (default: state).")
     ] = None,
     run: RunOption = None,
+    rig: Annotated[
+        Path | None, typer.Option(help="For .npz: the rig file whose [model] names a MuJoCo file.")
+    ] = None,
 ) -> None:
     """Write the samples of a recording as a table: a column t (s), then the signals in SI units.
 
-    A ROS 2 bag holds all streams, the other formats one.
+    A ROS 2 bag holds all streams, the other formats one. An .npz file is a trajectory for mujoco.sysid.
     """
+    from labhil.recording.export import choose_stream
     from labhil.recording.export import export as export_table
     from labhil.recording.reader import read_recording
 
     source = read_recording(recording, run).of_device(device)
     tell(source.warnings())
-    show(export_table(source, out, stream))
+    if out.suffix.lower() != ".npz":
+        show(export_table(source, out, stream))
+        return
+    from labhil.rig import load_rig
+    from labhil.simulators.sysid_file import write_sysid
+
+    written = write_sysid(choose_stream(source, stream), None if rig is None else load_rig(rig), out)
+    tell(written.notes)
+    show(written.path)
 
 
 def layout(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -106,6 +106,8 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
     """
     content, sha256 = _read_content(data)
     sheet = Sheet(data, read_foreign_table(data, content, rig.table, _wanted_columns(rig)), rig)
+    if sheet.columns.files:
+        sha256 = _digest(data, sheet.columns.files)
     mapped, time_column = _map_signals(sheet), _find_time_column(sheet)
     timed = [time_column.mapped] if time_column is not None and time_column.kind is TimeKind.NUMBER else []
     units = check_units(sheet, [*timed, *mapped])
@@ -149,6 +151,13 @@ def import_table(data: Path, rig: RigFile) -> ImportedTable:
         first_bad=bad.first,
         time_column=_time_column_name(sheet, time_column),
     )
+
+
+def with_episode(rig: RigFile, episode: int | None) -> RigFile:
+    """Replace ``[table] episode`` of a rig file; None keeps it."""
+    if episode is None:
+        return rig
+    return rig.model_copy(update={"table": rig.table.model_copy(update={"episode": episode})})
 
 
 def write_import(table: ImportedTable, out: Path) -> Path:
@@ -240,13 +249,20 @@ def _read_content(path: Path) -> tuple[bytes, str]:
         if not path.is_dir():
             content = read_file(path)
             return content, hashlib.sha256(content).hexdigest()
-        digest = hashlib.sha256()
-        for inner in sorted(path.iterdir()):
-            if inner.is_file():
-                digest.update(inner.name.encode() + b"\x00" + inner.read_bytes())
+        inside = sorted(inner for inner in path.iterdir() if inner.is_file())
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from error
-    return b"", digest.hexdigest()
+    return b"", _digest(path, inside)
+
+
+def _digest(path: Path, files: Sequence[Path]) -> str:
+    digest = hashlib.sha256()
+    try:
+        for file in files:
+            digest.update(file.name.encode() + b"\x00" + file.read_bytes())
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror}") from error
+    return digest.hexdigest()
 
 
 def _wanted_columns(rig: RigFile) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ publishers if these name different joints. Other topics are resampled at the tim
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ import numpy as np
 from labhil.errors import TableError
 from labhil.extras import load_optional
 from labhil.recording.formats.bag_messages import (
+    STAMP,
     FieldPath,
     MessageGroup,
     Named,
@@ -30,6 +31,9 @@ from labhil.signals import FloatArray, Hold
 
 RECEIVED = "received"
 """Column of the times at which the bag's recorder received the rows, s of Unix time."""
+
+TIME_NAMES = ("t", "time", "timestamp")
+"""Names of the time of the rows, even if a message has fields with these names."""
 
 MAX_NAMES = 12
 """Number of joints that an error message lists."""
@@ -48,6 +52,8 @@ class BagColumns(Columns):
         indexed: column of an array index, ``topic.field.2``, where the elements of the array have names.
         ambiguous: why an array index is no column.
         used: topics that were resampled.
+        receiver: what stamped the messages on reception, for messages.
+        bare_paths: whether columns are also found without their topic, if only one topic has them.
     """
 
     path: Path
@@ -58,6 +64,8 @@ class BagColumns(Columns):
     used: set[str] = field(default_factory=set)
 
     row_word = "message"
+    receiver = "the bag"
+    bare_paths = False
 
     @property
     def base(self) -> MessageGroup:
@@ -67,9 +75,10 @@ class BagColumns(Columns):
     @property
     def notes(self) -> tuple[str, ...]:
         """Lines about the choice of rows, their clock, and resampled topics."""
-        clock = (
-            "the stamps in their headers" if self._has_stamps else "the times at which the bag received them"
-        )
+        stamps = "the stamps in their headers"
+        if self.base.clock != STAMP:
+            stamps = f"their {'.'.join(map(str, self.base.clock))}"
+        clock = stamps if self._has_stamps else f"the times at which {self.receiver} received them"
         other_groups = tuple(
             f"{len(group.rows)} messages of {group.topic} are no rows: they name {_list_names(group.names)}"
             for group in self.groups[1:]
@@ -94,7 +103,10 @@ class BagColumns(Columns):
             return indices
         if wanted in self.ambiguous:
             raise TableError(f"{self.path}: {name}: {self.ambiguous[wanted]}")
-        return (self.indexed[wanted],) if wanted in self.indexed else ()
+        if wanted in self.indexed or not self.bare_paths:
+            return (self.indexed[wanted],) if wanted in self.indexed else ()
+        paths = [steps for _, steps in self.locations]
+        return tuple(index for index, steps in enumerate(paths) if steps and _is_bare_path(name, steps))
 
     def numbers(self, column: int, hold: Hold = Hold.LINEAR) -> FloatArray:
         """Values (rows,) of a column, another topic's interpolated by ``hold``; NaN where there is none."""
@@ -158,25 +170,81 @@ def read_bag(path: Path, wanted: Sequence[str]) -> BagColumns:
 
 def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
     first = {c.topic: _first_message(reader, c) for c in reversed(reader.connections) if c.msgcount}
+    return read_topics(path, first, lambda topic: _messages(reader, topic), wanted)
+
+
+def read_topics(
+    path: Path,
+    first: Mapping[str, Any],
+    messages: Callable[[str], Iterable[tuple[int, Any]]],
+    wanted: Sequence[str],
+    *,
+    clocks: Mapping[str, FieldPath] | None = None,
+    kind: type[BagColumns] = BagColumns,
+    what: str = "a bag",
+) -> BagColumns:
+    """Read the topics of some columns.
+
+    Args:
+        path: the file, for messages.
+        first: a message of each topic.
+        messages: function that reads a topic: Unix times (ns) of reception, and messages.
+        wanted: names of columns; the topic of the first one is the rows.
+        clocks: path to the stamp in the messages of each topic (default: ``header.stamp``).
+        kind: class of the table.
+        what: kind of the file, for messages.
+
+    Returns:
+        The table.
+
+    Raises:
+        TableError: No message contains numbers.
+        ImplausibleError: A topic contains more different numbers than any device has.
+    """
     available = [(topic, steps) for topic, message in first.items() for steps, _ in iterate_numbers(message)]
     if not available:
-        raise TableError(f"{path}: expected a bag with messages that hold numbers, found none")
-    requested = list(dict.fromkeys(name.partition(".")[0].lstrip("/") for name in wanted))
-    topics = {topic.lstrip("/"): topic for topic in first}
-    needed = [topics[name] for name in requested if name in topics] or [available[0][0]]
-    groups = [group for topic in needed for group in group_messages(topic, _messages(reader, topic))]
+        raise TableError(f"{path}: expected {what} with messages that hold numbers, found none")
+    needed = find_topics(wanted, available, kind.bare_paths) or [available[0][0]]
+    groups = [
+        group
+        for topic in needed
+        for group in group_messages(topic, messages(topic), (clocks or {}).get(topic, STAMP))
+    ]
+    return make_columns(path, groups, wanted, available=available, kind=kind)
+
+
+def make_columns(
+    path: Path,
+    groups: Sequence[MessageGroup],
+    wanted: Sequence[str],
+    *,
+    available: Sequence[tuple[str, FieldPath]] = (),
+    kind: type[BagColumns] = BagColumns,
+) -> BagColumns:
+    """Make a table of groups of messages.
+
+    Args:
+        path: the file, for messages.
+        groups: groups; one of those of the first topic is the rows.
+        wanted: names of columns.
+        available: topics and paths of numbers; those of other topics are columns that are not read.
+        kind: class of the table.
+
+    Returns:
+        The table.
+    """
     base = _choose_rows(groups, [_normalise(name) for name in wanted])
     groups = [base, *(group for group in groups if group is not base)]
     locations: dict[str, tuple[int | None, FieldPath]] = {"t": (None, ()), RECEIVED: (None, (RECEIVED,))}
     for number, group in enumerate(groups):
         for steps in group.values:
             locations.setdefault(_column_name(group.topic, steps), (number, steps))
-    read_topics = {group.topic for group in groups}
+    topics = {group.topic for group in groups}
     for topic, steps in available:
-        if topic not in read_topics:
+        if topic not in topics:
             locations.setdefault(_column_name(topic, steps), (None, steps))
     names = tuple(locations)
-    return BagColumns(
+    return kind(
         names=names,
         width=len(names),
         lines=base.rows + 1,
@@ -187,6 +255,40 @@ def _read(path: Path, reader: Any, wanted: Sequence[str]) -> BagColumns:
         indexed={plain: names.index(name) for plain, name in _unambiguous_names(groups)},
         ambiguous=dict(_ambiguities(groups)),
     )
+
+
+def find_topics(
+    wanted: Sequence[str], available: Sequence[tuple[str, FieldPath]], bare_paths: bool
+) -> list[str]:
+    """Find the topics of columns.
+
+    Args:
+        wanted: names of columns.
+        available: topics and paths of numbers.
+        bare_paths: whether a name may be a path without a topic.
+
+    Returns:
+        Topics in the order of the columns. If several topics begin a name, the longest one.
+    """
+    topics = {_normalise(topic).lstrip("/"): topic for topic, _ in reversed(available)}
+    needed: dict[str, None] = {}
+    for name in wanted:
+        prefixes = [topics[plain] for plain in topics if f"{_normalise(name)}.".startswith(f"{plain}.")]
+        if prefixes:
+            needed[max(prefixes, key=len)] = None
+        elif bare_paths:
+            needed |= {topic: None for topic, steps in available if _is_bare_path(name, steps)}
+    return list(needed)
+
+
+def _is_bare_path(name: str, path: FieldPath) -> bool:
+    """Whether a name is a path without a topic; names of the time of the rows are none."""
+    steps = [step.name if isinstance(step, Named) else str(step) for step in path]
+    return name not in (*TIME_NAMES, RECEIVED) and _split(name) == steps
+
+
+def _split(path: str) -> list[str]:
+    return [index or part for index, part in _STEP.findall(path)]
 
 
 def _first_message(reader: Any, connection: Any) -> Any:
@@ -271,8 +373,7 @@ def _column_name(topic: str, steps: FieldPath) -> str:
 def _normalise(name: str) -> str:
     """A column's name in its only notation: no first slash, and ``.0`` for ``[0]``."""
     topic, dot, rest = name.partition(".")
-    steps = [index or part for index, part in _STEP.findall(rest)]
-    return ".".join((topic.lstrip("/"), *steps)) if dot else name
+    return ".".join((topic.lstrip("/"), *_split(rest))) if dot else name
 
 
 def _resample(

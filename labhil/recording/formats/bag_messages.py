@@ -15,10 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from labhil.bounds import ImplausibleError
 from labhil.signals import FloatArray, IntArray
+from labhil.terminal import printable_name
 
 MAX_ARRAY_LENGTH = 64
 """Longest array that becomes columns; longer ones are images or point clouds."""
+
+MAX_NUMBERS = 4096
+"""Largest number of columns of a topic; more are other data, such as mappings with arbitrary keys."""
 
 Labels = tuple[str, ...]
 
@@ -46,6 +51,7 @@ class MessageGroup:
         received: times at which the bag received them, (n,), s of Unix time.
         values: numbers by path, (n,) each.
         name_orders: number of messages by order of the names.
+        clock: path to the stamp.
     """
 
     topic: str
@@ -53,11 +59,12 @@ class MessageGroup:
     received: FloatArray
     values: Mapping[FieldPath, FloatArray]
     name_orders: Mapping[Labels, int]
+    clock: FieldPath = STAMP
 
     @property
     def stamps(self) -> FloatArray | None:
-        """Stamps of the headers, (n,), s of Unix time; None if they are empty."""
-        stamps = self.values.get(STAMP)
+        """Stamps in the messages, (n,), s of Unix time; None if they are empty."""
+        stamps = self.values.get(self.clock)
         return stamps if stamps is not None and (stamps > 0).all() else None
 
     @property
@@ -88,17 +95,25 @@ def iterate_numbers(
         for index in range(len(value) if len(value) <= MAX_ARRAY_LENGTH else 0):
             step = Named(labels[index]) if named else index
             yield from iterate_numbers(value[index], (*path, step), () if named else labels)
-    elif dataclasses.is_dataclass(value):
+    elif fields := _fields_of(value):
         inner_labels = element_names(value) or labels
-        for part in dataclasses.fields(value):
-            yield from iterate_numbers(getattr(value, part.name), (*path, part.name), inner_labels)
+        for name, inner in fields:
+            yield from iterate_numbers(inner, (*path, name), inner_labels)
+
+
+def _fields_of(value: Any) -> list[tuple[str, Any]]:
+    """Names and values of a message's fields; empty if it is no message."""
+    if isinstance(value, Mapping):
+        return list(value.items())
+    if dataclasses.is_dataclass(value):
+        return [(part.name, getattr(value, part.name)) for part in dataclasses.fields(value)]
+    return []
 
 
 def element_names(message: Any) -> Labels:
     """Names of array elements in the field ``name`` or ``…names`` of a message; empty without one."""
-    for part in dataclasses.fields(message):
-        value = getattr(message, part.name)
-        if not (part.name == "name" or part.name.endswith("names")) or not isinstance(value, list):
+    for name, value in _fields_of(message):
+        if not (name == "name" or name.endswith("names")) or not isinstance(value, list):
             continue
         if (
             value
@@ -112,21 +127,27 @@ def element_names(message: Any) -> Labels:
 def _parallel_inside(value: Any, count: int) -> bool:
     """Whether the elements contain arrays with ``count`` items, as points of a trajectory do."""
     first = value[0] if len(value) else None
-    if not dataclasses.is_dataclass(first) or element_names(first):
+    if element_names(first):
         return False
-    inner = (getattr(first, part.name) for part in dataclasses.fields(first))
+    inner = (values for _, values in _fields_of(first))
     return any(isinstance(values, (list, np.ndarray)) and len(values) == count for values in inner)
 
 
-def group_messages(topic: str, messages: Iterable[tuple[int, Any]]) -> list[MessageGroup]:
+def group_messages(
+    topic: str, messages: Iterable[tuple[int, Any]], clock: FieldPath = STAMP
+) -> list[MessageGroup]:
     """Read the messages of a topic, and group them by publisher.
 
     Args:
         topic: the topic.
         messages: Unix times (ns) of reception and messages.
+        clock: path to the stamp of a message.
 
     Returns:
         Groups, the largest first. Messages without a common name are of different publishers.
+
+    Raises:
+        ImplausibleError: The messages contain more different numbers than any device has.
     """
     received: list[int] = []
     labels: list[Labels] = []
@@ -142,6 +163,10 @@ def group_messages(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Mess
             width += 1
         received.append(time_ns)
         labels.append(element_names(message))
+        if len(columns) > MAX_NUMBERS:
+            raise ImplausibleError(
+                f"the messages of {printable_name(topic)} hold more than {MAX_NUMBERS} different numbers"
+            )
         if width != len(columns):  # a shorter array than in another message, or other names
             for column in columns.values():
                 column.extend([np.nan] * (count + 1 - len(column)))
@@ -153,7 +178,7 @@ def group_messages(topic: str, messages: Iterable[tuple[int, Any]]) -> list[Mess
         name_orders = Counter(order for order in labels if order in group)
         names = {name for order in group for name in order}
         group_columns = {path: column[rows] for path, column in values.items() if _belongs(path, names)}
-        groups.append(MessageGroup(topic, rows, seconds[rows], group_columns, name_orders))
+        groups.append(MessageGroup(topic, rows, seconds[rows], group_columns, name_orders, clock))
     return groups
 
 

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,11 @@ class Columns(ABC):
     def skipped(self) -> str:
         """Content of the file that is no column, and why, for messages; empty if there is none."""
         return ""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Files of a folder from which the columns were read; empty if from all of them."""
+        return ()
 
     def find(self, name: str) -> tuple[int, ...]:
         """Find columns by name.

@@ -24,12 +24,14 @@ from labhil import errors
 from labhil.errors import LabhilError, TableError
 from labhil.extras import require
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.lerobot import is_dataset
 from labhil.recording.formats.transfer import HEAD, parse_answer, unpack_columns
 from labhil.rig_sections import Table
 
 PACKAGES = {
     "hdf5": ("h5py", "a MAT file of version 7.3 (HDF5)"),
     "parquet": ("pyarrow", "a Parquet file"),
+    "lerobot": ("pyarrow", "a LeRobot dataset"),
     "workbook": ("openpyxl", "a workbook (XLSX)"),
     "bag": ("rosbags", "a ROS 2 bag"),
 }
@@ -64,8 +66,9 @@ def read_isolated(
     """Read a foreign file in a separate process.
 
     Args:
-        kind: the reader: ``mat``, ``hdf5``, ``parquet``, ``workbook`` or ``bag``.
-        path: the file, or the folder of a bag.
+        kind: the reader: ``mat``, ``hdf5``, ``parquet``, ``lerobot``, ``workbook``, ``bag``, ``npz`` or
+            ``mcap``.
+        path: the file, or the folder of a bag or dataset.
         table: section ``[table]`` of the rig file.
         wanted: names of columns in the rig file.
         limits: limits of time and memory; None for the defaults.
@@ -195,8 +198,10 @@ def _read_exactly(child: subprocess.Popen[bytes], count: int) -> bytes:
 
 
 def _size(path: Path) -> int:
-    """Size of a file, or of the files in a folder, bytes."""
+    """Size of a file, or of the files in a folder, bytes; of a LeRobot dataset that of its largest file."""
     try:
+        if is_dataset(path):
+            return max((file.stat().st_size for file in (path / "data").rglob("*.parquet")), default=0)
         if path.is_dir():
             return sum(inner.stat().st_size for inner in path.iterdir() if inner.is_file())
         return path.stat().st_size

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import struct
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,8 @@ import numpy as np
 from labhil.bounds import ImplausibleError, refuse_claim
 from labhil.errors import TableError
 from labhil.extras import load_optional
-from labhil.recording.formats.matlab_objects import list_objects, object_advice
+from labhil.recording.formats.matlab_mcos import Objects, UnknownObjectError
+from labhil.recording.formats.matlab_objects import list_objects, list_references, object_advice
 from labhil.recording.formats.variables import MAX_ELEMENTS, Node, VariableColumns, list_variables, make_table
 from labhil.signals import FloatArray, Stream
 
@@ -63,12 +66,17 @@ def read_mat(path: Path, wanted: Sequence[str] = ()) -> VariableColumns:
         raise
     except Exception as error:  # a cut MAT file makes scipy raise almost anything
         raise TableError(f"{path}: expected a MAT file, found one that cannot be read: {error}") from error
+    content = path.read_bytes()
+    objects = _read_objects(variables.get("__function_workspace__"))
     nodes = {
-        name: _node(name, value)
+        name: _node(name, value, objects)
         for name, value in variables.items()
         if not name.startswith("_") and type(value).__name__ != "MatlabOpaque"
     }
-    nodes |= {name: Node(reason=object_advice(name, kind)) for name, kind in list_objects(path.read_bytes())}
+    references = list_references(content)
+    nodes |= {
+        name: _object_node(name, kind, references.get(name), objects) for name, kind in list_objects(content)
+    }
     return make_table(path, list_variables(nodes), wanted)
 
 
@@ -108,6 +116,52 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
         savemat(file, {"t": t[:, None], **variables}, long_field_names=True, do_compression=True)
 
 
+def _read_objects(workspace: Any) -> Objects | None:
+    """Objects of a MAT file of version 5, which are in a variable that is itself such a file; None without."""
+    from scipy.io import loadmat
+
+    if not isinstance(workspace, np.ndarray) or workspace.dtype != np.uint8:
+        return None
+    inner = workspace.tobytes()
+    order = "<" if inner[2:4] == b"IM" else ">"
+    try:
+        _, size = struct.unpack_from(f"{order}II", inner, 8)
+        # its head has 8 bytes instead of 128; the first of its elements contains the objects
+        content = b" " * 124 + inner[:4] + inner[8 : 16 + size]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            loaded = loadmat(BytesIO(content), struct_as_record=False)["__function_workspace__"]
+        cells = loaded[0, 0].MCOS.ravel()[0]["arr"].ravel(order="F")
+        objects = Objects(cells[0].tobytes(), lambda number: _cell_node(cells, number, objects), order)
+    except Exception:  # noqa: BLE001 - scipy raises almost anything; messages then advise a conversion
+        return None
+    return objects
+
+
+def _cell_node(cells: Any, number: int, objects: Objects) -> Node:
+    value = cells[number]
+    if isinstance(value, np.ndarray) and value.dtype.kind == "c":
+        value = value.real  # a datetime: the imaginary part is the rounding error of its milliseconds
+    return objects.resolve(_node("", value))
+
+
+def _object_node(name: str, kind: str, reference: Any, objects: Objects | None) -> Node:
+    """Node of an object as a struct; if it cannot be read, a node with advice to convert it."""
+    if objects is not None and reference is not None:
+        try:
+            return _node_or_advice(name, kind, objects.node(reference))
+        except UnknownObjectError:
+            pass
+    return Node(reason=object_advice(name, kind))
+
+
+def _node_or_advice(name: str, kind: str, node: Node) -> Node:
+    """Node of an object; if it contains no numbers, a node with advice to convert it."""
+    if node.array is None and not any(v.array is not None for v in list_variables({name: node})):
+        return Node(reason=object_advice(name, kind))
+    return node
+
+
 def _claimed_bytes(path: Path) -> int:
     """Size of the variables of a MAT file as numbers, bytes."""
     from scipy.io import whosmat
@@ -119,17 +173,18 @@ def _claimed_bytes(path: Path) -> int:
     return sum(8 * math.prod(shape) for _, shape, _ in variables)
 
 
-def _node(name: str, value: Any) -> Node:
+def _node(name: str, value: Any, objects: Objects | None = None) -> Node:
     """Node of what scipy read as ``name``."""
     if hasattr(value, "_fieldnames"):
         inner = {key: getattr(value, key) for key in value._fieldnames}
-        return Node(fields={key: _node(f"{name}.{key}", field) for key, field in inner.items()})
+        return Node(fields={key: _node(f"{name}.{key}", field, objects) for key, field in inner.items()})
     if not isinstance(value, np.ndarray):
         return Node(reason="a sparse matrix" if hasattr(value, "toarray") else type(value).__name__)
     if type(value).__name__ == "MatlabOpaque" and value.size:
-        return Node(reason=object_advice(name, _decode(value.ravel()[0]["s2"])))
+        opaque = value.ravel()[0]
+        return _object_node(name, _decode(opaque["s2"]), opaque["arr"], objects)
     if value.dtype == object and value.size:
-        return _elements(name, list(value.ravel(order="F")))
+        return _elements(name, list(value.ravel(order="F")), objects)
     if value.dtype.kind in REAL_KINDS:
         return Node(array=np.atleast_2d(np.asarray(value, dtype=np.float64)))
     text = "".join(value.ravel().tolist())[:MAX_LABEL_LENGTH] if value.dtype.kind in "US" else ""
@@ -137,14 +192,14 @@ def _node(name: str, value: Any) -> Node:
     return Node(reason=reasons.get(value.dtype.kind, f"numpy's {value.dtype}"), text=text)
 
 
-def _elements(name: str, values: Sequence[Any]) -> Node:
+def _elements(name: str, values: Sequence[Any], objects: Objects | None) -> Node:
     """Node of a struct, struct array or cell, with at most one element more than are allowed."""
     cell = not all(hasattr(element, "_fieldnames") for element in values)
     single = not cell and len(values) == 1
     paths = (
         name if single else f"{name}{{{k}}}" if cell else f"{name}({k})" for k in range(1, MAX_ELEMENTS + 2)
     )
-    nodes = [_node(path, element) for path, element in zip(paths, values, strict=False)]
+    nodes = [_node(path, element, objects) for path, element in zip(paths, values, strict=False)]
     if cell:
         return Node(elements=nodes, braces="{}")
     return nodes[0] if single else Node(elements=nodes)
@@ -159,6 +214,28 @@ class _Hdf5:
         self._size = size
         self._claimed = 0
         self._nodes_left = MAX_NODES
+        self._object_depth = 0
+        self._objects = self._read_objects()
+
+    def _read_objects(self) -> Objects | None:
+        """Objects of the file; None if there are none, or they cannot be read."""
+        cells = self._file.get("#subsystem#/MCOS")
+        if cells is None or not hasattr(cells, "dtype") or not self._references(cells.dtype):
+            return None
+        try:
+            references = self._values("#subsystem#", cells).ravel()
+            metadata = np.asarray(self._values("#subsystem#", self._file[references[0]]), dtype=np.uint8)
+            return Objects(metadata.tobytes(), lambda number: self._cell_node(references[number]))
+        except (UnknownObjectError, IndexError, ValueError, KeyError, OSError, RuntimeError, TypeError):
+            return None
+
+    def _cell_node(self, reference: Any) -> Node:
+        self._object_depth += 1
+        try:
+            node = self.node("", self._file[reference])
+            return node if self._objects is None else self._objects.resolve(node)
+        finally:
+            self._object_depth -= 1
 
     def node(self, name: str, item: Any) -> Node:
         """Node of the group or dataset ``item``."""
@@ -167,7 +244,9 @@ class _Hdf5:
             return Node(reason=f"more than {MAX_NODES} parts in the file")
         kind = _decode(item.attrs.get("MATLAB_class", b""))
         if "MATLAB_object_decode" in item.attrs and kind not in NON_NUMERIC_CLASSES:
-            return Node(reason=object_advice(name, kind))
+            is_reference = hasattr(item, "dtype") and item.dtype.kind in "iu"
+            reference = self._values(name, item) if is_reference else None
+            return _object_node(name, kind, reference, self._objects)
         if not hasattr(item, "dtype"):
             return _struct({key: self.node(name, inner) for key, inner in item.items()})
         return self._dataset(name, item, kind)
@@ -182,6 +261,8 @@ class _Hdf5:
                 for reference in inner
             ]
             return Node(elements=nodes, braces="{}" if kind == "cell" else "()")
+        if self._object_depth and item.dtype.names == ("real", "imag"):
+            return Node(array=np.atleast_2d(self._values(name, item)["real"].T))
         if item.dtype.kind not in REAL_KINDS or kind in NON_NUMERIC_CLASSES:
             text = (
                 "".join(map(chr, self._values(name, item).ravel()[:MAX_LABEL_LENGTH]))

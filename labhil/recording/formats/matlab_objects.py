@@ -1,7 +1,8 @@
-"""MATLAB objects in MAT files, which only MATLAB can read: their names, and how to convert them."""
+"""MATLAB objects in MAT files: their names, the references to them, and how to convert those not read."""
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
 from collections.abc import Iterator
@@ -15,6 +16,9 @@ OPAQUE = 17
 HEADER = 128
 HEAD_OF_ELEMENT = 1024
 """Bytes that contain an element's flags, name and class; names have at most 63 characters."""
+
+REFERENCE = 0xDD000000
+"""First of the integers of a reference to an object."""
 
 ADVICE = {
     "timetable": "S = table2struct(timetable2table({0}), 'ToScalar', true); "
@@ -58,6 +62,25 @@ def _array_heads(data: bytes, order: str) -> Iterator[bytes]:
         else:
             return
         position += 8 + size
+
+
+def list_references(data: bytes) -> dict[str, list[int]]:
+    """List the references of the variables of a MAT file of version 5 that are objects, by name."""
+    if data[126:128] not in (b"IM", b"MI"):
+        return {}
+    order = "<" if data[126:128] == b"IM" else ">"
+    references = {}
+    for head in _array_heads(data, order):
+        item = _object(head, order)
+        # the class is followed by REFERENCE, the number of axes, their lengths, the objects and the class
+        start = head.find(struct.pack(f"{order}I", REFERENCE))
+        if item is not None and start >= 0:
+            words = head[start : start + (len(head) - start) // 4 * 4]
+            numbers = [number for (number,) in struct.iter_unpack(f"{order}I", words)]
+            axes = numbers[1] if len(numbers) > 1 else 0
+            count = math.prod(numbers[2 : 2 + axes]) if 0 < axes <= 8 else 0
+            references[item[0]] = numbers[: 2 + axes + count + 1]
+    return references
 
 
 def _object(head: bytes, order: str) -> tuple[str, str] | None:

@@ -20,8 +20,10 @@ from labhil.bounds import ImplausibleError
 from labhil.errors import LabhilError
 from labhil.recording.formats.bag import read_bag
 from labhil.recording.formats.columns import Columns
+from labhil.recording.formats.lerobot import read_dataset, read_parquet_or_episode
 from labhil.recording.formats.matlab import read_hdf5, read_mat
-from labhil.recording.formats.parquet import read_parquet
+from labhil.recording.formats.mcap_file import read_mcap
+from labhil.recording.formats.npz import read_npz
 from labhil.recording.formats.transfer import pack
 from labhil.recording.formats.workbook import read_workbook
 from labhil.rig_sections import Table
@@ -32,9 +34,12 @@ IDLE_SECONDS = 60.0
 READERS: dict[str, Callable[[Path, Table, Sequence[str]], Columns]] = {
     "mat": lambda path, table, wanted: read_mat(path, wanted),
     "hdf5": lambda path, table, wanted: read_hdf5(path, wanted),
-    "parquet": lambda path, table, wanted: read_parquet(path),
+    "parquet": read_parquet_or_episode,
+    "lerobot": read_dataset,
     "workbook": read_workbook,
     "bag": lambda path, table, wanted: read_bag(path, wanted),
+    "npz": lambda path, table, wanted: read_npz(path, wanted),
+    "mcap": lambda path, table, wanted: read_mcap(path, wanted),
 }
 
 

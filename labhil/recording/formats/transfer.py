@@ -19,7 +19,10 @@ from numpy.typing import NDArray
 from labhil.recording.formats.bag import BagColumns
 from labhil.recording.formats.bag_messages import MessageGroup, Named
 from labhil.recording.formats.columns import NumberColumns
+from labhil.recording.formats.lerobot import LerobotColumns
+from labhil.recording.formats.mcap_file import McapColumns
 from labhil.recording.formats.notation import Notation
+from labhil.recording.formats.npz import SysidColumns
 from labhil.recording.formats.variables import VariableColumns
 from labhil.recording.formats.workbook import SheetColumns
 
@@ -28,7 +31,18 @@ HEAD = struct.Struct("<QQ")
 
 _CLASSES = {
     kind.__name__: kind
-    for kind in (NumberColumns, VariableColumns, SheetColumns, Notation, BagColumns, MessageGroup, Named)
+    for kind in (
+        NumberColumns,
+        VariableColumns,
+        SheetColumns,
+        Notation,
+        BagColumns,
+        McapColumns,
+        LerobotColumns,
+        SysidColumns,
+        MessageGroup,
+        Named,
+    )
 }
 _DTYPES = ("<f8", "<i8", "|b1")
 _CELLS: dict[str, Callable[[Any], Any]] = {

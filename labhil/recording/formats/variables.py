@@ -23,7 +23,7 @@ from labhil.signals import FloatArray, Hold
 MAX_ELEMENTS = 64
 """Largest number of elements of a struct array or cell that are read; larger ones are other data."""
 
-TIME_FIELDS = ("time", "t")
+TIME_FIELDS = ("time", "t", "Time")
 """Fields of a struct that are the time of its signals."""
 
 _INDEX = re.compile(r"\((\d+)\)|\[(\d+)\]|\{(\d+)\}|\.(\d+)(?=\.|$|_)")
@@ -131,10 +131,16 @@ def list_variables(nodes: Mapping[str, Node]) -> list[Variable]:
 def _iterate(name: str, node: Node, labels: tuple[str, ...], owner: str) -> Iterator[Variable]:
     if node.fields:
         inner_owner = name if any(time in node.fields for time in TIME_FIELDS) else owner
-        label = node.fields["label"].text.strip() if "label" in node.fields else ""
+        label = node.fields["label"].text.strip() if "label" in node.fields else node.text
         for key, inner in node.fields.items():
             # a scope's label is the name of its values; all other fields have their own names
-            inner_labels = (label, f"{inner_owner}.{label}") if label and key == "values" else (key,)
+            inner_labels: tuple[str, ...] = (key,)
+            if label and key in ("values", "Data"):
+                inner_labels = (label, f"{inner_owner}.{label}")
+            if key == "Time":
+                inner_labels = ("Time", "time")
+            elif label and key == "Data":
+                inner_labels = (*inner_labels, name)
             yield from _iterate(f"{name}.{key}", inner, inner_labels, inner_owner)
     elif node.elements:
         if len(node.elements) > MAX_ELEMENTS:
@@ -241,7 +247,7 @@ def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Seque
         if (
             reference.array is None
             or differing.array is None
-            or np.array_equal(reference.array.ravel(), differing.array.ravel())
+            or _same_times(reference.array.ravel(), differing.array.ravel())
         ):
             continue
         raise TableError(
@@ -249,6 +255,20 @@ def _refuse_other_times(path: Path, requested: Sequence[Variable], arrays: Seque
             f"{differing.name} ({differing.shape}), which differ; take the signals of one of them, or "
             "resample in MATLAB (interp1)"
         )
+
+
+def _same_times(first: FloatArray, second: FloatArray, rounding: float = 1e-6) -> bool:
+    """Whether two times are equal but for rounding, ``rounding`` of a mean step.
+
+    One of them may be stored, the other computed from a start and a step.
+    """
+    if np.array_equal(first, second):
+        return True
+    if first.shape != second.shape or not np.isfinite([first, second]).all():
+        return False
+    return bool(
+        np.allclose(first, second, rtol=1e-12, atol=rounding * float(np.ptp(first)) / max(len(first), 1))
+    )
 
 
 def _matches(name: str, variable: Variable) -> bool:
