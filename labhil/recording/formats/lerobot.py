@@ -1,4 +1,4 @@
-"""Reader of LeRobot datasets of versions 2 and 3, by pyarrow: one episode, with the names of ``meta/info.json``.
+"""Reader of LeRobot datasets of versions 2 and 3, by pyarrow: one episode, with the dataset's names.
 
 A dataset is a folder with ``meta/info.json`` and Parquet files below ``data``: one for each episode (version
 2), or with several episodes in each (version 3). A list such as ``observation.state`` has a column for each
@@ -89,9 +89,10 @@ def read_parquet_or_episode(path: Path, table: Table, wanted: Sequence[str]) -> 
         root = path.absolute().parents[2] if len(path.absolute().parents) > 2 else path.parent
         return _Dataset(arrow, parquet, path, root, [path]).columns(table.episode)
     if table.episode is not None:
+        missing = " or ".join(name for name in FRAME_COLUMNS if name not in names)
         raise TableError(
             f"{path}: expected a file of a LeRobot dataset, as [table] episode counts its episodes, found a "
-            f"Parquet file without a column {' or '.join(name for name in FRAME_COLUMNS if name not in names)}"
+            f"Parquet file without a column {missing}"
         )
     return read_parquet(path)
 

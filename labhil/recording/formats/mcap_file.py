@@ -1,8 +1,8 @@
 """Reader of MCAP files of other programs.
 
-Each number in their messages is a column ``topic.field[.sub][index]``. The rows are the messages of one topic;
-other topics are resampled at their times. The time is a stamp in the messages if they have one, otherwise the
-log time of the file. Only the topics of the wanted columns are decoded.
+Each number in their messages is a column ``topic.field[.sub][index]``. The rows are the messages of one
+topic; other topics are resampled at their times. The time is a stamp in the messages if they have one,
+otherwise the log time of the file. Only the topics of the wanted columns are decoded.
 """
 
 from __future__ import annotations
@@ -119,9 +119,10 @@ class _File:
         if not first and self.missing is not None:
             raise self.missing
         if not first:
+            reasons = _format_skipped(tuple(self.skipped_topics.items()))
             raise TableError(
                 f"{self.path}: expected an MCAP file with messages in {', '.join(ENCODINGS)} that hold "
-                f"numbers, found {_format_skipped(tuple(self.skipped_topics.items())) or 'one without messages'}"
+                f"numbers, found {reasons or 'one without messages'}"
             )
         self.failed.clear()  # the messages that were decoded to find the columns are decoded again
         self.first_failure.clear()
