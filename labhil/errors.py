@@ -195,7 +195,7 @@ class DiskFailedError(RunError):
 
 
 class RecordingFailedError(RunError):
-    """The recording could not be written to its end (disk full, device gone)."""
+    """The recording could not be written to its end (disk full, disk too slow, device gone)."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

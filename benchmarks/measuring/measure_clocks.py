@@ -7,7 +7,7 @@ takes sample k at a moment of this machine's monotonic clock that it alone knows
 from outside is the lower envelope of the arrivals, for nothing arrives before it was sent. It is made of the
 frames as a relay receives them, by a linear program, and shares neither stamps nor method with the estimate.
 A twin that its machine keeps waiting for more than 50 ms lets its world pause: such a run shows no clock
-and is counted apart, and so is one that ended because a setpoint came too late.
+and is counted apart, and so is one that ended before it told enough, as a setpoint came too late.
 """
 
 from __future__ import annotations
@@ -38,10 +38,14 @@ from measured import tell
 
 FAST_PPM = 200.0
 
+SHORTEST = 10.0
+"""s of a run that ended early and still tells of its clocks."""
+
 DEVICE = """
 [devices.NAME]
 plugin = "ball_beam"
 address = "ADDRESS"
+reconnect = true
 [[steps]]
 device = "NAME"
 signal = "servo_angle"
@@ -116,12 +120,15 @@ def measure(seconds: float, fast_ppm: float, directory: Path) -> dict[str, float
             device = DEVICE.replace("NAME", name).replace("ADDRESS", taps[name].address)
             text += device.replace("SECONDS", repr(seconds))
         result = run_experiment(parse_experiment(text, directory / "e.toml"), directory)
-    if result.path is None or result.exit_status != 0:
-        print(f"the run failed: {result.reason}", file=sys.stderr, flush=True)
+    if result.exit_status != 0:
+        print(f"the run ended early: {result.reason}", file=sys.stderr, flush=True)
+    if result.path is None:
         return None
     recording = read_recording(result.path)
     if ("fast", "even") not in recording.clock_offsets or abs(recording.clocks["fast"].drift) > 1e-3:
         return None
+    if recording.duration < SHORTEST or any(event.body.get("kind") == "lost" for event in recording.events):
+        return None  # a clock that was looked for anew is not the one that the relays saw
     offset, clock = recording.clock_offsets["fast", "even"], recording.clocks["fast"]
     first = {name: tap.stamps[0][1] * 1e-9 for name, tap in taps.items()}
     true = {name: envelope(tap.stamps, offset.t_host_ns) + first[name] for name, tap in taps.items()}
@@ -136,6 +143,7 @@ def measure(seconds: float, fast_ppm: float, directory: Path) -> dict[str, float
         "stepped_ms": round(1e3 * max(clock.stepped, recording.clocks["even"].stepped), 1),
         "outliers": clock.outliers,
         "samples": clock.samples,
+        "seconds": round(recording.duration, 1),
         "load_average": round(os.getloadavg()[0], 1),
     }
 

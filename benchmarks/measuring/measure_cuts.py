@@ -65,9 +65,6 @@ BACK = 40.0
 START = 150.0
 """s that a run may take until it follows its steps."""
 
-OWN_WATCHDOG = 0.3
-"""s; what the devices wait for a word of their host."""
-
 FRESH = 0.25
 """s; a sample that is stamped later than this after the device sent it is an old one."""
 
@@ -397,6 +394,11 @@ def stop(scene: Scene) -> str:
 # what the recording says
 
 
+SENT = ("t_ns", "boot", "number", "t_hw_ns", "safe", "values")
+PROBED = 300
+UNCUT = ("noise", "device boots", "RTDE connections closed")
+"""During these the device may hear its host."""
+
 WRONG, UNKNOWN = -1, -2
 """Rows of samples that were sent otherwise, and of those whose number the log does not hold."""
 
@@ -419,19 +421,40 @@ def match(
     begin at ``seams_ns``. ``reach`` (s) is how long before its stamp the first sample may have been sent.
     """
     connection = np.searchsorted(np.array(seams_ns, dtype=np.int64), stream.t_acq_ns, side="right")
+    rows = rows_of(stream, values, sent, connection, reach)
+    # a sample may bear a time shortly before its connection was announced: the newest that came with it
+    late = (rows < 0) & (np.append(np.diff(connection), 0) > 0)
+    while late.any():
+        connection[late] += 1
+        again = rows_of(stream, values, sent, connection, reach)
+        late = (again < 0) & (rows < 0) & (np.append(np.diff(connection), 0) > 0) & ~late
+        rows = again
+    return Matched(stream, rows, connection)
+
+
+def rows_of(
+    stream: StreamData, values: np.ndarray, sent: Sent, connection: IntArray, reach: float
+) -> IntArray:
+    """Which row each recorded sample is, connection by connection."""
     rows = np.full(len(stream.seq), UNKNOWN)
     for number in np.unique(connection):
         here = np.flatnonzero(connection == number)
         first = int(here[0])
         near = np.abs(sent.t_ns - stream.t_acq_ns[first]) < reach * 1e9
         candidates = np.flatnonzero(near & (sent.values == values[first]).all(axis=1))
-        best = np.full(len(here), UNKNOWN)
-        for candidate in candidates:
-            found = rows_from(stream, values, sent, here, int(candidate))
-            if np.count_nonzero(found >= 0) > np.count_nonzero(best >= 0):
-                best = found
-        rows[here] = best
-    return Matched(stream, rows, connection)
+        # what stands still looks alike for long: a few hundred of the samples tell, the nearest in time first
+        candidates = candidates[np.argsort(np.abs(sent.t_ns[candidates] - stream.t_acq_ns[first]))]
+        some = here[:: max(len(here) // PROBED, 1)]
+        best, best_count = -1, 0
+        for candidate in candidates.tolist():
+            count = np.count_nonzero(rows_from(stream, values, sent, some, candidate) >= 0)
+            if count > best_count:
+                best, best_count = candidate, count
+            if best_count == len(some):
+                break
+        if best_count:
+            rows[here] = rows_from(stream, values, sent, here, best)
+    return rows
 
 
 def rows_from(stream: StreamData, values: np.ndarray, sent: Sent, here: IntArray, candidate: int) -> IntArray:
@@ -476,6 +499,7 @@ def examine(scene: Scene, ending: str) -> dict[str, Any]:
         ),
         "old_as_new": int(np.count_nonzero(age > fresh)),
         "oldest_ms": round(1e3 * float(age.max()), 1),
+        "old_after": old_after(scene, stream, age > fresh),
         "connections": len(seams) + 1,
         "configurations": len(scene.wire.configured),
         **gaps(scene, recording, matched, sent),
@@ -487,6 +511,17 @@ def examine(scene: Scene, ending: str) -> dict[str, Any]:
     }
     result["all"] = times(scene.cuts, scene, matched, sent)
     return result
+
+
+def old_after(scene: Scene, stream: StreamData, old: np.ndarray) -> dict[str, int]:
+    """How many old samples came during or right after which kind of cut, or at other times."""
+    counts: dict[str, int] = {}
+    for t_ns in stream.t_acq_ns[old].tolist():
+        kind = next(
+            (c.kind for c in scene.cuts if c.began_ns <= t_ns <= c.returned_ns + 500_000_000), "no cut"
+        )
+        counts[kind] = counts.get(kind, 0) + 1
+    return counts
 
 
 def times(cuts: Sequence[Cut], scene: Scene, matched: Matched, sent: Sent) -> dict[str, Any]:
@@ -550,29 +585,20 @@ def gaps(scene: Scene, recording: Recording, matched: Matched, sent: Sent) -> di
 
 
 def safety(scene: Scene, recording: Recording, sent: Sent) -> dict[str, Any]:
-    """Whether the device was safe while nobody could command it, from the time on that it waits by itself."""
-    stops = {"run": [e for e in recording.events if e.body.get("kind") in RUN_STATES]}
-    pauses = []
-    for event in stops["run"]:
-        if event.body["kind"] == "paused":
-            pauses.append([event.t_ns, None])
-        elif event.body["kind"] == "running" and pauses and pauses[-1][1] is None:
-            pauses[-1][1] = event.t_ns
-    settle = 1.2 if scene.rig == "ur5" else OWN_WATCHDOG + 0.05
-    active, looked_at = 0, 0
+    """How long after a cut a device was last not safe, before the run said that it goes on."""
+    running = [e.t_ns for e in recording.events if e.device == "run" and e.body.get("kind") == "running"]
+    after_ms = []
     for cut in scene.cuts:
-        if cut.kind in ("noise", "device boots"):
+        if cut.kind in UNCUT:
             continue
-        until = max(
-            (end for begin, end in pauses if end and cut.began_ns <= begin <= cut.returned_ns + 10**9),
-            default=cut.returned_ns,
-        )
-        during = (sent.t_ns > cut.began_ns + int(settle * 1e9)) & (
-            sent.t_ns < min(until, cut.goes_on_ns or until)
-        )
-        looked_at += int(np.count_nonzero(during))
-        active += int(np.count_nonzero(during & ~sent.safe))
-    return {"samples_while_cut": looked_at, "of_them_not_safe": active}
+        until = min((t_ns for t_ns in running if t_ns >= cut.returned_ns), default=cut.returned_ns)
+        if cut.goes_on_ns is None or until > cut.goes_on_ns + 10**9:
+            until = cut.returned_ns  # it ended before anybody noticed
+        during = (sent.t_ns > cut.began_ns) & (sent.t_ns < until)
+        active = sent.t_ns[during & ~sent.safe]
+        if sent.safe[during].any():
+            after_ms.append((int(active[-1]) - cut.began_ns) * 1e-6 if len(active) else 0.0)
+    return {"safe_after_ms": spread(after_ms), "made_safe": len(after_ms)}
 
 
 def late_at_start(rig: str, folder: Path, chance: random.Random, repeat: int) -> dict[str, Any]:
@@ -625,6 +651,8 @@ def measure(
         cut_many(scene, kinds, cuts, chance)
         ending = stop(scene)
         result = examine(scene, ending)
+        sent = scene.wire.sent()
+        np.savez(folder / "sent.npz", **{name: getattr(sent, name) for name in SENT})
     loads.append(os.getloadavg()[0])
     return result | {"load_average": [round(min(loads), 1), round(max(loads), 1)]}
 

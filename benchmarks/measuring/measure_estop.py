@@ -212,8 +212,8 @@ WAYS: dict[str, Callable[[Run], None]] = {
 TOO_LATE = {
     "starting": ("key",),
     "stopping": ("command", "key"),
-    "running, disk full": ("key",),
-    "running, bus cut": ("bus", "key"),
+    "running, disk full": ("command", "key"),
+    "running, bus cut": ("bus", "command", "key"),
 }
 """Ways that take seconds themselves: the run is in another state by then, or at its end. A bus that is cut
 hands nothing on."""

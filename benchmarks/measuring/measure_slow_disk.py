@@ -31,7 +31,7 @@ from kill_trials import HERE, RUN, SAMPLING
 from labhil.bus import latch
 from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
-from measure_overload import compare_with_log, publishers
+from measure_overload import compare_with_log, publishers, reported_gaps
 from measure_safety import Relay, twin_behind_a_relay
 from measured import tell
 from victims import process, wait_until
@@ -100,6 +100,9 @@ def remove(group: Path) -> None:
     group.rmdir()
 
 
+OF_A_BUSY_MACHINE = ("commands stopped", "nobody holds the lease", "a setpoint may be")
+"""How a run ends whose process had no time: nothing is learnt of the disk then."""
+
 COUNTED = ("published", "recorded", "lost", "wrong")
 
 SLOW = {"half of what comes": 0.5, "still for 8 s": 1.0, "too slow": 0.1}
@@ -155,7 +158,7 @@ def run_ended(disk: Disk, relay: Relay, bytes_per_second: int) -> dict[str, Any]
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "e.toml").write_text(RUN.replace("ADDRESS", relay.address))
-        command = disk.on("labhil", "run", "e.toml", "--out", str(out), most=MOST // 4)
+        command = disk.on("labhil", "run", "e.toml", "--out", str(out), most=MOST // 2)
         run = stack.enter_context(process(command, folder))
         relay.wait(safe=False)
         time.sleep(1.0)
@@ -169,9 +172,10 @@ def run_ended(disk: Disk, relay: Relay, bytes_per_second: int) -> dict[str, Any]
         said = (folder / "said.txt").read_text()[-600:]
     (path,) = out.glob("*.mcap*")
     recording = read_recording(path)
-    if "commands stopped" in recording.metadata.get("end", {}).get("reason", ""):
+    reason = recording.metadata.get("end", {}).get("reason", "")
+    if any(text in reason for text in OF_A_BUSY_MACHINE):
         path.unlink()
-        raise ValueError("the machine was too busy: the watchdog ended the run")
+        raise ValueError(f"the machine was too busy: {reason}")
     streams = {f"/{data.device}/{data.stream.name}": len(data) for data in recording.streams}
     outcome = {
         "exit_status": run.returncode,
@@ -183,6 +187,7 @@ def run_ended(disk: Disk, relay: Relay, bytes_per_second: int) -> dict[str, Any]
         "recorded_end": dict(recording.metadata.get("end", {})),
         "samples": streams,
         "lost": sum(data.lost for data in recording.streams),
+        "gaps_in_its_last_status": reported_gaps(recording),
     }
     path.unlink()
     return outcome

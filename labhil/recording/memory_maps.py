@@ -83,9 +83,9 @@ class Spool:
     def finish(self) -> FloatArray:
         """All rows (n, width), in column order, so that reading a column does not read the others."""
         size = 8 * self._width * self._count
-        self._file.flush()
         with self._file, temporary_file() as transposed:
             try:
+                self._file.flush()
                 transposed.truncate(size)
                 rows = mmap.mmap(self._file.fileno(), size, access=mmap.ACCESS_READ)
                 for start in range(0, self._count, BLOCK_ROWS):
@@ -100,8 +100,15 @@ class Spool:
         offset = 8 * self._width * start
         block = np.frombuffer(rows[offset : offset + 8 * self._width * count], dtype=np.float64)
         for column, values in enumerate(np.ascontiguousarray(block.reshape(count, self._width).T)):
-            os.pwrite(transposed.fileno(), values.data, 8 * (column * self._count + start))
+            _write_at(transposed.fileno(), values.tobytes(), 8 * (column * self._count + start))
         release_pages(rows, offset)
+
+
+def _write_at(descriptor: int, data: bytes, offset: int) -> None:
+    """Write all bytes at an offset; one call may write fewer, as on a disk that is almost full."""
+    while data:
+        written = os.pwrite(descriptor, data, offset)
+        data, offset = data[written:], offset + written
 
 
 def temporary_file() -> BinaryIO:

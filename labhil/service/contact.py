@@ -8,6 +8,7 @@ import time
 from labhil.driver import Driver
 from labhil.errors import DeviceSilentError
 from labhil.host_clock import SuspendWatch
+from labhil.service.messages import HostConfig
 
 MAX_SILENCE = 1.0
 """How long a connected device may send no samples, s of the host's clock."""
@@ -17,24 +18,26 @@ class Contact:
     """Notes when samples come in, whether the device hears commands, and whether this machine was suspended.
 
     Args:
-        address: Of the device, for messages.
-        driver: Its driver.
+        config: Of the host.
+        driver: Of the device.
         rate: Expected samples per second of the host's clock.
-        watchdog: Time without commands after which the device is made safe, s.
 
     Attributes:
         has_samples: Whether samples came in since the device was connected.
     """
 
-    def __init__(self, address: str, driver: Driver, rate: float, watchdog: float) -> None:
-        self._address, self._driver, self._rate, self._watchdog = address, driver, rate, watchdog
+    def __init__(self, config: HostConfig, driver: Driver, rate: float) -> None:
+        self._address, self._watchdog = config.address, config.watchdog
+        self._reconnects = config.reconnect
+        self._driver, self._rate = driver, rate
         self._suspends = SuspendWatch()
         self.restart()
 
     def restart(self) -> None:
         """Begin anew with a device that was just connected."""
         self.has_samples = False
-        self._last_sample_at, self._resumed_at = time.monotonic(), -math.inf
+        self._last_sample_at = self._checked_at = time.monotonic()
+        self._resumed_at = -math.inf
         self._unheard = self._driver.counters.unheard
         self._suspends.slept()
 
@@ -56,13 +59,18 @@ class Contact:
                 f"expected {self._rate:g} samples per second"
             )
 
-    def check_suspend(self) -> None:
-        """Raise DeviceSilentError where the machine was suspended.
+    def check_standstill(self) -> None:
+        """Raise DeviceSilentError where the machine was suspended, or this process stopped for a while.
 
-        The device has made itself safe meanwhile, and what waits on its wire and on the bus is old.
+        The device has made itself safe meanwhile, and what waits on its wire and on the bus is old. A busy
+        machine stops processes, too: that ends no run that does not reconnect lost devices.
         """
         if (slept := self._suspends.slept()) > MAX_SILENCE:
             raise DeviceSilentError(f"{self._address}: this machine was suspended for {slept:.3g} s")
+        previous, self._checked_at = self._checked_at, time.monotonic()
+        stopped = self._checked_at - previous
+        if stopped > MAX_SILENCE and self._reconnects:
+            raise DeviceSilentError(f"{self._address}: the process of its host stopped for {stopped:.3g} s")
 
     def lost_commands(self) -> str:
         """Describe that the device made itself safe without commands since the last call; "" otherwise."""

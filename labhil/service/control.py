@@ -78,7 +78,7 @@ class DeviceControl:
         self._refusals = Refusals(lambda text: self._announce("rejected", text))
         self._violation: str | None = None
         rate = spec.stream.rate * info.speed
-        self._contact = Contact(config.address, driver, rate, config.watchdog)
+        self._contact = Contact(config, driver, rate)
         self._is_silent = False
         self._is_recovering = False
         self._continuation = Continuation(rate, info.speed)
@@ -146,7 +146,7 @@ class DeviceControl:
         """Read samples, answer requests and check the watchdog; return the time of this turn."""
         self._check_bus()
         batch = self._driver.read(READ_TIMEOUT if self._lease.is_held(previous) else IDLE_TIMEOUT)
-        self._contact.check_suspend()
+        self._contact.check_standstill()
         now = time.monotonic()
         if len(batch):
             self._contact.note_samples(now)
@@ -361,7 +361,7 @@ class DeviceControl:
         # a stale setpoint must not renew the lease, so its age is checked first
         age, oldest = setpoint.age(), self._config.watchdog
         if age > oldest:
-            self._contact.check_suspend()
+            self._contact.check_standstill()
             raise CommandRefusedError(f"stale: a setpoint may be {oldest:g} s old, this one is {age:.3g} s")
         if age < -oldest:
             raise CommandRefusedError(f"from the future: the setpoint's clock is {-age:.3g} s ahead of ours")

@@ -183,7 +183,7 @@ class Mechanism:
         return accelerations
 
     def inertia(self, numbers: Sequence[float]) -> float:
-        """Return the inertia at the joint, kg·m² or kg."""
+        """Return the inertia at the joint, kg·m² or kg; infinite where a force does not accelerate it."""
         mujoco = load_optional("mujoco", PURPOSE)
         model, data, accelerations = self._set_values(self._smooth, numbers, smooth=True), self._data, []
         data.qpos[0], data.qvel[0] = 0.0, 0.0
@@ -192,7 +192,8 @@ class Mechanism:
             mujoco.mj_forward(model, data)
             accelerations.append(float(data.qacc[0]))
         data.qfrc_applied[0] = 0.0
-        return 1.0 / (accelerations[1] - accelerations[0])
+        per_force = accelerations[1] - accelerations[0]
+        return 1.0 / per_force if per_force else float("inf")
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray

@@ -132,7 +132,7 @@ def test_steady_sliding_is_the_level_at_that_speed_and_viscous_friction(side):
     plant = AxisPlant(parameters, terms)
     v = plant.simulate(np.full(8001, side * 40.0)).truth["velocity"][-1]
     level = LEVEL + 8.0 * np.exp(-abs(v) / 0.05) + side * 3.0
-    elements = plant.simulation.follow(np.zeros(1))[0][
+    elements = plant.simulation.simulate(np.zeros(1))[0][
         0, -1 - N_ELEMENT_STATES : -1 - N_ELEMENT_STATES + ELEMENTS
     ]
     assert 0.03 < side * v < 0.12
@@ -182,7 +182,7 @@ def test_an_axis_that_is_let_go_loses_energy_all_the_time_and_stops():
     terms = (*TERMS, "stribeck_friction", "static_friction")
     plant = AxisPlant(VALUES, terms)
     plant.simulate(np.full(401, 150.0))
-    rows, _ = plant.simulation.follow(np.zeros(3001))
+    rows, _ = plant.simulation.simulate(np.zeros(3001))
     springs = np.sum(
         0.5 * rows[:, -1 - N_ELEMENT_STATES : -1 - N_ELEMENT_STATES + ELEMENTS] ** 2 / SPRINGS, axis=1
     )

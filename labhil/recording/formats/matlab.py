@@ -117,7 +117,7 @@ def write_mat(stream: Stream, t: FloatArray, values: FloatArray, out: Path) -> N
 
 
 def _read_objects(workspace: Any) -> Objects | None:
-    """Objects of a MAT file of version 5, in a variable that is such a file itself; None if none."""
+    """Objects of a MAT file of version 5, in a variable that is itself such a file; None without them."""
     from scipy.io import loadmat
 
     if not isinstance(workspace, np.ndarray) or workspace.dtype != np.uint8:
