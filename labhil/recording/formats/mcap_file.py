@@ -7,6 +7,7 @@ otherwise the log time of the file. Only the topics of the wanted columns are de
 
 from __future__ import annotations
 
+import errno
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -89,6 +90,8 @@ def read_mcap(path: Path, wanted: Sequence[str]) -> McapColumns:
         raise
     except Exception as error:  # struct, lz4, zstd and mcap each raise their own on a damaged file
         what = str(error) or type(error).__name__
+        if isinstance(error, OSError) and error.errno == errno.EINVAL:  # a seek to before its beginning
+            what = "it is cut off"
         raise TableError(
             f"{path}: expected a whole MCAP file, found one that cannot be read: {what}; `mcap recover` "
             "(of MCAP's command line tool) saves what is whole"
