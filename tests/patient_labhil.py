@@ -43,8 +43,8 @@ def main() -> None:
     from labhil.cli import main as labhil
     from labhil_sim_ur5.program import Program
 
-    watch = Program.watch
-    Program.watch = lambda self, frequency: watch(self, frequency / SLOWER_ARM)  # type: ignore[method-assign]
+    set_watchdog = Program.set_watchdog
+    Program.set_watchdog = lambda self, frequency: set_watchdog(self, frequency / SLOWER_ARM)  # type: ignore[method-assign]
     devices.HostConfig = patient_config  # type: ignore[misc,assignment]
     twins.twin_command = patient_twin_command
     labhil()
