@@ -68,6 +68,9 @@ class PseudoTerminal:
         if connected and not self._attended:
             self._clients += 1
             self._unsent = b""
+        elif self._attended and not connected:
+            while self.read():  # what the last client sent is no command to a device that boots
+                continue
         self._attended = connected
         return self._clients if connected else 0
 
