@@ -13,7 +13,7 @@ import numpy as np
 from labhil.host_clock import unix_ns
 from labhil.link import ChannelScale, MessageType
 from labhil.serial_twin.firmware import Firmware
-from labhil_sim_ball_beam.rig import board
+from labhil_sim_ball_beam.rig import make_board
 
 RATE = 100.0
 STEP = 1e-4
@@ -27,7 +27,7 @@ class PatientFirmware(Firmware):
 
     def take(self, count: int) -> None:
         """Take so many samples that nobody receives."""
-        self._taken += count
+        self._n_samples += count
         self._sent[MessageType.STATE] += count
 
 
@@ -41,7 +41,7 @@ class ClockedDevice:
     def __init__(self, drift: float = 0.0, clock_start: float = 0.0) -> None:
         self.taken: dict[int, int] = {}
         """When each sample was taken, Unix ns, with all the time that passed at once."""
-        self._firmware = PatientFirmware(board(ChannelScale(STEP, 0.0), 1.0, clock_start, 1e-7))
+        self._firmware = PatientFirmware(make_board(ChannelScale(STEP, 0.0), 1.0, clock_start, 1e-7))
         self._period_ns = 1e9 / RATE / (1.0 + drift)
         self._lock, self._over = threading.RLock(), threading.Event()
         self._port, theirs = os.openpty()

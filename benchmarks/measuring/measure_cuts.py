@@ -37,7 +37,7 @@ from labhil.bus.subscribe import subscribe
 from labhil.codec import stamps_of
 from labhil.documents import parse_json
 from labhil.errors import LabhilError
-from labhil.experiment.experiment import TwinSection
+from labhil.experiment.device_sections import TwinSection
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import unix_ns
 from labhil.plugins import load_driver
@@ -315,7 +315,7 @@ def start_arm() -> Child:
     """Start a simulated controller."""
     twin = Child("the twin", [sys.executable, "-P", "-m", "labhil", "twin", "ur5", "--host", TWIN_AT])
     if twin.line(90.0) != TWIN_AT:
-        raise RuntimeError(f"the twin did not start{twin.complaint()}")
+        raise RuntimeError(f"the twin did not start{twin.last_error()}")
     return twin
 
 
@@ -620,7 +620,7 @@ def late_at_start(rig: str, folder: Path, chance: random.Random, repeat: int) ->
                 )
                 host = HostProcess(config)
                 one.callback(host.stop)
-                host.wait_or_absent(lambda: False)
+                host.wait_reported(lambda: False)
                 time.sleep(chance.uniform(*LATE))
                 wire = SerialWire(at, load_driver(rig).rig, place, chance)
                 one.callback(wire.close)

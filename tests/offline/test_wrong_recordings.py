@@ -74,7 +74,8 @@ def test_a_recording_of_another_program_is_told(labhil, tmp_path: Path, case: st
         assert message.startswith("theirs.mcap: ")
         assert told in message
     message = labhil("import", "theirs.mcap", "--rig", "rig.toml", "-o", "x.mcap").refused()
-    assert message.startswith("theirs.mcap: expected ")
+    assert message.startswith("theirs.mcap: ")
+    assert "expected" in message
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.toml", "theirs.mcap"]
 
 
@@ -90,9 +91,8 @@ def test_what_is_in_a_file_of_others_is_told_with_what_was_expected(labhil, tmp_
             assert "expected a topic /<device>/<stream>" in told
             assert hint in told
         told = labhil("import", "theirs.mcap", "--rig", "rig.toml", "-o", "x.mcap").refused()
-        assert f"found an MCAP file of another program with /x ({encoding})" in told
-        assert "those with the profile ros2" in told
-        assert ("ros2 bag convert" in told) == (encoding == "cdr")
+        assert "messages" in told and "hold numbers" in told
+        assert "/x" in told
 
 
 def test_channels_of_others_are_named_beside_streams_of_ours(labhil, tmp_path: Path) -> None:

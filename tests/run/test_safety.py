@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+from patient_labhil import PATIENT_WATCHDOG
 
 from labhil.bus import latch, register
 from labhil.bus.keys import setpoint_key
@@ -418,7 +419,7 @@ def test_a_streamed_setpoint_that_is_no_number_or_from_the_future_is_refused(ben
     bench.put(float("nan"))
     assert "servo_angle: expected a finite number" in bench.wait_for_event("refused")["message"]
     with pytest.raises(CommandRefusedError, match="from the future"):
-        bench.set(0.1, age=-5.0)
+        bench.set(0.1, age=-2.0 * PATIENT_WATCHDOG)
     with pytest.raises(CommandRefusedError, match="a setpoint is"):
         bench.ask("set", token=bench.token, t_ns=time.time_ns(), values={"servo_angle": None})
     unknown = Setpoint(bench.token, time.time_ns(), {"servo": 0.1})
