@@ -204,7 +204,7 @@ def read_topics(
     available = [(topic, steps) for topic, message in first.items() for steps, _ in iterate_numbers(message)]
     if not available:
         raise TableError(
-            f"{path}: expected {what} with messages that hold numbers, found only others, in {', '.join(first)}"
+            f"{path}: expected {what} with messages that hold numbers, found others in {', '.join(first)}"
         )
     needed = find_topics(wanted, available, kind.bare_paths) or [available[0][0]]
     groups = [
