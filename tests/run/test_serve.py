@@ -117,7 +117,7 @@ def test_a_device_that_comes_late_is_looked_for_and_status_says_so(tmp_path: Pat
         serving = threading.Thread(target=service.run, args=(over.is_set,))
         serving.start()
         try:
-            wait_for(lambda: any("looked for" in line for line in said), "the search")
+            wait_for(lambda: any("the search goes on" in line for line in said), "the search")
             with pytest.raises(UsageError, match="found only a served lab"):
                 find_run()
             with open_bus(find_run(or_lab=True)) as other:
