@@ -35,6 +35,9 @@ from labhil.recording.recording import Recording
 from measured import tell
 from victims import endpoint_of
 
+LABHIL = (sys.executable, "-P", "-m", "labhil")
+"""The command whose runs are measured; a test takes one whose hosts wait longer for commands."""
+
 HOUR = 3600.0
 BEFORE = 2.0
 """s of the run before something happens to a clock."""
@@ -194,7 +197,7 @@ def measure(case: Case, folder: Path) -> dict[str, Any]:
         (folder / "e.toml").write_text(text)
         log = stack.enter_context((folder / "said.txt").open("wb"))
         run = subprocess.Popen(
-            [sys.executable, "-P", "-m", "labhil", "run", "e.toml"],
+            [*LABHIL, "run", "e.toml"],
             cwd=folder, env=clocks.environment(), stdin=subprocess.DEVNULL, stdout=log, stderr=log,
         )  # fmt: skip
         stack.callback(run.kill)

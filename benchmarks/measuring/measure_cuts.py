@@ -50,6 +50,9 @@ from labhil.signals import IntArray
 from measured import tell
 from victims import endpoint_of, process
 
+LABHIL = (sys.executable, "-P", "-m", "labhil")
+"""The command whose runs are measured; a test takes one whose hosts wait longer for commands."""
+
 CUT = (0.1, 1.0)
 """s; how long a cable is out."""
 
@@ -326,7 +329,7 @@ def started(
     text = EXPERIMENT.replace("PLUGIN", rig).replace("ADDRESS", wire.address) + STEP[rig] + "\n"
     text = text.replace("MORE", 'rig = "rig.toml"' if rig == "ur5" else "")
     (folder / "e.toml").write_text(text)
-    command = [sys.executable, "-P", "-m", "labhil", "run", "e.toml"]
+    command = [*LABHIL, "run", "e.toml"]
     run = stack.enter_context(process(command, folder))
     heard = Heard(patiently(run), stack)
     scene = Scene(rig, wire, run, heard, folder, restart)

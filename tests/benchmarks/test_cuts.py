@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks" / "measuring"))
+
 import measure_cuts
 
 
@@ -19,7 +20,7 @@ def check(found: dict[str, object], cuts: int) -> None:
     assert found["all"]["never_back"] == 0, found  # type: ignore[index]
 
 
-@pytest.mark.extended
+@pytest.mark.long  # a machine with no time for 0.2 s ends such a run, as it should
 @pytest.mark.parametrize("rig", ["ball_beam", "solenoid"])
 def test_a_serial_device_comes_back_after_each_cut(
     rig: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
