@@ -7,7 +7,7 @@ takes sample k at a moment of this machine's monotonic clock that it alone knows
 from outside is the lower envelope of the arrivals, for nothing arrives before it was sent. It is made of the
 frames as a relay receives them, by a linear program, and shares neither stamps nor method with the estimate.
 A twin that its machine keeps waiting for more than 50 ms lets its world pause: such a run shows no clock
-and is counted apart, and so is one that ended before it told enough, as a setpoint came too late.
+and is counted apart, and so is one that ended before it showed enough, as a setpoint came too late.
 """
 
 from __future__ import annotations

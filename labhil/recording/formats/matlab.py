@@ -147,12 +147,13 @@ def _cell_node(cells: Any, number: int, objects: Objects) -> Node:
 
 def _object_node(name: str, kind: str, reference: Any, objects: Objects | None) -> Node:
     """Node of an object as a struct; if it cannot be read, a node with advice to convert it."""
-    if objects is not None and reference is not None:
-        try:
-            return _node_or_advice(name, kind, objects.node(reference))
-        except UnknownObjectError:
-            pass
-    return Node(reason=object_advice(name, kind))
+    advice = Node(reason=object_advice(name, kind))
+    if objects is None or reference is None:
+        return advice
+    try:
+        return _node_or_advice(name, kind, objects.node(reference))
+    except UnknownObjectError:
+        return advice
 
 
 def _node_or_advice(name: str, kind: str, node: Node) -> Node:
