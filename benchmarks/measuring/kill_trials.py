@@ -17,7 +17,7 @@ from typing import Any
 from labhil.codec import Codec, stamps_of
 from labhil.documents import parse_json
 from labhil.recording.reader import read_recording
-from labhil_benchmarks.left_files import LeftFile, examine, variants
+from labhil_benchmarks.left_files import examine, variants
 from logged_publisher import stream_at
 from measure_safety import PATIENCE, Relay
 from noted_syncs import synced
@@ -65,13 +65,18 @@ COMING = (0.0, 3.0)
 
 
 def files_of(folder: Path, log: dict[str, dict[int, bytes]], begun: int, killed: int) -> list[dict[str, Any]]:
-    """Each unfinished file of the folder, as it was left and as a power failure may have left it."""
-    examined: list[LeftFile] = []
+    """Each unfinished file of the folder, as it was left and as a power failure may have left it.
+
+    Each says how many bytes were forced to the disk (``synced``): with none behind its beginning, a power
+    failure leaves nothing to save.
+    """
+    examined: list[dict[str, Any]] = []
     for path in sorted(folder.glob("*.mcap*")):
         certain = synced(folder / "syncs.txt", path)
         for variant, data in variants(path.read_bytes(), certain, random.Random(len(examined))):
-            examined.append(examine(variant, data, log, begun, killed, folder.parent))
-    return [file.to_json() for file in examined]
+            left = examine(variant, data, log, begun, killed, folder.parent)
+            examined.append({**left.to_json(), "synced": certain})
+    return examined
 
 
 def gapless(log: dict[str, dict[int, bytes]]) -> None:

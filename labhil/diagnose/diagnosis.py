@@ -37,11 +37,12 @@ from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
 from labhil.diagnose.timing import detect_all_faults
 from labhil.ending import EndedEarly, accept
+from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.physics.model import Model, Record, terms_named
+from labhil.physics.model import Metric, Model, Record, terms_named
 from labhil.physics.terms import unkeyed
 
 VERDICT_ALPHA = 5e-4
@@ -227,10 +228,21 @@ def _search(
             result = (
                 _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
             )
-        return drop_minor_terms(data, result)
+        return _with_settled_fit(drop_minor_terms(data, result))
     except EndedEarly:
         accept()
         return replace(result, complete=False)
+
+
+def _with_settled_fit(result: SearchResult) -> SearchResult:
+    """The result with its final fit in the lowest minimum around.
+
+    The fits of a search end once structures can be compared: in a narrow valley of the cost, such as that of
+    both constants of the Stribeck law, that is several standard errors from its bottom.
+    """
+    if result.final.problem.model.metric is Metric.INVERSE_DYNAMICS:
+        return result  # its fit is linear
+    return replace(result, final=settle_fit(result.final))
 
 
 def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:

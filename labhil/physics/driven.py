@@ -32,8 +32,8 @@ def lag_in_fitted_lines(t: FloatArray, u: FloatArray, time_constant: float) -> i
 
 
 def lag_without_jumps(t: FloatArray, u: FloatArray, time_constant: float) -> input_path.Nodes:
-    """First-order lag, exact at four nodes per stretch, for a rig that feels the second derivative."""
-    t, u = input_path.refine(t, u, 4)
+    """First-order lag, exact at six nodes per stretch, for a rig that feels the rate and its square."""
+    t, u = input_path.refine_for_decay(t, u, time_constant, 6)
     return t, input_path.first_order_lag(t, u, time_constant)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -25,11 +26,15 @@ from labhil.plants.sensor import Sensor
 from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
-N_SUBSTEPS = 50
-"""Substeps of a sample period where the input path or the sensor has a memory.
+MIN_SUBSTEPS = 50
+"""Substeps of a sample period where the input path or the sensor has a memory, at least.
 
 Controllers make the servo chatter, and coarser substeps would smooth the corners of β̇².
 """
+
+MAX_SUBSTEPS = 1000
+SUBSTEPS_PER_LAG = 5.0
+"""Substeps in the time constant of an actuator's lag: the mean of β̇² is then right to 0.3 % of its change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +87,8 @@ class BallBeamPlant:
         if self._path.delay > (HISTORY - 2) * period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
         has_memory = self._path != NEUTRAL or self.sensor.lag > 0.0
-        self._substeps = substep_ends(self._path.delay / period) if has_memory else np.ones(1)
+        lag, delay = self._path.lag / period, self._path.delay / period
+        self._substeps = substep_ends(delay, lag) if has_memory else np.ones(1)
         self.noise: Callable[[int], FloatArray] = np.random.default_rng(seed).standard_normal
         self.place(self.parameters["start_position"])
 
@@ -159,13 +165,15 @@ class BallBeamPlant:
         return out
 
 
-def substep_ends(delay: float) -> FloatArray:
+def substep_ends(delay: float, lag: float) -> FloatArray:
     """Return the ends of the substeps as shares of a sample period; one is at a corner of the delayed input.
 
-    ``delay`` is in sample periods.
+    ``delay`` and ``lag`` are in sample periods.
     """
     delay_fraction = delay % 1.0
-    ends = np.arange(1, N_SUBSTEPS + 1) / N_SUBSTEPS
+    count = math.ceil(min(SUBSTEPS_PER_LAG / lag, MAX_SUBSTEPS)) if lag > 0.0 else 1
+    count = max(count, MIN_SUBSTEPS)
+    ends = np.arange(1, count + 1) / count
     if np.min(np.abs(ends - delay_fraction)) < 1e-9 or delay_fraction < 1e-9:
         return ends
     return np.sort(np.append(ends, delay_fraction))

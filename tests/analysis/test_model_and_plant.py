@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labhil.physics import input_path
+from labhil.physics import driven, input_path
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.model import Record, Windows, index_of, start_values
 from labhil.plants.ball_beam import BallBeamPlant
@@ -170,10 +170,21 @@ def test_what_has_no_memory_is_its_curve_at_every_moment(name, signal):
 def test_a_lag_is_exact_however_finely_it_is_cut(signal, lag, parts):
     t, u = np.arange(float(len(signal))), np.array(signal)
     whole = input_path.first_order_lag(t, u, lag)
-    cut = input_path.first_order_lag(*input_path.refine(t, u, parts), lag)
+    cut = input_path.first_order_lag(*input_path.refine_for_decay(t, u, lag, parts), lag)
     assert np.allclose(cut[::parts], whole, atol=1e-12)
     assert whole[0] == u[0]
     assert np.all((whole >= u.min() - 1e-12) & (whole <= u.max() + 1e-12))
+
+
+@pytest.mark.parametrize("time_constant", [1e-3, 1e-2, 0.1, 0.5, 2.0])
+def test_a_lag_keeps_the_mean_squared_rate_of_its_decay_however_short_it_is(time_constant):
+    # a ball feels the square of the beam's rate: one kink from rate 0 to 1 is rounded off by 1 − e^(−t/T)
+    t, y = driven.lag_without_jumps(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0]), time_constant)
+    behind = t >= 1.0
+    squared_rate = float(np.sum(np.diff(y[behind]) ** 2 / np.diff(t[behind])))
+    decay = np.exp(-1.0 / time_constant)
+    exact = 1.0 - 2.0 * time_constant * (1.0 - decay) + 0.5 * time_constant * (1.0 - decay**2)
+    assert squared_rate == pytest.approx(exact, abs=0.02 * (1.0 - exact))
 
 
 @settings(max_examples=30, deadline=None)

@@ -54,7 +54,10 @@ def test_one_kill_of_each_kind(tmp_path: Path, kind: str) -> None:
             latch.release()
     assert trial["processes_left"] == []
     for left in trial.get("files", []):
-        assert (left["fault"], left["wrong"], left["holes"]) == ("", 0, 0), left
+        assert (left["wrong"], left["holes"]) == (0, 0), left
+        # a busy machine forces the first samples to the disk late: before that, a power failure leaves none
+        lost_all = left["variant"].startswith("power lost") and left["synced"] <= kill_trials.BEGUN
+        assert left["fault"] == "" or (lost_all and "found no complete one" in left["fault"]), left
     if kind in ("host", "twin"):
         assert "complete True" in trial["end"] and not trial["end"].startswith("exit 0")
     if kind in ("study", "tui"):

@@ -23,6 +23,7 @@ from labhil.diagnose.structures.search import Progress, SearchOptions, Structure
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.noise import MAX_NOISE_RATIO
+from labhil.identify.predictability import predictability_horizon
 from labhil.identify.windows import noise_of
 from labhil.physics.extra_force import AcceptsExtraForce
 from labhil.physics.model import Metric
@@ -55,6 +56,9 @@ def search_structures(
             if finished:
                 begin = finished[-1].leading_fits()
                 data, correlation = _with_estimated_noise(data, finished[-1].best)
+                length = min(length, _predictability_horizon(data, finished[-1].best, longest=length))
+                if length <= finished[-1].data.window:
+                    break
             stage = replace(data, window=length)
             begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
@@ -88,6 +92,10 @@ def _window_lengths(data: Data, options: SearchOptions) -> list[float]:
     return list(
         dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.window_horizons)
     )
+
+
+def _predictability_horizon(data: Data, fitted: Fitted, longest: float) -> float:
+    return predictability_horizon(data.model, fitted.theta, data.search, data.sigma, longest)
 
 
 def _with_estimated_noise(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
