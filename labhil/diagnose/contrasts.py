@@ -24,6 +24,7 @@ from scipy.ndimage import uniform_filter1d
 
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit_on_windows
+from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import inverse_information
 from labhil.identify.table import ParameterTable, table_of
@@ -91,7 +92,7 @@ def refit_on_held_out(data: Data, fitted: Fitted) -> Fitted | None:
         window=min(fitted.window, data.test.longest),
         held=fitted.held,
     )
-    return refit_on_windows(held_out, fitted)
+    return settle_fit(refit_on_windows(held_out, fitted))
 
 
 def contrast_with_held_out(fitted: Fitted, held_out_fit: Fitted, table: ParameterTable) -> Contrast:

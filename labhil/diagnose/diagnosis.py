@@ -110,7 +110,8 @@ def _answer(
     curves, doubts = sort_by_heldout_gain(conclusion.curves), conclusion.doubts
     held_out_fit = refit_to_held_out(conclusion)
     accept()  # stating the result takes no time
-    absent = absent_effects(result.final)
+    # what a curve may stand for is not excluded by the terms beside it
+    absent = absent_effects(conclusion.curves[-1].fit if conclusion.curves else result.final)
     excluded, unseen = statements.exclusions(absent, result.possible)
     final, scale = final_table(conclusion, accepted, absent, held_out_fit)
     changed = _changes(final, reference, accepted)

@@ -16,7 +16,7 @@ from labhil.diagnose.contrasts import (
     refit_on_held_out,
     scale_factor,
 )
-from labhil.diagnose.discrepancy import AbsentEffects, absent_effects, discrepancy_shifts
+from labhil.diagnose.discrepancy import AbsentEffects, discrepancy_shifts
 from labhil.diagnose.search_result import SearchResult
 from labhil.ending import EndedEarly
 from labhil.identify.fitted import Fitted
@@ -33,7 +33,7 @@ def final_table(
     Args:
         conclusion: the end of the search.
         accepted: the model at whose values parameters were held, if there is one.
-        absent: the terms that the final fit lacks.
+        absent: the terms that the final fit lacks, beside its curves if it has any.
         held_out_fit: the final model refitted to held-out data, where these determine it.
 
     Returns:
@@ -48,7 +48,7 @@ def final_table(
     else:
         scale = _error_factor(curve.fit, table_of(curve.fit), held_out_fit)
         coefficients = {coefficient.key for coefficient in curve.model.coefficients}
-        shifts = discrepancy_shifts(absent_effects(curve.fit), known=coefficients)
+        shifts = discrepancy_shifts(absent, known=coefficients)
         curve_rows = list(curve.rows)
     # named terms may have been held beside a curve
     curve_keys = {row.key for row in curve_rows}

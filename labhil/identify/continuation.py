@@ -26,6 +26,7 @@ from labhil.identify.fitted import (
     free_parameter_indices,
 )
 from labhil.identify.least_squares import TOLERANCE, search_lower_minima
+from labhil.identify.predictability import predictability_horizon
 from labhil.identify.problem import Problem
 from labhil.identify.shapes import profile_shapes, refit_from_rivals
 from labhil.identify.windows import fit_windows, noise_of
@@ -116,7 +117,8 @@ def fit_on_growing_windows(task: FitTask) -> tuple[list[Fitted], bool]:
         task: what to fit.
 
     Returns:
-        One fit for each length, and True; the fits so far, and False, where the fit was ended early.
+        One fit for each length within which the model predicts its outputs (``predictability.py``), and True;
+        the fits so far, and False, where the fit was ended early.
     """
     model, record, terms, lengths = task.model, task.record, task.terms, task.lengths
     progress = task.options.progress
@@ -126,10 +128,18 @@ def fit_on_growing_windows(task: FitTask) -> tuple[list[Fitted], bool]:
         fits.append(_fit_shortest_windows(task))
         progress("looking for other minima")
         fits[0] = first = profile_shapes(fits[0])
+        horizon = predictability_horizon(model, first.theta, record, task.sigma, lengths[-1])
         longer: list[Fitted] = []
         try:
             fit_by_continuation(
-                model, record, terms, lengths[1:], task.sigma, start=first.theta, new_terms=(), reached=longer
+                model,
+                record,
+                terms,
+                [length for length in lengths[1:] if length <= horizon],
+                task.sigma,
+                start=first.theta,
+                new_terms=(),
+                reached=longer,
             )
         finally:
             fits += longer

@@ -51,12 +51,12 @@ def search_structures(
     complete = True
     try:
         nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
-        for length in _window_lengths(data, options):
-            begin = [baseline]
+        for wanted in _window_lengths(data, options):
+            begin, length = [baseline], wanted
             if finished:
-                begin = finished[-1].leading_fits()
+                begin, theta = finished[-1].leading_fits(), finished[-1].best.theta
                 data, correlation = _with_estimated_noise(data, finished[-1].best)
-                length = min(length, _predictability_horizon(data, finished[-1].best, longest=length))
+                length = predictability_horizon(data.model, theta, data.search, data.sigma, wanted)
                 if length <= finished[-1].data.window:
                     break
             stage = replace(data, window=length)
@@ -92,10 +92,6 @@ def _window_lengths(data: Data, options: SearchOptions) -> list[float]:
     return list(
         dict.fromkeys(min(h * data.model.horizon, data.search.longest) for h in options.window_horizons)
     )
-
-
-def _predictability_horizon(data: Data, fitted: Fitted, longest: float) -> float:
-    return predictability_horizon(data.model, fitted.theta, data.search, data.sigma, longest)
 
 
 def _with_estimated_noise(data: Data, fitted: Fitted) -> tuple[Data, FloatArray]:
