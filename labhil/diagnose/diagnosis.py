@@ -168,8 +168,9 @@ def _refuse_search(
     """Verdict and reason where the data cannot be searched; None where they can."""
     if not assess_usability(measured, faults).is_usable:
         return "data_fault", "the data are at fault"
-    if not _is_excited(data.search, data.sigma):
-        return "not_decidable", "neither input nor output moves beyond the noise"
+    at_rest = _why_at_rest(data.search, data.sigma)
+    if at_rest is not None:
+        return "not_decidable", at_rest
     duration, horizon = data.search.duration, data.model.horizon
     if data.model.state_names and duration < horizon:
         reason = f"too short: {duration:.3g} s were searched, and what a model of this rig lacks takes "
@@ -295,14 +296,18 @@ def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
     return held if is_strongly_favoured(held.final, free.final) else free
 
 
-def _is_excited(record: Record, sigma: np.ndarray, min_std_in_noise: float = 5.0) -> bool:
-    """Whether the input varies and some output varies by more than its noise."""
-    return any(
-        bool(
-            (np.std(part.outputs, axis=0) > min_std_in_noise * sigma).any()
-            and np.ptp(part.inputs, axis=0).any()
-        )
-        for part in record.recordings()
+def _why_at_rest(record: Record, sigma: np.ndarray, min_std_in_noise: float = 5.0) -> str | None:
+    """What does not move in any recording; None where the input and some output of one vary enough."""
+    parts = record.recordings()
+    driven = [part for part in parts if np.ptp(part.inputs, axis=0).any()]
+    if not driven:
+        return "the input never changes"
+    largest = max(float(np.max(np.std(part.outputs, axis=0) / sigma)) for part in driven)
+    if largest > min_std_in_noise:
+        return None
+    return (
+        f"expected an output that varies by more than {min_std_in_noise:g} times its noise, "
+        f"found at most {largest:.2g} times"
     )
 
 
