@@ -47,7 +47,7 @@ def _steps_after_missing_physics(diagnosis: DiagnosisPart) -> Steps:
     if quantified:
         yield (
             f"Put {_effect_names(quantified)} into your simulation, with the equations and values given here."
-            " `labhil patch` writes them into a MuJoCo or URDF file."
+            f"{_patch_sentence(diagnosis, 'them')}"
         )
     if len(quantified) < len(named_effects):
         unquantified = _effect_names(item for item in named_effects if not _is_quantified(item))
@@ -56,9 +56,10 @@ def _steps_after_missing_physics(diagnosis: DiagnosisPart) -> Steps:
             " of the rig, or record a motion that shows it."
         )
     if len(named_effects) < len(diagnosis.missing):
+        yield from _channel_step(diagnosis)
         yield (
-            "No law of the catalogue has the shape of the curve: use it as a table, or write the law that you"
-            " think it is (docs/how-to/add-a-law.md) and diagnose again."
+            "No law that could be tried has the shape of the curve: use it as a table, or write the law that"
+            " you think it is (docs/how-to/add-a-law.md) and diagnose again."
         )
     if diagnosis.remainder is not None and not diagnosis.remainder.is_noise:
         yield from _simulator_step(diagnosis)
@@ -71,6 +72,23 @@ def _steps_after_missing_physics(diagnosis: DiagnosisPart) -> Steps:
 
 def _is_quantified(item: MissingEffect) -> bool:
     return not item.parameters or any(row.identifiable for row in item.parameters)
+
+
+def _patch_sentence(diagnosis: DiagnosisPart, what: str) -> str:
+    """That a file can be repaired, where the diagnosed model is not one of labhil's own."""
+    from labhil.physics.rigs import MODELS
+
+    own = any(recording.rig in MODELS for recording in diagnosis.recordings)
+    return "" if own else f" `labhil patch` writes {what} into a MuJoCo or URDF file."
+
+
+def _channel_step(diagnosis: DiagnosisPart) -> Steps:
+    """The channels without which some laws could not be tried."""
+    wanting = [item for item in diagnosis.undecided if item.needs]
+    if wanting:
+        channels = sorted({need for item in wanting for need in item.needs})
+        laws = sorted({keyed(item.term, item.joint) for item in wanting})
+        yield f"Record {enumerated(channels)}, too: {enumerated(laws)} could not be tried without."
 
 
 def _simulator_step(diagnosis: DiagnosisPart) -> Steps:
@@ -97,7 +115,7 @@ def _steps_after_parameter_change(diagnosis: DiagnosisPart) -> Steps:
     changed = [keyed(item.name, item.joint, item.recording) for item in diagnosis.changed]
     yield (
         f"Take the new value of {enumerated(changed)} into your simulation, or find out what changed at the"
-        " rig. `labhil patch` writes it into a MuJoCo or URDF file."
+        f" rig.{_patch_sentence(diagnosis, 'it')}"
     )
     yield from _validation_step(diagnosis)
 
@@ -113,6 +131,7 @@ def _steps_after_no_mismatch(diagnosis: DiagnosisPart) -> Steps:
 def _steps_after_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
     yield from _simulator_step(diagnosis)
+    yield from _channel_step(diagnosis)
     if diagnosis.location is not None and diagnosis.location.times:
         yield "Look at the rig and its cables at the times that are named: what happened there?"
     yield (

@@ -10,7 +10,7 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.next_steps import FORCE_CURVE
-from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, Verdict
+from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, UndecidedEffect, Verdict
 from labhil.identify.extended import UNMODELLED_FORCE
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "diagnosis.json"
@@ -70,7 +70,23 @@ def test_they_are_printed_and_on_the_page(example, tmp_path):
     assert "What to do next" in str(result)
     page = result.report(tmp_path / "page.html").read_text(encoding="utf-8")
     assert "What to do next" in page
-    assert "<code>labhil patch</code>" in page
+    assert "<code>labhil verify NEW.mcap --model DIAGNOSIS.json</code>" in page
+
+
+def test_a_file_is_to_be_patched_only_where_a_file_was_diagnosed(example):
+    assert not any("labhil patch" in step for step in example.next_steps)
+    of_a_file = [item.model_copy(update={"rig": "crane"}) for item in example.recordings]
+    steps = example.model_copy(update={"recordings": tuple(of_a_file)}).next_steps
+    assert any("`labhil patch` writes them into a MuJoCo or URDF file." in step for step in steps)
+
+
+def test_a_curve_beside_laws_that_lacked_a_channel_asks_for_that_channel_first(example):
+    curve = example.missing[0].model_copy(update={"term": FORCE_CURVE})
+    wanting = UndecidedEffect(term="spring_force", needs=("angle",), reason="")
+    found = example.model_copy(update={"missing": (curve,), "undecided": (wanting,)})
+    first, second, *_ = found.next_steps
+    assert first == "Record angle, too: spring_force could not be tried without."
+    assert "No law that could be tried" in second
 
 
 def test_what_has_no_size_is_not_put_into_a_simulation(example):
