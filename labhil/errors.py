@@ -22,6 +22,7 @@
     └── RunError                   exit 1: the run itself came to grief
         ├── LimitTrippedError      a sample left the limits of the rig file
         ├── InterlockError         a sample tripped an interlock of the rig file
+        ├── WatchdogError          commands stopped in the middle of a step
         ├── ConditionError         a condition of the experiment file did not hold in time
         ├── HookError              a function that the experiment file names has failed
         ├── RunStoppedError        a person or a signal stopped the run
@@ -168,6 +169,10 @@ class LimitTrippedError(RunError):
 
 class InterlockError(RunError):
     """A sample tripped an interlock of the rig file."""
+
+
+class WatchdogError(RunError):
+    """Commands stopped in the middle of a step, as on a machine that is too busy to send them."""
 
 
 class ConditionError(RunError):

@@ -20,7 +20,7 @@ from rich.table import Table
 
 from labhil.api.diagnosis import Diagnosis, diagnose
 from labhil.campaign.trials.seal import sha256_of
-from labhil.errors import LimitTrippedError, RunError
+from labhil.errors import LimitTrippedError, RunError, WatchdogError
 from labhil.experiment.experiment import Experiment, load_experiment
 from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment
 from labhil.report.figure import save
@@ -105,15 +105,15 @@ def _record(
 ) -> Path:
     """Run one of the shipped experiments on a simulated rig, and return the path of the recording.
 
-    ``max_speed`` is relative to real time. A busy machine may be too late to hold the ball; the second
-    attempt at half the speed gives it twice the time.
+    ``max_speed`` is relative to real time. A busy machine may be too late to hold the ball, or to command it
+    at all; the second attempt at half the speed gives it twice the time.
     """
     for speed in (max_speed, 0.5 * max_speed):
         experiment = _experiment(role, physics, noise_seed, speed)
         result = run_experiment(experiment, out, _progress_printer(role, say))
         if result.path is not None and result.exit_status == 0:
             return result.path
-        if not isinstance(result.error, LimitTrippedError):
+        if not isinstance(result.error, (LimitTrippedError, WatchdogError)):
             break
         say(f"this machine was too busy to hold the ball ({result.error}); once more at half the speed")
     raise RunError(f"the {role} recording failed: {_failure_of(result)}")

@@ -32,6 +32,7 @@ from labhil.errors import (
     LimitTrippedError,
     RunError,
     RunStoppedError,
+    WatchdogError,
 )
 from labhil.experiment.approach import Approach, Waypoints
 from labhil.experiment.checks import CheckSection, CheckWatch
@@ -59,7 +60,7 @@ where the device is now."""
 ALWAYS: Mapping[str, type[LabhilError]] = {"estop": EmergencyStopError}
 UNLESS_PAUSED: Mapping[str, type[LabhilError]] = {"tripped": LimitTrippedError, "interlock": InterlockError}
 WHILE_RUNNING: Mapping[str, tuple[type[LabhilError], str]] = {
-    "watchdog": (RunError, ""),
+    "watchdog": (WatchdogError, ""),
     "refused": (RunError, " (a setpoint was refused)"),
     "safe": (RunStoppedError, " (somebody else stopped the device)"),
 }
