@@ -37,8 +37,9 @@ def augmented_search(
     """Search again with half of the held-out data where these show an unexplained effect.
 
     The terms of the second search replace the first ones if they explain the augmented data or, where these
-    leave the searched range, if they include the first ones and more. If the second search names nothing, the
-    first terms are dropped unless very strong evidence on the augmented data supports them.
+    leave the searched range, if they include the first ones and more; where the first search names nothing,
+    if they leave less. If the second search names nothing, the first terms are dropped unless very strong
+    evidence on the augmented data supports them.
 
     Args:
         data: the data of the first search.
@@ -65,7 +66,8 @@ def augmented_search(
     second_rms = residual_rms(more, second.final)
     if second.missing:
         adds_terms = leaves_searched_range(data) and adds_certain_terms(result.missing, second.missing)
-        replaces_first = adds_terms or not exceeds_noise(more, second_rms)
+        improves = not result.missing and bool(np.max(second_rms) < np.max(rms))
+        replaces_first = adds_terms or improves or not exceeds_noise(more, second_rms)
     else:
         replaces_first = bool(np.max(second_rms) < np.max(rms)) and not _supports_first_terms(
             more, result, second

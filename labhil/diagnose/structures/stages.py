@@ -63,8 +63,8 @@ def search_structures(
             begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
-            # longer windows add up more of what is missing, and show no more of what acts slowly
-            if finished[-1].best.noise > options.max_residual_in_noise:
+            # where something is named, longer windows add up what is missing beside it; else they may show it
+            if finished[-1].state.best and finished[-1].best.noise > options.max_residual_in_noise:
                 break
     except EndedEarly:
         accept()
