@@ -244,7 +244,7 @@ def _with_settled_fit(result: SearchResult) -> SearchResult:
     """
     if result.final.problem.model.metric is Metric.INVERSE_DYNAMICS:
         return result  # its fit is linear
-    return replace(result, final=settle_fit(result.final))
+    return result.with_better_final(settle_fit(result.final))
 
 
 def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:

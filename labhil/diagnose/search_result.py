@@ -130,6 +130,15 @@ class SearchResult:
         rivals = tuple(rival for rival in self.rivals if rival.instead_of in named)
         return replace(self, final=final, missing=steps, rivals=rivals) if steps else self.without_claims
 
+    def with_better_final(self, final: Fitted) -> SearchResult:
+        """Replace the final fit and its structure's own estimates by a better fit of the same terms."""
+        own = self.final.estimates.keys()
+        alternatives = tuple(
+            replace(alternative, values=final.estimates) if alternative.values.keys() == own else alternative
+            for alternative in self.alternatives
+        )
+        return replace(self, final=final, alternatives=alternatives)
+
     def between_structures(self, key: str) -> float:
         """RMS difference between other likely structures' estimates of a parameter and the final one.
 

@@ -58,4 +58,4 @@ def _deviations(problem: Problem) -> FloatArray:
             model.simulate(theta, record, windows, guess + PERTURBATION * step)
             for step in np.diag(model.state_scale)
         ]
-        return np.nan_to_num((np.array(changed) - reference) / problem.noise, posinf=1e300, neginf=-1e300)
+        return np.nan_to_num((np.array(changed) - reference) / problem.noise, posinf=1e100, neginf=-1e100)
