@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import FittedCurve
+from labhil.diagnose.statements import exclusions
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import estimate_spectral_noise
 from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta
@@ -97,6 +99,12 @@ def unmodelled(data: Data, final: Fitted) -> ForceCurve | None:
     return None if found is None else state_curve(data, found)
 
 
+def largest_hidden(fit: Fitted, term: str) -> float | None:
+    """The largest size of a term that the data could hide beside a fit; None where any could."""
+    limits, _ = exclusions(absent_effects(fit), ())
+    return next((limit.largest_hidden for limit in limits if limit.term == term), None)
+
+
 def within(found: ForceCurve, law: Law) -> float:
     """Share of the visited range where the plant's own law lies within the band.
 
@@ -142,6 +150,9 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
 
     assert within(found, law) >= 0.9
     assert found.share >= 0.9
+    # a curve over the position may be a spring in part, and excludes none as the terms alone seem to
+    spring, error = (largest_hidden(fit, "spring_hardening") for fit in (found.fit, final))
+    assert spring is None or (error is not None and spring > 5.0 * error)
 
 
 @pytest.mark.extended
