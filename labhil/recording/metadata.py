@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TypeVar
+from typing import IO, TypeVar, cast
 
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Metadata
 from mcap.summary import Summary
 
 from labhil.errors import RecordingError
+from labhil.recording.bounded_file import BoundedFile
 from labhil.recording.rig_attachments import attached_rig, rig_attachment_name
 
 Record = TypeVar("Record", Attachment, Metadata)
@@ -74,7 +75,7 @@ def _read_end(
     """The summary at the end of a file, and the ``records`` that it lists."""
     try:
         with path.open("rb") as file:
-            reader = SeekingReader(file, record_size_limit=MAX_RECORD_SIZE)
+            reader = SeekingReader(cast(IO[bytes], BoundedFile(file)), record_size_limit=MAX_RECORD_SIZE)
             summary = reader.get_summary()
             return summary, [] if summary is None else list(records(reader))
     except Exception as error:  # struct, mcap and the text decoder each raise their own

@@ -3,6 +3,7 @@
 import json
 import struct
 import sys
+import tracemalloc
 from io import BytesIO
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -318,6 +320,25 @@ def test_a_damaged_file_is_read_or_refused_in_words(tmp_path_factory, place, bit
         read_mcap(folder / "b.mcap", ["/bench.ball.x", "/ros.x", "/proto.raw[0]"])
     except (LabhilError, ImplausibleError) as refused:
         assert str(refused)
+
+
+@pytest.mark.parametrize("field", [1, 9 + 32])  # of the record, and of the chunk's content
+def test_a_damaged_length_of_a_chunk_reserves_no_memory(tmp_path, field):
+    path = mcap(tmp_path / "a.mcap", {"/bench": BENCH}, count=6)
+    with path.open("rb") as file:
+        (chunk, *_) = make_reader(file).get_summary().chunk_indexes
+    data = bytearray(path.read_bytes())
+    data[chunk.chunk_start_offset + field + 4] ^= 6  # 24 GiB more
+    path.write_bytes(data)
+    tracemalloc.start()
+    try:
+        read_mcap(path, ["/bench.ball.x"])
+    except (LabhilError, ImplausibleError) as refused:
+        assert str(refused)
+    finally:
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 32 << 20
 
 
 def test_messages_nested_without_an_end_and_numbers_without_a_bound_are_read(tmp_path):

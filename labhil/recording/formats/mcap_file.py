@@ -19,6 +19,7 @@ from mcap.records import Schema
 
 from labhil.bounds import Budget, ImplausibleError
 from labhil.errors import LabhilError, MissingExtraError, TableError
+from labhil.recording.bounded_file import BoundedFile
 from labhil.recording.formats.bag import BagColumns, read_topics
 from labhil.recording.formats.bag_messages import STAMP, FieldPath
 from labhil.recording.formats.mcap_decoders import (
@@ -85,7 +86,7 @@ def read_mcap(path: Path, wanted: Sequence[str]) -> McapColumns:
     """
     try:
         with path.open("rb") as stream:
-            return _File(path, stream).columns(wanted)
+            return _File(path, BoundedFile(stream)).columns(wanted)
     except (LabhilError, ImplausibleError, MemoryError):
         raise
     except Exception as error:  # struct, lz4, zstd and mcap each raise their own on a damaged file
