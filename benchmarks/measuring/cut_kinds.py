@@ -68,106 +68,93 @@ class Scene:
     cuts: list[Cut] = field(default_factory=list)
 
 
-# what is done to a serial wire; each returns when the cable was out and back, Unix ns
+CutFunction = Callable[[Scene, float], None]
 
 
-def line_dead(scene: Scene, seconds: float) -> tuple[int, int]:
+# what is done to a serial wire; each returns when the cable is back
+
+
+def line_dead(scene: Scene, seconds: float) -> None:
     """The cable between the adapter and the device is out."""
     wire = scene.wire
-    began, wire.to_host, wire.to_device = unix_ns(), False, False
+    wire.to_host = wire.to_device = False
     time.sleep(seconds)
     wire.to_host = wire.to_device = True
-    return began, unix_ns()
 
 
-def way_out_dead(scene: Scene, seconds: float) -> tuple[int, int]:
+def way_out_dead(scene: Scene, seconds: float) -> None:
     """The wire that leads to the device is broken; samples come in as before."""
-    began, scene.wire.to_device = unix_ns(), False
+    scene.wire.to_device = False
     time.sleep(seconds)
     scene.wire.to_device = True
-    return began, unix_ns()
 
 
-def port_gone(scene: Scene, seconds: float) -> tuple[int, int]:
+def port_gone(scene: Scene, seconds: float) -> None:
     """The adapter is pulled, or all connections to an arm are closed; the device keeps its power."""
-    began = unix_ns()
     scene.wire.unplug()
     time.sleep(seconds)
     scene.wire.plug_in()
-    return began, unix_ns()
 
 
-def power_gone(scene: Scene, seconds: float) -> tuple[int, int]:
+def power_gone(scene: Scene, seconds: float) -> None:
     """The device is powered by the cable that is pulled."""
-    began = unix_ns()
     scene.wire.unplug()
     scene.wire.power_down()
     time.sleep(seconds)
     scene.wire.power_up()
     scene.wire.plug_in()
-    return began, unix_ns()
 
 
-def device_boots(scene: Scene, _seconds: float) -> tuple[int, int]:
+def device_boots(scene: Scene, _seconds: float) -> None:
     """The device boots, and its port stays."""
-    began = unix_ns()
     scene.wire.power_down()
     scene.wire.power_up()
-    return began, unix_ns()
 
 
-def bytes_held(scene: Scene, seconds: float) -> tuple[int, int]:
+def bytes_held(scene: Scene, seconds: float) -> None:
     """Nothing comes through, and then all of it at once."""
-    began, scene.wire.hold = unix_ns(), True
+    scene.wire.hold = True
     time.sleep(seconds)
     scene.wire.release()
-    return began, unix_ns()
 
 
-def noise(scene: Scene, seconds: float) -> tuple[int, int]:
+def noise(scene: Scene, seconds: float) -> None:
     """Random bytes in between the others."""
-    began, scene.wire.noise = unix_ns(), True
+    scene.wire.noise = True
     time.sleep(seconds)
     scene.wire.noise = False
-    return began, unix_ns()
 
 
 # and to an arm's
 
 
-def rtde_closed(scene: Scene, _seconds: float) -> tuple[int, int]:
+def rtde_closed(scene: Scene, _seconds: float) -> None:
     """The controller closes the connections of its RTDE port, and takes new ones."""
-    began = unix_ns()
     scene.wire.hang_up(scene.wire.PORTS[:1])
-    return began, unix_ns()
 
 
-def arm_noise(scene: Scene, _seconds: float) -> tuple[int, int]:
+def arm_noise(scene: Scene, _seconds: float) -> None:
     """Bytes that are no package come in between."""
-    began = unix_ns()
     scene.wire.disturb(b"\x00\x01\x02\xff" * 25)
-    return began, unix_ns()
 
 
-def controller_boots(scene: Scene, _seconds: float) -> tuple[int, int]:
+def controller_boots(scene: Scene, _seconds: float) -> None:
     """The controller loses its power and boots, which takes it seconds."""
-    began = unix_ns()
     scene.wire.unplug()
     scene.restart()
     scene.wire.plug_in()
-    return began, unix_ns()
 
 
-def late(kind: Callable[[Scene, float], tuple[int, int]]) -> Callable[[Scene, float], tuple[int, int]]:
+def late(kind: CutFunction) -> CutFunction:
     """The same for seconds."""
 
-    def longer(scene: Scene, seconds: float) -> tuple[int, int]:
-        return kind(scene, LATE[0] + (LATE[1] - LATE[0]) * (seconds - CUT[0]) / (CUT[1] - CUT[0]))
+    def longer(scene: Scene, seconds: float) -> None:
+        kind(scene, LATE[0] + (LATE[1] - LATE[0]) * (seconds - CUT[0]) / (CUT[1] - CUT[0]))
 
     return longer
 
 
-Kinds = Mapping[str, tuple[Callable[[Scene, float], tuple[int, int]], int]]
+Kinds = Mapping[str, tuple[CutFunction, int]]
 
 SERIAL_KINDS: Kinds = {
     "line dead": (line_dead, 10),

@@ -162,7 +162,10 @@ def cut_many(scene: Scene, kinds: Kinds, cuts: int, chance: random.Random) -> No
         time.sleep(chance.uniform(*BETWEEN))
         if scene.run.poll() is not None:
             return
-        began_ns, returned_ns = kinds[kind][0](scene, chance.uniform(*CUT))
+        cut_cable, seconds = kinds[kind][0], chance.uniform(*CUT)
+        began_ns = unix_ns()
+        cut_cable(scene, seconds)
+        returned_ns = unix_ns()
         # what was heard too late is heard by then: a silent device is given up after a second
         settled = returned_ns
         if kind in (

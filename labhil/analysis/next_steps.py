@@ -84,11 +84,14 @@ def _patch_sentence(diagnosis: DiagnosisPart, what: str) -> str:
 
 def _channel_step(diagnosis: DiagnosisPart) -> Steps:
     """The channels without which some laws could not be tried."""
-    wanting = [item for item in diagnosis.undecided if item.needs]
-    if wanting:
-        channels = sorted({need for item in wanting for need in item.needs})
-        laws = sorted({keyed(item.term, item.joint) for item in wanting})
+    channels = _lacking_channels(diagnosis)
+    if channels:
+        laws = sorted({keyed(item.term, item.joint) for item in diagnosis.undecided if item.needs})
         yield f"Record {enumerated(channels)}, too: {enumerated(laws)} could not be tried without."
+
+
+def _lacking_channels(diagnosis: DiagnosisPart) -> list[str]:
+    return sorted({need for item in diagnosis.undecided for need in item.needs})
 
 
 def _simulator_step(diagnosis: DiagnosisPart) -> Steps:
@@ -151,7 +154,7 @@ def _steps_after_data_fault(diagnosis: DiagnosisPart) -> Steps:
 
 def _steps_after_not_decidable(diagnosis: DiagnosisPart) -> Steps:
     yield from _early_end_step(diagnosis)
-    needs = sorted({need for item in diagnosis.undecided for need in item.needs})
+    needs = _lacking_channels(diagnosis)
     if needs:
         yield f"Record with {enumerated(needs)}."
     elif diagnosis.complete:

@@ -112,10 +112,13 @@ def refine_for_decay(t: FloatArray, u: FloatArray, time_constant: float, parts: 
     """
     n = t.size
     times, values = np.empty(parts * (n - 1) + 1), np.empty(parts * (n - 1) + 1)
+    after = np.empty(parts)
+    for j in range(parts):
+        after[j] = -1.5 * time_constant * np.log(1.0 - j / parts)
     for i in range(n - 1):
         h = t[i + 1] - t[i]
         for j in range(parts):
-            share = min(j / parts, -1.5 * time_constant * np.log(1.0 - j / parts) / h) if h > 0.0 else 0.0
+            share = min(j / parts, after[j] / h) if h > 0.0 else 0.0
             times[parts * i + j] = t[i] + share * h
             values[parts * i + j] = u[i] + share * (u[i + 1] - u[i])
     times[-1], values[-1] = t[n - 1], u[n - 1]

@@ -171,8 +171,8 @@ def substep_ends(delay: float, lag: float) -> FloatArray:
     ``delay`` and ``lag`` are in sample periods.
     """
     delay_fraction = delay % 1.0
-    count = math.ceil(min(SUBSTEPS_PER_LAG / lag, MAX_SUBSTEPS)) if lag > 0.0 else 1
-    count = max(count, MIN_SUBSTEPS)
+    wanted = SUBSTEPS_PER_LAG / lag if lag > 0.0 else 0.0
+    count = math.ceil(min(max(wanted, MIN_SUBSTEPS), MAX_SUBSTEPS))
     ends = np.arange(1, count + 1) / count
     if np.min(np.abs(ends - delay_fraction)) < 1e-9 or delay_fraction < 1e-9:
         return ends

@@ -151,8 +151,8 @@ def test_a_magnet_under_the_beam_is_found_where_it_is() -> None:
     assert within(found, law) >= 0.9
     assert found.share >= 0.9
     # a curve over the position may be a spring in part, and excludes none as the terms alone seem to
-    spring, error = (largest_hidden(fit, "spring_hardening") for fit in (found.fit, final))
-    assert spring is None or (error is not None and spring > 5.0 * error)
+    beside, alone = (largest_hidden(fit, "spring_hardening") for fit in (found.fit, final))
+    assert beside is None or (alone is not None and beside > 5.0 * alone)
 
 
 @pytest.mark.extended
