@@ -198,13 +198,9 @@ def fit_terms(
     if starts is None:
         starting = terms_named(model, terms if new_terms is None else new_terms)
         starts = starts_of(model, starting, record) if starting else [{}]
-    places = index_of(model.parameters)
-    problems = []
-    for values in starts:
-        theta = begin.copy()
-        theta[[places[key] for key in values]] = list(values.values())
-        problems.append(Problem(model, record, windows, free, theta, sigma))
-    limit = scouts.iterations if len(starts) > 1 or max_scout_cost < float("inf") else iterations
+    thetas = _distinct_starts(model, begin, starts)
+    problems = [Problem(model, record, windows, free, theta, sigma) for theta in thetas]
+    limit = scouts.iterations if len(problems) > 1 or max_scout_cost < float("inf") else iterations
     problem, solution = _best_scout(problems, states, limit, tolerance, scouts)
     if solution.cost <= max_scout_cost and (thorough or not solution.converged):
         solution = least_squares(
@@ -222,6 +218,19 @@ def fit_terms(
         solution = replace(solution, point=Point(full_problem.start().z, solution.point.states))
         problem = full_problem
     return Fitted(tuple(terms), theta, problem, solution, window)
+
+
+def _distinct_starts(
+    model: Model, begin: FloatArray, starts: Sequence[Mapping[str, float]]
+) -> list[FloatArray]:
+    """Parameter vectors (P,) of different starts: ``begin`` with each set of values by key."""
+    places = index_of(model.parameters)
+    thetas = {}
+    for values in starts:
+        theta = begin.copy()
+        theta[[places[key] for key in values]] = list(values.values())
+        thetas[theta.tobytes()] = theta
+    return list(thetas.values())
 
 
 def _best_scout(

@@ -7,6 +7,7 @@ free parameters, however many windows there are. Estimators (``least_squares``, 
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -108,7 +109,6 @@ class Problem:
     ) -> None:
         self.model = model
         self.record = record
-        self.windows = windows
         self.free = free
         self.base = base
         self.sigma = sigma
@@ -120,13 +120,18 @@ class Problem:
         self._linear = np.array([p.linear for p in chosen], dtype=bool)
         if self._linear.any() and not isinstance(model, PartlyLinear):
             self._linear[:] = False
-        channels = record.outputs.shape[1]
-        self.owner = np.repeat(windows.owner, channels)
+        self.evaluations = 0
+        self._set_windows(windows)
+        self.guess = model.initial_states(record, windows)
+
+    def _set_windows(self, windows: Windows) -> None:
+        """Take everything but the guessed states from these windows of the record."""
+        record = self.record
+        self.windows = windows
+        self.owner = np.repeat(windows.owner, record.outputs.shape[1])
         self.edges = np.flatnonzero(np.r_[True, np.diff(self.owner) > 0])
         self.begins = recording_starts(record, windows)
-        self.noise = noise_at(record, windows.rows, sigma)
-        self.evaluations = 0
-        self.guess = model.initial_states(record, windows)
+        self.noise = noise_at(record, windows.rows, self.sigma)
         self._measured = record.outputs[windows.rows]
         self._censored = None if record.censored is None else record.censored[windows.rows]
 
@@ -136,11 +141,12 @@ class Problem:
         return effective_fractions(self.record, self.sigma)[self.windows.rows].ravel()
 
     def select_windows(self, chosen: IntArray) -> Problem:
-        """The same problem on some of its windows only, by their indices or a mask (W,)."""
-        spans = list(
-            zip(self.windows.first[chosen].tolist(), self.windows.last[chosen].tolist(), strict=True)
-        )
-        return self.with_windows(Windows.of(spans))
+        """The same problem on some of its windows only, by their indices (K,)."""
+        part = copy(self)
+        part.__dict__.pop("effective_fraction", None)
+        part._set_windows(self.windows.select(chosen))
+        part.guess = self.guess[chosen]
+        return part
 
     def with_windows(self, windows: Windows) -> Problem:
         """The same problem on other windows of its record."""

@@ -71,6 +71,25 @@ def refine(problem: Problem, z: FloatArray, first: States, second: States, *, it
     return _improve_states(problem, z, first.or_better(problem, second), iterations)
 
 
+def refine_windows(
+    problem: Problem, z: FloatArray, estimate: States, other: FloatArray, which: IntArray
+) -> States:
+    """The same in some windows only.
+
+    Args:
+        problem: the fitted problem.
+        z: (P,), scaled parameters, held fixed.
+        estimate: an estimate.
+        other: (W, S), initial states of another one.
+        which: (K,), the windows to improve.
+    """
+    if not problem.model.state_names or not len(which):
+        return estimate
+    part = problem.select_windows(which)
+    refined = refine(part, z, _of_windows(problem, estimate, which), evaluate(part, z, other[which]))
+    return _with_windows(problem, estimate, which, refined)
+
+
 def search_states(
     problem: Problem,
     z: FloatArray,
@@ -210,14 +229,21 @@ def _from_other_velocities(
 
 def _of_windows(problem: Problem, estimate: States, which: IntArray) -> States:
     """The estimate of some windows alone."""
-    return States(estimate.states[which], estimate.residuals[np.isin(problem.owner, which)])
+    return States(estimate.states[which], estimate.residuals[_rows_in(problem, which)])
 
 
 def _with_windows(problem: Problem, estimate: States, which: IntArray, replacement: States) -> States:
     """The estimate with that of some windows replaced."""
     states, residuals = estimate.states.copy(), estimate.residuals.copy()
-    states[which], residuals[np.isin(problem.owner, which)] = replacement.states, replacement.residuals
+    states[which], residuals[_rows_in(problem, which)] = replacement.states, replacement.residuals
     return States(states, residuals)
+
+
+def _rows_in(problem: Problem, which: IntArray) -> np.ndarray:
+    """Whether a residual belongs to one of the windows ``which`` (K,), (N·c,)."""
+    inside = np.zeros(len(problem.edges), dtype=bool)
+    inside[which] = True
+    return np.asarray(inside[problem.owner])
 
 
 def estimate_states_at(
@@ -340,22 +366,32 @@ def _unexplained_windows(problem: Problem, estimate: States, *, max_mean_square:
 def _improve_states(
     problem: Problem, z: FloatArray, begin: States, iterations: int, which: np.ndarray | bool = True
 ) -> States:
-    """Levenberg and Marquardt's method with one damping per window; states ``which`` (S,) vary."""
+    """Levenberg and Marquardt's method with one damping per window; states ``which`` (S,) vary.
+
+    A window is no longer simulated once a step has gained next to nothing.
+    """
     estimate = begin
     damping = np.full(len(begin.states), 1e-3)
-    cost = begin.costs(problem)
+    active = np.arange(len(begin.states))
     for _ in range(iterations):
-        slopes = problem.state_slopes(Point(z, estimate.states), estimate.residuals) * which
-        gram = problem.state_gram(slopes, damping)
-        gradient = problem.products(slopes, estimate.residuals[:, None])
+        everywhere = len(active) == len(damping)
+        part = problem if everywhere else problem.select_windows(active)
+        current = estimate if everywhere else _of_windows(problem, estimate, active)
+        slopes = part.state_slopes(Point(z, current.states), current.residuals) * which
+        gram = part.state_gram(slopes, damping[active])
+        gradient = part.products(slopes, current.residuals[:, None])
         step = np.linalg.solve(gram, gradient)[:, :, 0] * which
-        trial = evaluate(problem, z, estimate.states - step * problem.model.state_scale)
-        trial_cost = trial.costs(problem)
+        trial = evaluate(part, z, current.states - step * problem.model.state_scale)
+        cost, trial_cost = current.costs(part), trial.costs(part)
         better = trial_cost < cost
-        estimate = estimate.choose(problem, better, trial)
-        damping = np.where(better, np.maximum(0.1 * damping, 1e-8), 10.0 * damping)
-        gained = np.where(better, cost - trial_cost, 0.0)
-        cost = np.where(better, trial_cost, cost)
-        if np.all(gained <= 1e-6 * cost + 1e-12) and np.all(better | (damping > 1.0)):
+        current = current.choose(part, better, trial)
+        estimate = current if everywhere else _with_windows(problem, estimate, active, current)
+        damping[active] *= np.where(better, 0.1, 10.0)
+        damping = np.maximum(damping, 1e-8)
+        gains_nothing = np.where(
+            better, cost - trial_cost <= 1e-6 * trial_cost + 1e-12, damping[active] > 1.0
+        )
+        active = active[~gains_nothing]
+        if not len(active):
             break
     return estimate

@@ -233,6 +233,13 @@ class Windows:
         rows = np.concatenate([np.arange(a, b, dtype=np.int64) for a, b in spans])
         return cls(first, last, rows, np.repeat(np.arange(len(first), dtype=np.int64), last - first))
 
+    def select(self, chosen: IntArray) -> Windows:
+        """Some of these windows, by their indices (K,)."""
+        first, last = self.first[chosen], self.last[chosen]
+        owner = np.repeat(np.arange(len(first), dtype=np.int64), last - first)
+        before = np.cumsum(last - first) - last
+        return Windows(first, last, np.arange(len(owner), dtype=np.int64) - before[owner], owner)
+
 
 class Metric(StrEnum):
     """The error measure by which models of a rig are scored; fixed per rig kind."""

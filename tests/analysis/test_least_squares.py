@@ -17,6 +17,7 @@ from labhil.identify.identifiability import invariants
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
+from labhil.identify.window_states import evaluate, refine_windows
 from labhil.identify.windows import split
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
@@ -196,3 +197,40 @@ def test_what_is_held_out_is_the_end_after_a_gap(n, share, gap):
     assert judge.t[0] == pytest.approx((1.0 - share) * t[-1], abs=0.0101)
     assert not len(learn) or judge.t[0] - learn.t[-1] >= gap
     assert np.array_equal(record.part(n - len(judge), n).t, judge.t)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.sets(st.integers(0, COUNT - 1), min_size=1))
+def test_a_problem_on_some_windows_is_that_part_of_the_whole(chosen: set[int]) -> None:
+    record, windows = measured(1.0, -0.5, seed=4)
+    whole = Problem(Straight(), record, windows, np.array([0, 1]), np.array([0.5, 0.5]), SIGMA)
+    which = np.array(sorted(chosen))
+    part = whole.select_windows(which)
+    states = np.random.default_rng(1).standard_normal((COUNT, 2))
+    z = np.array([0.7, 0.1])
+    np.testing.assert_array_equal(
+        evaluate(part, z, states[which]).residuals,
+        evaluate(whole, z, states).residuals[np.isin(whole.owner, which)],
+    )
+    named = Windows.of([(LENGTH * w, LENGTH * (w + 1)) for w in sorted(chosen)])
+    np.testing.assert_array_equal(part.windows.rows, named.rows)
+    np.testing.assert_array_equal(part.windows.owner, named.owner)
+    np.testing.assert_array_equal(part.effective_fraction, np.ones(len(named.rows)))
+
+
+def test_windows_that_are_refined_reach_their_minimum_and_others_stay() -> None:
+    record, windows = measured(1.0, -0.5, seed=4)
+    problem = Problem(Straight(), record, windows, np.array([0, 1]), np.array([0.5, 0.5]), SIGMA)
+    z = np.array([1.0, -0.25])
+    begun = evaluate(problem, z, np.zeros((COUNT, 2)))
+    refined = refine_windows(problem, z, begun, np.ones((COUNT, 2)), np.array([1, 4]))
+    moved = np.flatnonzero(np.any(refined.states != begun.states, axis=1))
+    assert moved.tolist() == [1, 4]
+    for w in moved:
+        inside = problem.owner == w
+        along = record.t[LENGTH * w : LENGTH * (w + 1)]
+        slopes = np.column_stack([np.ones(LENGTH), along - along[0]]) / SIGMA
+        least = np.linalg.lstsq(slopes, begun.residuals[inside], rcond=None)[1]
+        # an iteration of a linear problem ends at the minimum, but for its damping
+        assert refined.costs(problem)[w] == pytest.approx(float(least[0]), rel=1e-2)
+    assert np.array_equal(refined.residuals[problem.owner == 0], begun.residuals[problem.owner == 0])

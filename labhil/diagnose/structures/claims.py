@@ -23,7 +23,7 @@ from labhil.diagnose.structures.state import (
     rivals_of,
     undecided_terms,
 )
-from labhil.identify.fitted import Fitted, fit_terms, with_only
+from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.score import Score
 
 
@@ -95,7 +95,7 @@ def _fit_of_part(stage: Stage, structure: Structure) -> Fitted:
     start = with_only(data.model, near.theta, kept)
     return fit_terms(
         data.model, data.search, kept, data.window, data.sigma, start=start, starts=[{}],
-        states=near.solution.point.states, held=data.held,
+        states=near.solution.point.states, iterations=25, tolerance=INTERMEDIATE_TOLERANCE, held=data.held,
     )  # fmt: skip
 
 
