@@ -11,11 +11,12 @@ import numpy as np
 
 from labhil.diagnose.curve import mean_window_length
 from labhil.diagnose.judge import Data
+from labhil.identify.adequacy import adequacy_of
 from labhil.identify.fitted import Fitted
 from labhil.identify.input_noise import variance_by_input_noise
 from labhil.identify.noise import Noise, estimate_coloured_noise
 from labhil.identify.problem import Point, Problem
-from labhil.identify.score import scored_horizon
+from labhil.identify.score import score, scored_horizon
 from labhil.identify.window_states import estimate_states
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.model import Metric, Model, Record, Windows
@@ -23,6 +24,11 @@ from labhil.signals import FloatArray
 
 MAX_RMS_IN_NOISE = 1.2
 """RMS of residuals, in units of the noise, that noise alone may reach: it is known to a few per cent."""
+
+
+def leaves_only_noise(data: Data, fitted: Fitted) -> bool:
+    """Whether a model explains the searched data by the metric of the rig."""
+    return adequacy_of([score(data.model, fitted.theta, data.search, data.sigma)]).explained
 
 
 def residual_rms_on(

@@ -16,7 +16,7 @@ from scipy import stats
 
 from labhil.diagnose import statements
 from labhil.diagnose.accepted import Accepted, accepted_error
-from labhil.diagnose.adequacy import residual_rms
+from labhil.diagnose.adequacy import leaves_only_noise, residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.augmented import augmented_search
 from labhil.diagnose.begin import fit_baseline, fit_baseline_and_noise, prepare_data
@@ -26,7 +26,7 @@ from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
 from labhil.diagnose.final_table import final_table, refit_to_held_out
 from labhil.diagnose.force_curve import ForceCurve
-from labhil.diagnose.intake import Fault, assess_usability
+from labhil.diagnose.intake import Fault, assess_usability, is_driven, why_at_rest
 from labhil.diagnose.joint_curves import sort_by_heldout_gain
 from labhil.diagnose.judge import COMBINED_ALPHA, Data, is_strongly_favoured
 from labhil.diagnose.load import explain_by_load
@@ -37,6 +37,7 @@ from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
 from labhil.diagnose.timing import detect_all_faults
 from labhil.ending import EndedEarly, accept
+from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
@@ -47,6 +48,9 @@ from labhil.physics.terms import unkeyed
 
 VERDICT_ALPHA = 5e-4
 """Level α of the verdict: the accepted probability of a false alarm."""
+
+MIN_STD_IN_NOISE = 5.0
+"""Standard deviation of an output, in those of its noise, from which "no mismatch" says something."""
 
 
 def diagnose(
@@ -86,7 +90,7 @@ def diagnose(
     data, base, ended_early = fit_baseline_and_noise(data, terms)
     record = data.search if measured is None else measured
     faults = detect_all_faults(model, record)
-    refusal = _refuse_search(data, record, faults, ended_early)
+    refusal = _refuse_search(data, base, record, faults, ended_early)
     if refusal is not None:
         accept()  # the result is there, and stating it takes no time
         answer = _answer_without_search(data, base, *refusal, faults, heldout_is_test, began)
@@ -163,12 +167,16 @@ def _answer(
 
 
 def _refuse_search(
-    data: Data, measured: Record, faults: tuple[Fault, ...], ended_early: bool
+    data: Data, base: Fitted, measured: Record, faults: tuple[Fault, ...], ended_early: bool
 ) -> tuple[str, str] | None:
     """Verdict and reason where the data cannot be searched; None where they can."""
     if not assess_usability(measured, faults).is_usable:
         return "data_fault", "the data are at fault"
-    at_rest = _why_at_rest(data.search, data.sigma)
+    if not is_driven(data.search):
+        return "not_decidable", "the input never changes"
+    # a rig that hardly moves shows little; an error beyond the noise is searched unless nothing moves at all
+    least = MIN_STD_IN_NOISE if leaves_only_noise(data, base) else NOISE_FLOOR_FACTOR
+    at_rest = why_at_rest(data.search, data.sigma, least)
     if at_rest is not None:
         return "not_decidable", at_rest
     duration, horizon = data.search.duration, data.model.horizon
@@ -294,21 +302,6 @@ def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
     physics may stand for a changed size, so that this result needs very strong evidence.
     """
     return held if is_strongly_favoured(held.final, free.final) else free
-
-
-def _why_at_rest(record: Record, sigma: np.ndarray, min_std_in_noise: float = 5.0) -> str | None:
-    """What does not move in any recording; None where the input and some output of one vary enough."""
-    parts = record.recordings()
-    driven = [part for part in parts if np.ptp(part.inputs, axis=0).any()]
-    if not driven:
-        return "the input never changes"
-    largest = max(float(np.max(np.std(part.outputs, axis=0) / sigma)) for part in driven)
-    if largest > min_std_in_noise:
-        return None
-    return (
-        f"expected an output that varies by more than {min_std_in_noise:g} times its noise, "
-        f"found at most {largest:.2g} times"
-    )
 
 
 def _baseline_p_value(conclusion: Conclusion, verdict: str, alpha: float = VERDICT_ALPHA) -> float:

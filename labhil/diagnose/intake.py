@@ -349,3 +349,26 @@ __all__ = [
     "mark_censored",
     "replace_outliers",
 ]
+
+
+def is_driven(record: Record) -> bool:
+    """Whether an input changes in any recording."""
+    return any(np.ptp(part.inputs, axis=0).any() for part in record.recordings())
+
+
+def why_at_rest(record: Record, sigma: FloatArray, least: float) -> str | None:
+    """How little the outputs vary where an input changes; None where one of them varies enough.
+
+    Args:
+        record: The data, with an input that changes.
+        sigma: (c,), noise of the channels.
+        least: Standard deviation, in those of the noise, from which an output moves.
+    """
+    driven = [part for part in record.recordings() if is_driven(part)]
+    largest = max(float(np.max(np.std(part.outputs, axis=0) / sigma)) for part in driven)
+    if largest > least:
+        return None
+    return (
+        f"expected an output that varies by more than {least:.3g} times its noise, "
+        f"found at most {largest:.2g} times"
+    )

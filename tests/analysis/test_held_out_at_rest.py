@@ -1,4 +1,4 @@
-"""Held-out data at rest show no mismatch; the search data still may."""
+"""Held-out data at rest show no mismatch, the search data still may; so may a rig that hardly moves."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import rig_of
@@ -48,3 +49,31 @@ def test_a_mismatch_of_the_search_data_is_kept(seed: int) -> None:
     assert found.after.excess < 1.5  # what was held out is explained: nothing happens there
     assert found.verdict != "no_mismatch"
     assert found.p_value < 1e-6
+
+
+def sprung(seconds: float, ratio: float, seed: int, stiffness: float = 900.0) -> Record:
+    """An axis on a spring, of which noise leaves little to see: its position varies by ``ratio`` of it."""
+    t = PERIOD * np.arange(round(seconds / PERIOD))
+    force = 60.0 * np.sin(1.9 * t) + 40.0 * np.sin(5.3 * t)
+    _, x, _ = lsim(([1.0], [MASS, 20.0, stiffness]), force, t)
+    y = x + np.std(x) / ratio * np.random.default_rng(seed).standard_normal(len(t))
+    return Record(t, force[:, None], y[:, None], ("drive_force",), ("position",), ("m",), (Hold.LINEAR,))
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+def test_an_error_beyond_the_noise_is_searched_however_little_the_axis_moves() -> None:
+    record = sprung(60.0, ratio=3.0, seed=1)
+    model = model_for(rig_of("axis"), record)
+    learn, judge = split(record, 0.3, model.horizon)
+    found = diagnose(model, learn, judge, heldout_is_test=False, baseline=["viscous_friction"])
+    assert [entry.term for entry in found.missing] == ["spring_force"]
+
+
+def test_an_axis_that_hardly_moves_as_its_model_says_decides_nothing() -> None:
+    record = sprung(60.0, ratio=0.5, seed=1, stiffness=0.0)
+    model = model_for(rig_of("axis"), record)
+    learn, judge = split(record, 0.3, model.horizon)
+    found = diagnose(model, learn, judge, heldout_is_test=False, baseline=["viscous_friction"])
+    assert found.verdict == "not_decidable"
+    assert "times its noise" in found.undecided[0].reason
