@@ -319,8 +319,12 @@ def _shift_by_recording(
 
 
 def _search_unexplained(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """Search further in windows whose residuals exceed the noise, by three methods in turn."""
-    estimate = _grow_windows(problem, z, estimate, _unexplained_windows(problem, estimate))
+    """Search further in windows whose residuals exceed the noise, by several methods in turn."""
+    # a bounce in the first samples misleads the guess; a few samples lead to the right state nevertheless
+    fewest = (problem.guess.shape[1] + 2) * problem.record.period
+    for first_section in (FIRST_SECTION_IN_HORIZONS * problem.model.horizon, fewest):
+        unexplained = _unexplained_windows(problem, estimate)
+        estimate = _grow_windows(problem, z, estimate, unexplained, first_section)
     estimate = _from_other_velocities(problem, z, estimate, _unexplained_windows(problem, estimate))
     unexplained = _unexplained_windows(problem, estimate)
     if not len(unexplained):
@@ -330,12 +334,17 @@ def _search_unexplained(problem: Problem, z: FloatArray, estimate: States) -> St
     return _with_windows(problem, estimate, unexplained, evaluate(part, z, states))
 
 
-def _grow_windows(problem: Problem, z: FloatArray, estimate: States, which: IntArray) -> States:
-    """The better, in some windows, of the estimate and one on longer and longer sections of the window."""
+def _grow_windows(
+    problem: Problem, z: FloatArray, estimate: States, which: IntArray, first_section: float
+) -> States:
+    """The better, in some windows, of the estimate and one on longer and longer sections of the window.
+
+    ``first_section`` is the length of the first one in s.
+    """
     if not len(which):
         return estimate
     part = problem.select_windows(which)
-    grown = evaluate(part, z, grow_states(part, z, FIRST_SECTION_IN_HORIZONS * problem.model.horizon))
+    grown = evaluate(part, z, grow_states(part, z, first_section))
     best = _of_windows(problem, estimate, which).or_better(part, grown)
     return _with_windows(problem, estimate, which, best)
 

@@ -17,7 +17,7 @@ from labhil.identify.identifiability import invariants
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
-from labhil.identify.window_states import evaluate, refine_windows
+from labhil.identify.window_states import estimate_states, evaluate, refine_windows
 from labhil.identify.windows import split
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
@@ -234,3 +234,32 @@ def test_windows_that_are_refined_reach_their_minimum_and_others_stay() -> None:
         # an iteration of a linear problem ends at the minimum, but for its damping
         assert refined.costs(problem)[w] == pytest.approx(float(least[0]), rel=1e-2)
     assert np.array_equal(refined.residuals[problem.owner == 0], begun.residuals[problem.owner == 0])
+
+
+class Bouncing(Straight):
+    """y moves at a constant rate up to a stop at 1, from where it returns at half that rate."""
+
+    state_scale = np.array([0.02, 0.02])
+
+    def initial_states(self, record: Record, windows: Windows) -> np.ndarray:
+        """Where it is at first, taken to move as on the way back."""
+        return np.column_stack([record.outputs[windows.first, 0], np.full(len(windows), -0.3)])
+
+    def simulate(self, theta, record: Record, windows: Windows, states: np.ndarray) -> np.ndarray:
+        along = record.t[windows.rows] - record.t[windows.first][windows.owner]
+        begin, rate = states[windows.owner].T
+        free = begin + rate * along
+        return np.where(free > 1.0, 1.0 - 0.5 * (free - 1.0), free)[:, None]
+
+
+def test_a_state_is_found_before_a_bounce_in_the_first_samples() -> None:
+    t = 0.05 * np.arange(3 * LENGTH)
+    windows = Windows.of([(LENGTH * w, LENGTH * (w + 1)) for w in range(3)])
+    blank = Record(t, np.sin(t)[:, None], np.zeros((len(t), 1)), ("u",), ("y",), ("m",))
+    states = np.array([[0.85, 1.7], [0.8, 1.9], [0.9, 1.5]])
+    y = Bouncing().simulate(np.zeros(2), blank, windows, states)
+    noise = 0.01 * np.random.default_rng(3).standard_normal(y.shape)
+    record = Record(t, blank.inputs, y + noise, ("u",), ("y",), ("m",))
+    problem = Problem(Bouncing(), record, windows, np.empty(0, dtype=np.int64), np.zeros(2), np.array([0.01]))
+    found = estimate_states(problem, np.empty(0))
+    np.testing.assert_allclose(found.states, states, atol=0.05)

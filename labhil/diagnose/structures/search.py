@@ -185,8 +185,8 @@ class StructureSearch:
                 return True
         for term in sorted(before):
             reduced = frozenset(without(self.data.model, tuple(before), term))
-            if reduced not in state.refitted:
-                self._refit_and_record(state, state.refitted[before].fitted, reduced, {})
+            # also where it was refitted before: from there it may have reached a higher minimum only
+            self._refit_and_record(state, state.refitted[before].fitted, reduced, {})
             if self._linearise_elsewhere(state, reduced):
                 return True
         return False
