@@ -19,7 +19,6 @@ from labhil.identify.window_states import (
     fit_states,
     reestimate,
     refine,
-    refine_windows,
     rescue_states,
     search_states,
 )
@@ -201,21 +200,18 @@ def _lower_cost(
 ) -> tuple[Point, FloatArray, float] | None:
     """A point of lower cost, its residuals and the next damping; None where no damping finds one.
 
-    Where a step lowers the cost by much less than predicted, the windows that fall short by more than their
-    share of that improve their own states before the step is accepted or rejected.
+    Where a step lowers the cost by much less than predicted, the windows improve their own states before the
+    step is accepted or rejected.
     """
     lin = problem.linearise(point, residuals)
     cost = float(residuals @ residuals)
     while damping < options.max_damping:
-        trial, expected = _damped_step(problem, point, lin, damping, options)
-        predicted = cost - float(np.sum(expected))
+        trial, predicted = _damped_step(problem, point, lin, damping, options)
         if abs(predicted) < tolerance * cost:
             return None
         reached = evaluate(problem, trial.z, trial.states)
-        allowed = (1.0 - options.min_gain_ratio) * predicted
-        if reached.cost - np.sum(expected) > allowed:
-            short = np.flatnonzero(reached.costs(problem) - expected > allowed / len(expected))
-            reached = refine_windows(problem, trial.z, reached, point.states, short)
+        if cost - reached.cost < options.min_gain_ratio * predicted:
+            reached = refine(problem, trial.z, reached, evaluate(problem, trial.z, point.states))
         if reached.cost < cost:
             return Point(trial.z, reached.states), reached.residuals, max(0.1 * damping, 1e-8)
         damping *= 8.0
@@ -224,8 +220,8 @@ def _lower_cost(
 
 def _damped_step(
     problem: Problem, point: Point, lin: Linearised, damping: float, options: StepOptions
-) -> tuple[Point, FloatArray]:
-    """One damped Gauss-Newton step, and the cost of each window (W,) that the linearised model predicts.
+) -> tuple[Point, float]:
+    """One damped Gauss-Newton step, and the decrease of the cost that the linearised model predicts.
 
     States are damped, as parameters are, only after a first step failed: where a window is far from its
     minimum, an undamped step of its state leads nowhere however short the step of the parameters is.
@@ -237,8 +233,8 @@ def _damped_step(
     gradient = problem.products(lin.by_states, linearised[:, None])
     step = np.asarray(np.linalg.solve(gram, gradient), dtype=np.float64)
     expected = without_states(linearised[:, None], lin.by_states, step, problem.edges)[:, 0]
-    states = point.states - step[:, :, 0] * problem.model.state_scale
-    return Point(z, states), problem.per_window(expected**2)
+    predicted = float(lin.residuals @ lin.residuals - expected @ expected)
+    return Point(z, point.states - step[:, :, 0] * problem.model.state_scale), predicted
 
 
 def _parameter_step(

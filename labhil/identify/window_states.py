@@ -71,25 +71,6 @@ def refine(problem: Problem, z: FloatArray, first: States, second: States, *, it
     return _improve_states(problem, z, first.or_better(problem, second), iterations)
 
 
-def refine_windows(
-    problem: Problem, z: FloatArray, estimate: States, other: FloatArray, which: IntArray
-) -> States:
-    """The same in some windows only.
-
-    Args:
-        problem: the fitted problem.
-        z: (P,), scaled parameters, held fixed.
-        estimate: an estimate.
-        other: (W, S), initial states of another one.
-        which: (K,), the windows to improve.
-    """
-    if not problem.model.state_names or not len(which):
-        return estimate
-    part = problem.select_windows(which)
-    refined = refine(part, z, _of_windows(problem, estimate, which), evaluate(part, z, other[which]))
-    return _with_windows(problem, estimate, which, refined)
-
-
 def search_states(
     problem: Problem,
     z: FloatArray,

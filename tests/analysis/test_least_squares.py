@@ -17,7 +17,7 @@ from labhil.identify.identifiability import invariants
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
-from labhil.identify.window_states import estimate_states, evaluate, refine_windows
+from labhil.identify.window_states import estimate_states, evaluate
 from labhil.identify.windows import split
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
@@ -216,24 +216,6 @@ def test_a_problem_on_some_windows_is_that_part_of_the_whole(chosen: set[int]) -
     np.testing.assert_array_equal(part.windows.rows, named.rows)
     np.testing.assert_array_equal(part.windows.owner, named.owner)
     np.testing.assert_array_equal(part.effective_fraction, np.ones(len(named.rows)))
-
-
-def test_windows_that_are_refined_reach_their_minimum_and_others_stay() -> None:
-    record, windows = measured(1.0, -0.5, seed=4)
-    problem = Problem(Straight(), record, windows, np.array([0, 1]), np.array([0.5, 0.5]), SIGMA)
-    z = np.array([1.0, -0.25])
-    begun = evaluate(problem, z, np.zeros((COUNT, 2)))
-    refined = refine_windows(problem, z, begun, np.ones((COUNT, 2)), np.array([1, 4]))
-    moved = np.flatnonzero(np.any(refined.states != begun.states, axis=1))
-    assert moved.tolist() == [1, 4]
-    for w in moved:
-        inside = problem.owner == w
-        along = record.t[LENGTH * w : LENGTH * (w + 1)]
-        slopes = np.column_stack([np.ones(LENGTH), along - along[0]]) / SIGMA
-        least = np.linalg.lstsq(slopes, begun.residuals[inside], rcond=None)[1]
-        # an iteration of a linear problem ends at the minimum, but for its damping
-        assert refined.costs(problem)[w] == pytest.approx(float(least[0]), rel=1e-2)
-    assert np.array_equal(refined.residuals[problem.owner == 0], begun.residuals[problem.owner == 0])
 
 
 class Bouncing(Straight):
