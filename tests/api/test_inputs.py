@@ -211,7 +211,7 @@ def test_progress_is_told_to_a_function_and_work_ends_early_with_the_best_so_far
 
 @pytest.mark.extended
 def test_no_terms_are_no_terms_and_not_the_usual_ones():
-    bare = lh.diagnose(IDENTIFY, baseline=[], span=(0, 10), seconds=1)
+    bare = lh.diagnose(IDENTIFY, baseline=[], span=(0, 10), seconds=10)
     assert bare.baseline.terms == ()
     assert "Baseline: no terms;" in str(bare)
     assert lh.fit(motor(), terms=[], estimator="nlse", window=0.5).terms == ()
