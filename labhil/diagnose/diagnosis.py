@@ -50,7 +50,8 @@ VERDICT_ALPHA = 5e-4
 """Level α of the verdict: the accepted probability of a false alarm."""
 
 MIN_STD_IN_NOISE = 5.0
-"""Standard deviation of an output, in those of its noise, from which "no mismatch" says something."""
+"""Standard deviation of an output, in those of its noise, from which "no mismatch" says something; a
+heuristic."""
 
 
 def diagnose(

@@ -228,17 +228,17 @@ class Windows:
         """Make windows of (first, last) pairs."""
         first = np.array([a for a, _ in spans], dtype=np.int64)
         last = np.array([b for _, b in spans], dtype=np.int64)
-        if not len(first):
-            return cls(first, last, first.copy(), first.copy())
-        rows = np.concatenate([np.arange(a, b, dtype=np.int64) for a, b in spans])
-        return cls(first, last, rows, np.repeat(np.arange(len(first), dtype=np.int64), last - first))
+        return cls._between(first, last)
 
     def select(self, chosen: IntArray) -> Windows:
         """Some of these windows, by their indices (K,)."""
-        first, last = self.first[chosen], self.last[chosen]
+        return self._between(self.first[chosen], self.last[chosen])
+
+    @classmethod
+    def _between(cls, first: IntArray, last: IntArray) -> Windows:
         owner = np.repeat(np.arange(len(first), dtype=np.int64), last - first)
         before = np.cumsum(last - first) - last
-        return Windows(first, last, np.arange(len(owner), dtype=np.int64) - before[owner], owner)
+        return cls(first, last, np.arange(len(owner), dtype=np.int64) - before[owner], owner)
 
 
 class Metric(StrEnum):

@@ -29,7 +29,7 @@ from labhil.diagnose.structures.enumerate import (
 )
 from labhil.diagnose.structures.responses import compute_responses, linearise_to_flatter_side
 from labhil.diagnose.structures.state import RefittedStructure, SearchState, smallest_relevance
-from labhil.identify.fitted import Fitted, fit_terms, with_only
+from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
 from labhil.signals import FloatArray
@@ -320,7 +320,8 @@ class StructureSearch:
         return fit_terms(
             self.data.model, self.data.search, terms, self.data.window, self.data.sigma,
             start=with_only(self.data.model, near.theta, terms), starts=starts,
-            states=near.solution.point.states, iterations=25, tolerance=1e-4, held=self.data.held,
+            states=near.solution.point.states, iterations=25,
+            tolerance=INTERMEDIATE_TOLERANCE, held=self.data.held,
         )  # fmt: skip
 
     def _record(self, state: SearchState, fitted: Fitted) -> None:
