@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
+from labhil.atomic_file import atomic_file
 from labhil.errors import UsageError
 from labhil.extras import require
 from labhil.terminal import complain, printable_json, show, terminal
-from labhil.whole import whole
 
 STDOUT = Path("-")
 """Stands for stdout in place of the path of a result."""
@@ -115,7 +115,7 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
         show(printable_json(json.dumps(data, ensure_ascii=ascii_only, allow_nan=False, indent=1)))
         return
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
-    with whole(path, "the result") as draft:
+    with atomic_file(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")
 
 

@@ -16,7 +16,6 @@ from pydantic import (
     model_validator,
 )
 
-from labhil.complaints import explain, fields_at
 from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import MissingExtraError, RigFileError, UsageError, suggestion
 from labhil.kinds import Known, RigKind, kind_named, kind_names
@@ -33,6 +32,7 @@ from labhil.rig_sections import (
     Table,
 )
 from labhil.toml_text import toml_value
+from labhil.validation_errors import fields_at, format_validation_error
 
 LARGEST_FILE = 32 << 20
 """Bytes of a file that a rig file names. It goes into every recording; half a million points fit into it."""
@@ -200,7 +200,7 @@ def parse_rig(text: str, path: Path, files: Mapping[str, bytes] | None = None) -
     try:
         return RigFile.model_validate({**data, "path": path, "text": text, "files": dict(files or {})})
     except ValidationError as error:
-        raise RigFileError(explain(error, path, RigFile)) from error
+        raise RigFileError(format_validation_error(error, path, RigFile)) from error
 
 
 def _is_of_columns(section: object) -> bool:
@@ -222,7 +222,7 @@ def _with_kind(text: str, path: Path) -> str:
     try:
         section = OwnModel.model_validate({"model": data["model"]}).model
     except ValidationError as error:
-        raise RigFileError(explain(error, path, OwnModel)) from error
+        raise RigFileError(format_validation_error(error, path, OwnModel)) from error
     kind = _kind_of(section, path)
     return text if "rig" in data else f'{text}\n[rig]\nkind = "{kind.name}"\n'
 

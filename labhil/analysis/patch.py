@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.atomic_file import atomic_file
 from labhil.errors import UsageError
 from labhil.simulators.xml_text import Change, XmlText
-from labhil.whole import whole
 
 MAX_ERROR_RATIO = 1.05
 """Largest error of a repaired file on the held-out data, over that of the diagnosed model."""
@@ -116,10 +116,10 @@ def temporary_files(out: Path) -> Iterator[tuple[Path, Path]]:
 
 def write_patched(text: XmlText, companion: str, out: Path, code: Path) -> None:
     """Write a file and its companion, each completely or not at all."""
-    with whole(out) as draft:
+    with atomic_file(out) as draft:
         draft.write_bytes(text.changed())
     if companion:
-        with whole(code) as draft:
+        with atomic_file(code) as draft:
             draft.write_text(companion, encoding="utf-8")
 
 

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from labhil.atomic_file import atomic_file
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.diagnose.locate import Location
 from labhil.identify.fit import Fit
 from labhil.identify.score import Figures, Score
 from labhil.identify.statistics import Estimate
-from labhil.whole import whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,5 +269,5 @@ def write_json(data: Any, path: Path) -> None:
         DiskFailedError: The disk is full or fails.
     """
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    with whole(path, "the result") as draft:
+    with atomic_file(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")

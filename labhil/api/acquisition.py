@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from labhil.api.inputs import PathLike, path_of, rig_file
-from labhil.complaints import explain
 from labhil.errors import ExperimentFileError, RunError, UsageError
 from labhil.experiment.bench import Bench
 from labhil.experiment.device_sections import DeviceSection, TwinSection, WithDevices
@@ -21,6 +20,7 @@ from labhil.experiment.experiment import load_experiment
 from labhil.experiment.plan import Plan, device_plan, make_plan
 from labhil.experiment.points import is_campaign, points_of
 from labhil.rig import RigFile
+from labhil.validation_errors import format_validation_error, reason_of
 
 if TYPE_CHECKING:
     from labhil.api.model import Model
@@ -69,10 +69,7 @@ def connect(
         section = DeviceSection(plugin=driver, address=address, twin=TwinSection(**(twin or {})))
         devices = WithDevices(devices={DEVICE_NAME: section}, path=Path("labhil.connect"))
     except (ValidationError, TypeError) as error:
-        fault = (
-            explain(error, Path("twin"), TwinSection) if isinstance(error, ValidationError) else str(error)
-        )
-        raise UsageError(fault) from error
+        raise UsageError(reason_of(error, Path("twin"), TwinSection)) from error
     plan, resolved_rig = device_plan(devices, DEVICE_NAME), rig_file(rig)
     if resolved_rig is not None and resolved_rig.kind.name != plan.spec.rig:
         raise UsageError(
@@ -150,7 +147,7 @@ class Experiment:
         try:
             self._file = ExperimentFile.model_validate({**data, "path": path})
         except ValidationError as error:
-            raise ExperimentFileError(explain(error, path, ExperimentFile)) from error
+            raise ExperimentFileError(format_validation_error(error, path, ExperimentFile)) from error
 
     @classmethod
     def load(cls, path: PathLike) -> Experiment:

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from labhil.complaints import explain
 from labhil.errors import EmergencyStopError, ExperimentFileError, LabhilError, RunError, RunStoppedError
 from labhil.experiment.experiment import Experiment as ExperimentFile
 from labhil.experiment.experiment import Step
+from labhil.validation_errors import format_validation_error
 
 if TYPE_CHECKING:
     from labhil.api.recording import Recording
@@ -73,7 +73,7 @@ def _with_steps(base: ExperimentFile, yielded: Steps, where: str) -> ExperimentF
         fields = {name: getattr(base, name) for name in type(base).model_fields if name != "sweep"}
         return ExperimentFile.model_validate({**fields, "steps": steps})
     except ValidationError as error:
-        raise ExperimentFileError(explain(error, Path(where), ExperimentFile)) from error
+        raise ExperimentFileError(format_validation_error(error, Path(where), ExperimentFile)) from error
 
 
 def _record(

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from labhil.api.inputs import PathLike, Progress, path_of, progress_reporter, rig_file
 from labhil.api.model import Model
 from labhil.api.render import axes_of, data_frame, data_set
+from labhil.atomic_file import atomic_file
 from labhil.errors import RecordingError, UsageError, suggestion
 from labhil.extras import require
 from labhil.recording.recording import Event, StreamData
 from labhil.recording.recording import Recording as FileRecording
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Signal
-from labhil.whole import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -219,7 +219,7 @@ class Recording:
         if file.exists():
             raise UsageError(f"{file}: expected a new file, found one that exists; nothing was written")
         content = self.path.read_bytes() if self._content is None else self._content
-        with whole(file, "the recording") as draft:
+        with atomic_file(file, "the recording") as draft:
             draft.write_bytes(content)
         return file
 

@@ -15,6 +15,7 @@ import pydantic_core
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from labhil.errors import CommandRefusedError
+from labhil.validation_errors import expectation
 
 MAX_BYTES = 64 * 1024
 """Bytes of a JSON message; labhil's own have less than 4 kB, a schema of 60 signals about 10 kB."""
@@ -255,11 +256,8 @@ def _format_error(error: ValidationError, what: str) -> str:
     first = error.errors(include_url=False)[0]
     place = ".".join(str(part) for part in first["loc"])[:100].encode("ascii", "backslashreplace").decode()
     value = excerpt(first.get("input"))
-    if first["type"] == "finite_number":
-        return f"{what}: {place}: expected a finite number, found {value}"
-    if first["type"] == "literal_error":
-        return f"{what}: {place} is {first['ctx']['expected']}, found {value}"
     if first["type"] == "missing":
         return f"{what}: expected the field {place}, found none"
-    message = f"{first['msg'][0].lower()}{first['msg'][1:]}"
+    message = expectation(str(first["msg"]))
+    message = f"{message[0].lower()}{message[1:]}"
     return f"{what}: {f'{place}: ' if place else ''}{message}, found {value}"

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from labhil.complaints import explain
+from labhil.atomic_file import atomic_file
 from labhil.documents import parse_json, read_document
 from labhil.errors import EmergencyStopError, LabhilError, RecordingError, RunStoppedError, UsageError
 from labhil.experiment.experiment import Experiment
@@ -27,7 +27,7 @@ from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
 from labhil.recording.contents import status_from_metadata
 from labhil.recording.metadata import read_metadata
-from labhil.whole import whole
+from labhil.validation_errors import format_validation_error
 
 Status = Literal["planned", "running", "done", "failed"]
 
@@ -181,7 +181,7 @@ def load_campaign(path: Path) -> CampaignFile:
     try:
         return CampaignFile.model_validate(data)
     except ValidationError as error:
-        raise UsageError(explain(error, path, CampaignFile)) from error
+        raise UsageError(format_validation_error(error, path, CampaignFile)) from error
 
 
 class _Campaign:
@@ -264,7 +264,7 @@ class _Campaign:
 
     def _save(self) -> None:
         text = json.dumps(self._file.to_json(), ensure_ascii=False, indent=1)
-        with whole(self._path, "the campaign file") as draft:
+        with atomic_file(self._path, "the campaign file") as draft:
             draft.write_text(text + "\n", encoding="utf-8")
 
 

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from labhil.complaints import explain
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError
 from labhil.rig import RigFile, default_rig, is_simulator, load_rig
+from labhil.validation_errors import format_validation_error
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -125,7 +125,7 @@ def parse_devices(text: str, path: Path, form: type[FileModel]) -> FileModel:
     try:
         return form.model_validate({**data, "path": path})
     except ValidationError as error:
-        raise ExperimentFileError(explain(error, path, form)) from error
+        raise ExperimentFileError(format_validation_error(error, path, form)) from error
 
 
 def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

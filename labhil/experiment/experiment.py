@@ -13,7 +13,6 @@ from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
-from labhil.complaints import unknown_key
 from labhil.documents import DocumentError, read_document
 from labhil.errors import ExperimentFileError, UnknownNameError, suggestion
 from labhil.experiment.checks import CheckSection, no_such_device
@@ -39,6 +38,7 @@ from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.overlap import refuse_conditions_beside_others, refuse_overlaps
 from labhil.experiment.sweep import MAX_RUNS, SweepSection
 from labhil.toml_text import to_toml
+from labhil.validation_errors import unknown_key
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Numbers = tuple[Finite, ...]

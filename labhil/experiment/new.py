@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
+from labhil.atomic_file import write_error
 from labhil.errors import UnknownNameError, UsageError
 from labhil.experiment.experiment import TWIN, load_experiment
 from labhil.experiment.plan import make_plan
-from labhil.whole import write_error
 
 EXAMPLES = files("labhil.experiment") / "examples"
 

@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from labhil.complaints import explain
 from labhil.errors import ExperimentFileError
 from labhil.experiment.experiment import Experiment
 from labhil.experiment.sweep import MAX_RUNS, replace_value
+from labhil.validation_errors import format_validation_error
 
 FREE_TEXT = ("operator", "sample", "notes", "tags")
 """Keys of ``[experiment]`` that do not change the runs."""
@@ -99,7 +99,7 @@ def _with_settings(
     try:
         return Experiment.model_validate({**changed, "path": experiment.path})
     except ValidationError as error:
-        explanation = explain(error, experiment.path, Experiment)
+        explanation = format_validation_error(error, experiment.path, Experiment)
         raise ExperimentFileError(f"with {_format_settings(settings)}: {explanation}") from error
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.window_products import without_states
 from labhil.identify.window_states import (
+    MAX_DAMPING,
     States,
     evaluate,
     fit_states,
@@ -42,7 +43,7 @@ class StepOptions:
     """
 
     initial_damping: float = 1e-3
-    max_damping: float = 1e4
+    max_damping: float = MAX_DAMPING
     min_decrease_by_states: float = 1e-3
     min_gain_ratio: float = 0.5
 

@@ -22,6 +22,9 @@ FIRST_SECTION_IN_HORIZONS = 0.375
 """Length of the first section of a long window on which its initial state is estimated, in scored horizons;
 a heuristic."""
 
+MAX_DAMPING = 1e4
+"""Damping, relative to the diagonal of the normal equations, beyond which a step is too short to gain."""
+
 
 @dataclass(frozen=True, slots=True)
 class States:
@@ -358,7 +361,7 @@ def _improve_states(
 ) -> States:
     """Levenberg and Marquardt's method with one damping per window; states ``which`` (S,) vary.
 
-    A window is no longer simulated once a step has gained next to nothing.
+    A window is no longer simulated once a step has gained next to nothing, or where none is short enough.
     """
     estimate = begin
     damping = np.full(len(begin.states), 1e-3)
@@ -379,7 +382,7 @@ def _improve_states(
         damping[active] *= np.where(better, 0.1, 10.0)
         damping = np.maximum(damping, 1e-8)
         gains_nothing = np.where(
-            better, cost - trial_cost <= 1e-6 * trial_cost + 1e-12, damping[active] > 1.0
+            better, cost - trial_cost <= 1e-6 * trial_cost + 1e-12, damping[active] > MAX_DAMPING
         )
         active = active[~gains_nothing]
         if not len(active):

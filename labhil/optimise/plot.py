@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from labhil.atomic_file import atomic_file
 from labhil.errors import UsageError
 from labhil.optimise.circuit import positions
 from labhil.optimise.geometry import PARAMETERS
 from labhil.optimise.objectives import largest_force, rms_slope
 from labhil.optimise.study import INTERPOLATED_NAME, ORIGINAL_NAME, REFINED_NAME, TEXT_NAME, Optimisation
-from labhil.whole import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ def plot(study: Optimisation, path: Path) -> None:
         _draw_local(axes[1, 0], study)
         _draw_overall(axes[1, 1], study)
     try:
-        with whole(path, "the plot") as draft:
+        with atomic_file(path, "the plot") as draft:
             figure.savefig(draft, dpi=110)
     except ValueError as error:
         raise UsageError(f"{path}: the plot cannot be written: {error}") from error

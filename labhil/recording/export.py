@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labhil.atomic_file import atomic_file, write_error
 from labhil.errors import RecordingError, UsageError, suggestion
 from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
@@ -15,7 +16,6 @@ from labhil.recording.formats.workbook import write_workbook
 from labhil.recording.memory_maps import BLOCK_ROWS, release_array
 from labhil.recording.recording import Recording, StreamData
 from labhil.signals import FloatArray, Stream
-from labhil.whole import whole, write_error
 
 BAG = ".rosbag2"
 """Extension of a ROS 2 bag, which is a folder."""
@@ -131,6 +131,6 @@ def _write_atomically(
     """Write a draft beside ``out``, so that there never is a partial table."""
     if out.is_dir():
         raise UsageError(f"{out}: expected a file to write, found a folder")
-    with whole(out) as draft:
+    with atomic_file(out) as draft:
         write(data.stream, data.t, data.values, draft)
     return out

@@ -42,6 +42,9 @@ TIME_COLUMNS = ("t", "time", "timestamp")
 MAX_TIME = 9e9
 """Longest time that fits into int64 nanoseconds, s."""
 
+DIGEST_CHUNK = 1 << 20
+"""Bytes that are read at a time to compute the SHA-256 of a file."""
+
 EDGE = "edge"
 PART = "part"
 
@@ -258,8 +261,11 @@ def _read_content(path: Path) -> tuple[bytes, str]:
 def _digest(path: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     try:
-        for file in files:
-            digest.update(file.name.encode() + b"\x00" + file.read_bytes())
+        for path_inside in files:
+            digest.update(path_inside.name.encode() + b"\x00")
+            with path_inside.open("rb") as file:
+                while chunk := file.read(DIGEST_CHUNK):
+                    digest.update(chunk)
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from error
     return digest.hexdigest()

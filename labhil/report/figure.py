@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from labhil.atomic_file import atomic_file
 from labhil.errors import UsageError
-from labhil.whole import whole
 
 BEFORE, AFTER, MEASURED = "#c8553d", "#2a7f62", "#444444"
 
@@ -52,7 +52,7 @@ def save(figure: Figure, path: Path) -> None:
         DiskFailedError: The disk is full or fails.
     """
     try:
-        with whole(path, "the plot") as draft:
+        with atomic_file(path, "the plot") as draft:
             figure.savefig(draft, dpi=110)
     except ValueError as error:
         raise UsageError(f"{path}: the plot cannot be written: {error}") from error

@@ -20,6 +20,7 @@ from typing import Self
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
+from labhil.atomic_file import atomic_file
 from labhil.documents import DocumentError, parse_json, read_document
 from labhil.errors import OptionError, UsageError
 from labhil.extras import require
@@ -27,7 +28,7 @@ from labhil.security import connection
 from labhil.security.private import FOLDER, PUBLIC, check_private, make_folder, write_new
 from labhil.security.roles import Role
 from labhil.toml_text import to_toml
-from labhil.whole import whole
+from labhil.validation_errors import reason_of
 
 LAB, CA, CA_KEY, SERVER, SERVER_KEY = "lab.json", "ca.pem", "ca.key", "server.pem", "server.key"
 PEOPLE = "people"
@@ -114,7 +115,7 @@ class Authority:
         except (OSError, DocumentError, ValidationError) as error:
             raise UsageError(
                 f"{folder}: expected a folder that `labhil security init` made; {LAB} there cannot be used:"
-                f" {error.errors()[0]['msg'] if isinstance(error, ValidationError) else error}"
+                f" {reason_of(error, path, _Lab)}"
             ) from error
         for name in (CA, SERVER):
             if not (folder / name).is_file():
@@ -248,7 +249,7 @@ class Authority:
     def _write(self, name: str, person: Person) -> None:
         people = {**self.people, name: person}
         lab = self._lab.model_copy(update={"people": people})
-        with whole(self.folder / LAB) as draft:
+        with atomic_file(self.folder / LAB) as draft:
             draft.unlink(missing_ok=True)
             write_new(draft, json.dumps(lab.model_dump(mode="json"), indent=1).encode())
 

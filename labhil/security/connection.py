@@ -13,6 +13,7 @@ from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import UsageError
 from labhil.security.private import check_private
 from labhil.security.roles import Role
+from labhil.validation_errors import reason_of
 
 SETTINGS, AUTHORITY, CERTIFICATE, KEY = "connection.toml", "ca.pem", "certificate.pem", "private.key"
 
@@ -67,10 +68,10 @@ def load_connection(folder: Path) -> Connection:
     try:
         settings = _Settings.model_validate(parse_toml(read_document(path)))
     except (OSError, DocumentError, ValidationError) as error:
-        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise UsageError(
             f"{folder}: expected an endpoint like tcp/127.0.0.1:40123, or the folder of a connection that"
-            f" `labhil security add` made; found that {SETTINGS} there cannot be used: {reason}"
+            f" `labhil security add` made; found that {SETTINGS} there cannot be used:"
+            f" {reason_of(error, path, _Settings)}"
         ) from error
     for name in (AUTHORITY, CERTIFICATE):
         if not (folder / name).is_file():

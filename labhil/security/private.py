@@ -6,8 +6,8 @@ import os
 import stat
 from pathlib import Path
 
+from labhil.atomic_file import write_error
 from labhil.errors import UsageError
-from labhil.whole import write_error
 
 FOLDER, FILE, PUBLIC = 0o700, 0o600, 0o644
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from labhil.atomic_file import atomic_file
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import UsageError
 from labhil.extras import load_optional
@@ -25,7 +26,6 @@ from labhil.simulators.mechanism import PURPOSE
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.mjcf_file import MechanismFile, load_model, names_of
 from labhil.simulators.names import identifier
-from labhil.whole import whole
 
 EXTENSION = ".npz"
 
@@ -94,7 +94,7 @@ def write_sysid(data: StreamData, rig: RigFile | None, out: Path, *, start_sampl
         ),
         "initial_state": start,
     }
-    with whole(out) as draft, draft.open("wb") as stream:
+    with atomic_file(out) as draft, draft.open("wb") as stream:
         np.savez(stream, **arrays)
     if sensordata.shape[1] != mechanism.model.nsensordata or any(
         kind != SENSOR for _, kind in measured.values()

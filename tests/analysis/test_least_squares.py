@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +18,7 @@ from labhil.identify.identifiability import invariants
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.score import score
-from labhil.identify.window_states import estimate_states, evaluate
+from labhil.identify.window_states import estimate_states, evaluate, refine
 from labhil.identify.windows import split
 from labhil.physics.model import Metric, Record, Windows
 from labhil.physics.terms import Parameter
@@ -216,6 +217,27 @@ def test_a_problem_on_some_windows_is_that_part_of_the_whole(chosen: set[int]) -
     np.testing.assert_array_equal(part.windows.rows, named.rows)
     np.testing.assert_array_equal(part.windows.owner, named.owner)
     np.testing.assert_array_equal(part.effective_fraction, np.ones(len(named.rows)))
+
+
+class Saturating(Straight):
+    """y is the arctangent of the first state: an undamped step from afar overshoots."""
+
+    state_scale = np.array([1.0, 1.0])
+
+    def simulate(self, theta, record: Record, windows: Windows, states: np.ndarray) -> np.ndarray:
+        return np.arctan(states[windows.owner, :1])
+
+
+def test_a_window_that_only_a_short_step_improves_is_not_given_up() -> None:
+    record, windows = measured(0.0, 0.0, seed=5)
+    record = replace(record, outputs=np.full_like(record.outputs, np.arctan(0.5)))
+    problem = Problem(Saturating(), record, windows, np.empty(0, dtype=np.int64), np.zeros(2), SIGMA)
+    begin = np.full((COUNT, 2), 0.5)
+    begin[1, 0] = 8.0
+    z = np.empty(0)
+    begun = evaluate(problem, z, begin)
+    found = refine(problem, z, begun, begun, iterations=10)
+    np.testing.assert_allclose(found.states[:, 0], 0.5, atol=0.01)
 
 
 class Bouncing(Straight):

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from labhil.atomic_file import atomic_file, write_error
 from labhil.errors import DiskFailedError, UsageError
-from labhil.whole import whole, write_error
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 RIG = '[rig]\nkind = "ball_beam"\n'
@@ -62,18 +62,18 @@ def test_what_was_there_stays_until_the_new_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text("precious")
     refused = pytest.raises(DiskFailedError, match=r"result.json: the result cannot be written: No space")
-    with refused, whole(path, "the result") as draft:
+    with refused, atomic_file(path, "the result") as draft:
         draft.write_text("half")
         raise OSError(errno.ENOSPC, "No space left on device")
     assert [(found.name, found.read_text()) for found in tmp_path.iterdir()] == [("result.json", "precious")]
-    with whole(path) as draft:
+    with atomic_file(path) as draft:
         draft.write_text("new")
     assert path.read_text() == "new"
 
 
 def test_a_full_device_is_written_to_as_it_is_and_stays_a_device() -> None:
     full = Path("/dev/full")
-    with pytest.raises(DiskFailedError, match="/dev/full"), whole(full) as place:
+    with pytest.raises(DiskFailedError, match="/dev/full"), atomic_file(full) as place:
         place.write_text("x")
     assert full.is_char_device()
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from labhil.analysis.results import write_json
+from labhil.atomic_file import atomic_file
 from labhil.terminal import terminal
-from labhil.whole import whole
 from labhil_benchmarks.reference.page import page
 from labhil_benchmarks.reference.published import NUMBERS
 from labhil_benchmarks.reference.result import Reference
@@ -38,7 +38,7 @@ def reference_command(
     """
     reference = run_reference(tables, quick=quick, seed=seed, progress=progress, cache=cache)
     if markdown is not None:
-        with whole(markdown, "the page") as draft:
+        with atomic_file(markdown, "the page") as draft:
             draft.write_text(page(reference), encoding="utf-8")
     if json_path is not None:
         write_json(reference.to_json(), json_path)

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.results import finite
+from labhil.atomic_file import atomic_file
 from labhil.errors import UnknownNameError, UsageError
-from labhil.whole import whole
 from labhil_benchmarks.statistics.cases import CASES
 from labhil_benchmarks.statistics.kept import Job, Progress, each_once, numbers
 from labhil_benchmarks.statistics.starts import Arrival, Arrivals, arrive
@@ -61,7 +61,7 @@ def _cases(names: Sequence[str], option: str, count: int, out: Path) -> list[Cas
 
 def _write(data: list[dict[str, Any]], path: Path) -> None:
     text = json.dumps([finite(each) for each in data], ensure_ascii=False, indent=1)
-    with whole(path, "the result") as draft:
+    with atomic_file(path, "the result") as draft:
         draft.write_text(text + "\n", encoding="utf-8")
 
 

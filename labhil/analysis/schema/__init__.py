@@ -66,6 +66,7 @@ from labhil.analysis.schema.verification import (
 )
 from labhil.documents import LARGEST, DocumentError, parse_json
 from labhil.errors import ModelFileError
+from labhil.validation_errors import expectation
 
 __all__ = [
     "COMPARISON",
@@ -159,7 +160,9 @@ def validate(kind: type[Result], data: Any, origin: str) -> Result:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(str(place) for place in first["loc"])
-        raise ModelFileError(f"{origin}: {field}: {first['msg']}, found {first['input']!r:.80}") from error
+        raise ModelFileError(
+            f"{origin}: {field}: {expectation(first['msg'])}, found {first['input']!r:.80}"
+        ) from error
 
 
 def json_of(text: bytes, origin: str) -> Any:

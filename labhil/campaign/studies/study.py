@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from labhil.atomic_file import atomic_file
 from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError
 
@@ -145,16 +146,15 @@ def _warn(lines: Iterable[str]) -> None:
 def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, Any]) -> Path:
     """Write a result, and beside it the curves of its figures."""
     path = free_name(folder, stem, f"{kind}.json")
-    with path.with_suffix(".npz.new").open("wb") as file:
-        np.savez_compressed(file, **curves)
-    path.with_suffix(".npz.new").replace(path.with_suffix(".npz"))
+    with atomic_file(path.with_suffix(".npz"), "the curves") as draft:
+        np.savez_compressed(draft, **curves)
     return _write_json(path, data)
 
 
 def _write_json(path: Path, data: Any) -> Path:
-    draft = path.with_name(path.name + ".new")
-    draft.write_text(json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n", encoding="utf-8")
-    draft.replace(path)
+    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+    with atomic_file(path, "the result") as draft:
+        draft.write_text(text, encoding="utf-8")
     return path
 
 

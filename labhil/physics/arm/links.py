@@ -16,12 +16,12 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from labhil.complaints import explain
 from labhil.documents import DocumentError, parse_toml, read_document
 from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.rigid_body import PER_LINK, regressor, torques
 from labhil.signals import FloatArray
+from labhil.validation_errors import format_validation_error
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Moment = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -170,7 +170,7 @@ def links_of(text: str, source: str) -> Links:
     try:
         return Links.of(LinksFile.model_validate(data).joint)
     except ValidationError as error:
-        raise RigFileError(explain(error, Path(source), LinksFile)) from error
+        raise RigFileError(format_validation_error(error, Path(source), LinksFile)) from error
 
 
 def _row(

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 
+from labhil.atomic_file import atomic_file
 from labhil.report.html.element import Content, Markup, join, tag
 from labhil.version import __version__
-from labhil.whole import whole
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src {script}"
 """What a browser may load for a page: nothing from anywhere, and our own script, known by its digest."""
@@ -87,7 +87,7 @@ def write_page(page: Page, path: Path) -> None:
         UsageError: The file cannot be written.
         DiskFailedError: The disk is full or fails.
     """
-    with whole(path, "the page") as draft:
+    with atomic_file(path, "the page") as draft:
         draft.write_text(page.html(), encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside their name, which they get at the end."""
+"""Files that are either complete or absent: written under a temporary name, then renamed."""
 
 from __future__ import annotations
 
@@ -22,11 +22,21 @@ def write_error(path: Path, error: OSError, what: str = "") -> LabhilError:
 
 
 @contextmanager
-def whole(path: Path, what: str = "") -> Iterator[Path]:
-    """Yield where to write what shall be ``path`` at the end; what is there already stays until then.
+def atomic_file(path: Path, what: str = "") -> Iterator[Path]:
+    """Write a file under a temporary name, which replaces ``path`` when the block ends without an error.
 
-    ``what`` names it in a message. DiskFailedError where the disk is full or fails, UsageError where the
-    path is at fault. Nothing half is left. What is no file (a terminal, a pipe) is written to as it is.
+    A terminal or a pipe is written to directly.
+
+    Args:
+        path: The file; an existing one stays as it is until then.
+        what: What it is, for messages.
+
+    Yields:
+        The file to write to.
+
+    Raises:
+        DiskFailedError: The disk is full or fails; no partial file is left.
+        UsageError: The path is at fault.
     """
     special = path.exists() and not path.is_file()
     # the extension stays: it is what some writers go by

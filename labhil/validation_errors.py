@@ -1,4 +1,4 @@
-"""What is wrong with a file of keys, in one line each: file, field, what was expected, what was found."""
+"""Errors of validated files as text, a line each: file, field, what was expected, what was found."""
 
 from __future__ import annotations
 
@@ -11,13 +11,33 @@ from pydantic_core import PydanticCustomError
 from labhil.errors import suggestion
 
 
-def explain(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
-    """Put pydantic's complaints into one line each: file, field, what was expected, what was found."""
-    return "\n".join(f"{path}: {_complaint(item, model)}" for item in error.errors(include_url=False))
+def format_validation_error(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
+    """Format pydantic's errors, a line each: file, field, what was expected, what was found."""
+    return "\n".join(f"{path}: {_format_item(item, model)}" for item in error.errors(include_url=False))
+
+
+def reason_of(error: Exception, path: Path, model: type[BaseModel]) -> str:
+    """Format a validation error as `format_validation_error` does, and any other error as its own text."""
+    return format_validation_error(error, path, model) if isinstance(error, ValidationError) else str(error)
 
 
 # pydantic names the branch of a union that it tried; that is no place in a file
 PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
+
+
+def expectation(message: str) -> str:
+    """What a message of pydantic expects, in the words of this program.
+
+    Example:
+        >>> expectation("Input should be greater than 0")
+        'expected a value greater than 0'
+    """
+    message = message.removeprefix("Value error, ")
+    expected = message.removeprefix("Input should be ")
+    if expected == message:
+        return message
+    is_range = expected.startswith(("greater", "less", "in "))
+    return f"expected {'a value ' if is_range else ''}{expected}"
 
 
 UNKNOWN_KEY = "unknown_key"
@@ -28,7 +48,7 @@ def unknown_key(key: str, message: str) -> PydanticCustomError:
     return PydanticCustomError(UNKNOWN_KEY, "{message}", {"key": key, "message": message})
 
 
-def _complaint(item: Any, model: type[BaseModel]) -> str:
+def _format_item(item: Any, model: type[BaseModel]) -> str:
     places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
     field = ".".join(places) or "file"
     if item["type"] == "extra_forbidden":
@@ -36,7 +56,7 @@ def _complaint(item: Any, model: type[BaseModel]) -> str:
         return f"{field}: unknown key{suggestion(str(item['loc'][-1]), known)}; known: {', '.join(known)}"
     if item["type"] == "missing":
         return f"{field}: this key is missing"
-    message = str(item["msg"]).removeprefix("Value error, ")
+    message = expectation(str(item["msg"]))
     if item["type"] == UNKNOWN_KEY:
         return f"{'.'.join([*places, str(item['ctx']['key'])])}: {message}"
     if item["type"] == "value_error":
