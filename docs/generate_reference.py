@@ -7,10 +7,10 @@ picture of a run's states. A test fails when a page differs from what this makes
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import json
 import re
-import sys
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -356,4 +356,6 @@ def main(folder: Path = REFERENCE) -> None:
 
 
 if __name__ == "__main__":
-    main(*(Path(argument) for argument in sys.argv[1:]))
+    parser = argparse.ArgumentParser(description="Write the generated pages of the reference.")
+    parser.add_argument("folder", type=Path, nargs="?", default=REFERENCE, help="where to; docs/reference")
+    main(parser.parse_args().folder)

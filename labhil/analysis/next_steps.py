@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labhil.physics.terms import enumerated, keyed, listed
@@ -23,7 +24,9 @@ def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
 
 
 def _path(diagnosis: DiagnosisPart) -> str:
-    return diagnosis.recordings[0].path if diagnosis.recordings else "REC.mcap"
+    """Path of the first recording; "REC.mcap" for one of arrays that was never saved."""
+    path = diagnosis.recordings[0].path if diagnosis.recordings else ""
+    return path if Path(path).suffix else "REC.mcap"
 
 
 def _baseline(diagnosis: DiagnosisPart) -> str:

@@ -34,6 +34,8 @@ class Field(StrEnum):
     GEAR = "gear"
     KP = "kp"
     KV = "kv"
+    MOTORCONST = "motorconst"
+    RESISTANCE = "resistance"
 
 
 FRICTION_FIELDS = {
@@ -84,7 +86,19 @@ ARRAY_ELEMENTS = {
     Field.GEAR: ArrayElement("actuator_gear", 0),
     Field.KP: ArrayElement("actuator_gainprm", 0),
     Field.KV: ArrayElement("actuator_biasprm", 2, -1.0),
+    Field.RESISTANCE: ArrayElement("actuator_gainprm", 0),
+    Field.MOTORCONST: ArrayElement("actuator_gainprm", 1),
 }
+
+
+COGGING_COLUMN = 0
+"""Where ``actuator_biasprm`` keeps the amplitude of a DC motor's cogging; poles and phase follow."""
+
+
+def is_dc_motor(model: Any, actuator: int) -> bool:
+    """Whether an actuator is a ``dcmotor``; false in versions of MuJoCo that have none."""
+    kind = getattr(load_optional("mujoco", PURPOSE).mjtGain, "mjGAIN_DCMOTOR", None)
+    return actuator >= 0 and kind is not None and int(model.actuator_gaintype[actuator]) == int(kind)
 
 
 def read_value(model: Any, field: Field, index: int) -> float:
@@ -136,7 +150,6 @@ class Mechanism:
         )
         self._smooth = _smooth_model(model, actuation)
         self.joint_force: JointForce | None = None
-        self._data = load_optional("mujoco", PURPOSE).MjData(self._smooth)
 
     @property
     def non_smooth(self) -> NonSmooth:
@@ -158,16 +171,14 @@ class Mechanism:
 
     def with_values(self, numbers: Sequence[float]) -> Any:
         """Return a copy of the model, friction and limits included, with these values."""
-        return self._set_values(self._model, numbers, smooth=False)
+        return self._with_values(self._model, numbers)
 
     def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
         """Return the acceleration without friction at the joint, contacts and limits."""
-        mujoco = load_optional("mujoco", PURPOSE)
-        model, data, actuation = (
-            self._set_values(self._smooth, numbers, smooth=True),
-            self._data,
-            self._actuation,
-        )
+        mujoco, actuation = load_optional("mujoco", PURPOSE), self._actuation
+        # structures are refitted side by side: each thread needs a model and data of its own
+        model = self._with_values(self._smooth, numbers)
+        data = mujoco.MjData(model)
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
             out = np.empty(len(x))
@@ -185,13 +196,13 @@ class Mechanism:
     def inertia(self, numbers: Sequence[float]) -> float:
         """Return the inertia at the joint, kg·m² or kg; infinite where a force does not accelerate it."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model, data, accelerations = self._set_values(self._smooth, numbers, smooth=True), self._data, []
-        data.qpos[0], data.qvel[0] = 0.0, 0.0
+        model = self._with_values(self._smooth, numbers)
+        data, accelerations = mujoco.MjData(model), []
+        data.qpos[0] = 0.0
         for force in (0.0, 1.0):
             data.qfrc_applied[0] = force
             mujoco.mj_forward(model, data)
             accelerations.append(float(data.qacc[0]))
-        data.qfrc_applied[0] = 0.0
         per_force = accelerations[1] - accelerations[0]
         return 1.0 / per_force if per_force else float("inf")
 
@@ -203,17 +214,17 @@ class Mechanism:
         nodes = (t + self._sensor_delay, u)
         return roll_out(model, self._actuation, record, nodes, windows, states, self.joint_force)
 
-    def _set_values(self, model: Any, numbers: Sequence[float], *, smooth: bool) -> Any:
+    def _with_values(self, model: Any, numbers: Sequence[float]) -> Any:
         mujoco = load_optional("mujoco", PURPOSE)
-        target_model = model if smooth else deepcopy(model)
+        changed = deepcopy(model)
         for value, number in zip(self.values, numbers, strict=False):
-            write_value(target_model, value.field, value.index, number)
-        mujoco.mj_setConst(target_model, self._data if smooth else mujoco.MjData(target_model))
-        return target_model
+            write_value(changed, value.field, value.index, number)
+        mujoco.mj_setConst(changed, mujoco.MjData(changed))
+        return changed
 
 
 def _smooth_model(model: Any, actuation: Actuation) -> Any:
-    """Copy a model without contacts, limits, friction and delay, which the kernels simulate."""
+    """Copy a model without contacts, limits, friction, cogging and delay, which the kernels simulate."""
     mujoco = load_optional("mujoco", PURPOSE)
     copy = deepcopy(model)
     disable_bit = mujoco.mjtDisableBit
@@ -227,6 +238,8 @@ def _smooth_model(model: Any, actuation: Actuation) -> Any:
         copy.actuator_forcelimited[:] = 0
         if hasattr(copy, "actuator_delay"):
             copy.actuator_delay[:] = 0.0
+        if is_dc_motor(copy, actuation.actuator):
+            copy.actuator_biasprm[actuation.actuator][COGGING_COLUMN] = 0.0
     if hasattr(copy, "jnt_actfrclimited"):
         copy.jnt_actfrclimited[:] = 0
     return copy

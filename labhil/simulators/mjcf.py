@@ -16,7 +16,16 @@ from labhil.errors import UsageError, suggestion
 from labhil.extras import load_optional
 from labhil.physics.quantity import Quantity
 from labhil.simulators.arm import ArmSimulator, arm_simulator
-from labhil.simulators.mechanism import FRICTION_FIELDS, PURPOSE, Field, Mechanism, Value, read_value
+from labhil.simulators.dc_motor_file import read_cogging
+from labhil.simulators.mechanism import (
+    FRICTION_FIELDS,
+    PURPOSE,
+    Field,
+    Mechanism,
+    Value,
+    is_dc_motor,
+    read_value,
+)
 from labhil.simulators.mjcf_file import MechanismFile, Names, load_model, names_of
 from labhil.simulators.mjcf_unsupported import notes_on, refuse_unsupported, sensor_delay
 from labhil.simulators.names import identifier
@@ -42,8 +51,8 @@ def mujoco_simulator(
 
     A file with one hinge or slide joint is simulated. Its spring, armature, masses and the gains of its
     actuator are parameters where they are not 0, and start at the values of the file. Values that a recording
-    cannot distinguish from others stay there. Its damping and dry friction are the effects viscous_friction
-    and coulomb_friction, with which a diagnosis starts.
+    cannot distinguish from others stay there. Its damping, dry friction and the cogging of a ``dcmotor`` are
+    the effects viscous_friction, coulomb_friction and cogging_torque, with which a diagnosis starts.
 
     Args:
         path: The file: MJCF, or URDF as far as MuJoCo loads it.
@@ -94,8 +103,9 @@ def read_mechanism(
     values = tuple(_values(model, joint, actuation, hinge))
     states = {position: length, velocity: f"{length}/s"}
     rig_name = identifier(name or _model_name(model, file))
-    frictions = {name: _friction(model, field, joint) for field, name in FRICTION_FIELDS.items()}
-    terms = [name.partition(".")[0] for name, strength in frictions.items() if strength]
+    effects = {name: _friction(model, field, joint) for field, name in FRICTION_FIELDS.items()}
+    effects |= read_cogging(model, actuation.actuator)
+    terms = [name.partition(".")[0] for name, strength in effects.items() if strength]
     initial_terms = tuple(dict.fromkeys((VISCOUS, *terms)))
     mechanism = Mechanism(
         model, actuation, values, _non_smooth(model, joint, actuation, file), sensor_delay_s
@@ -105,7 +115,7 @@ def read_mechanism(
         _not_compiled,
         rig_name,
         states,
-        {signal: force if _pushes_directly(model, actuation) else "1"},
+        {signal: _input_unit(model, actuation, force)},
         {n: u for n, u in states.items() if n in measured},
         {value.name: Quantity(value.start, value.unit) for value in values},
         position,
@@ -113,7 +123,7 @@ def read_mechanism(
         None,
         mechanism,
         {value.name: value.start for value in values}
-        | {name: strength for name, strength in frictions.items() if name.partition(".")[0] in initial_terms},
+        | {name: strength for name, strength in effects.items() if name.partition(".")[0] in initial_terms},
         notes_on(model, names, actuation.actuator, sensors),
     )
     declare(simulator, initial_terms)
@@ -136,7 +146,8 @@ def _only_joint(model: Any, file: Path, names: Names) -> int:
     if model.na:
         raise UsageError(
             f"{file}: expected actuators without a state of their own, found {model.na} activation(s); let a "
-            "motor act and leave its lag to the effect actuator_lag"
+            "motor act and leave its lag to the effect actuator_lag; leave inductance, thermal and lugre out "
+            "of a dcmotor, and its dry friction to coulomb_friction and stribeck_friction"
         )
     return 0
 
@@ -218,6 +229,8 @@ def _values(model: Any, joint: int, actuation: Actuation, hinge: bool) -> Iterab
         Field.GEAR: "1",
         Field.KP: "1",
         Field.KV: "1",
+        Field.MOTORCONST: f"{force}/A",
+        Field.RESISTANCE: "Ω",
     }
 
     def value(field: Field, element: int, name: str = "") -> Iterable[Value]:
@@ -233,6 +246,9 @@ def _values(model: Any, joint: int, actuation: Actuation, hinge: bool) -> Iterab
         if model.body_dofnum[body] or model.body_weldid[body] == first:
             yield from value(Field.MASS, body, f"{identifier(_body_name(model, body))}_mass")
     yield from value(Field.ARMATURE, joint)
+    if is_dc_motor(model, actuation.actuator):
+        yield from value(Field.MOTORCONST, actuation.actuator)
+        yield from value(Field.RESISTANCE, actuation.actuator)
     if actuation.actuator >= 0:
         yield from value(Field.GEAR, actuation.actuator)
         if _is_servo(model, actuation.actuator):
@@ -307,6 +323,13 @@ def _check_moves(file: Path, mechanism: Mechanism, starts: list[float], signal: 
             f"{file}: inputs: expected {signal} to push the joint, found that it changes nothing: a gain or "
             "gear of 0, or actuation that a flag of the file switches off"
         )
+
+
+def _input_unit(model: Any, actuation: Actuation, force: str) -> str:
+    """Unit of the input: of the force itself, volts at a DC motor, else none that the file states."""
+    if is_dc_motor(model, actuation.actuator):
+        return "V"
+    return force if _pushes_directly(model, actuation) else "1"
 
 
 def _pushes_directly(model: Any, actuation: Actuation) -> bool:

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from math import ceil, degrees
 
 from labhil.errors import UsageError
-from labhil.simulators.mechanism import FRICTION_FIELDS, Field, Value, read_value
+from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, cogging_numbers, read_cogging
+from labhil.simulators.mechanism import FRICTION_FIELDS, Field, Value, is_dc_motor, read_value
 from labhil.simulators.mjcf_file import MechanismFile
 from labhil.simulators.xml_text import Element, XmlText
 
@@ -66,7 +67,24 @@ def patch_mjcf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) 
     for name, write in EFFECTS.items():
         if name in remaining and write(file, text, remaining[name]):
             del remaining[name]
+    _write_cogging(file, text, remaining)
     return PatchedFile(text, drop_inactive(remaining))
+
+
+def _write_cogging(file: MechanismFile, text: XmlText, remaining: dict[str, float]) -> None:
+    """Write the effect cogging_torque into a ``dcmotor``, and take its values from the remaining ones.
+
+    Cogging of the file without a value becomes 0.
+    """
+    before = read_cogging(file.model, file.actuator)
+    if not is_dc_motor(file.model, file.actuator) or (ORDER not in remaining and not before):
+        return
+    values = {name: remaining.pop(name, 0.0) for name in (SINE, COSINE, ORDER)}
+    if not values[ORDER]:
+        values[ORDER] = before[ORDER]
+    numbers = " ".join(format_number(x) for x in cogging_numbers(values, file.gear[0]))
+    reason = f"cogging_torque.order = {format_number(values[ORDER])} rad/rad: amplitude, poles, phase"
+    text.set(_actuator_element(file, text), "cogging", numbers, reason)
 
 
 def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> dict[str, float]:
@@ -136,6 +154,8 @@ def _set_file_value(file: MechanismFile, text: XmlText, value: Value, new: float
             _set_mass(file, text, value.index, new / old, reason)
         case Field.GEAR:
             set_part(text, _actuator_element(file, text), "gear", 0, new, file.gear, reason)
+        case Field.MOTORCONST | Field.RESISTANCE:
+            text.set(_actuator_element(file, text), value.field.value, format_number(new), reason)
         case Field.KP | Field.KV:
             _set_gain(text, _actuator_element(file, text), value.field.value, new, reason)
         case _:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import wraps
+from threading import RLock
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -10,6 +13,23 @@ from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.rollouts import interval_means
 from labhil.simulators.stepped import Nodes
+
+_USER_CODE = RLock()
+"""Held while a user's function runs."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def one_at_a_time(function: Callable[P, R]) -> Callable[P, R]:
+    """Let one thread at a time call a user's function, which may keep a state: an engine that it steps."""
+
+    @wraps(function)
+    def call(*arguments: P.args, **named: P.kwargs) -> R:
+        with _USER_CODE:
+            return function(*arguments, **named)
+
+    return call
 
 
 def accelerations_at(

@@ -19,6 +19,7 @@ from labhil.physics.quantity import Quantity
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.rig import RigFile, parse_rig
 from labhil.signals import Direction, Hold, Signal
+from labhil.simulators.pointwise import one_at_a_time
 from labhil.simulators.probing import (
     EXACT,
     FROM_SOLVER,
@@ -172,7 +173,8 @@ def simulator(
 
     The right-hand side is that of one coordinate: a position, its velocity and one input. It has to be
     smooth: the catalogue adds friction, dead zones and the like. numba compiles it. A function that makes a
-    step, or simulates a whole input, may be any Python: its acceleration is tabulated.
+    step, or simulates a whole input, may be any Python: its acceleration is tabulated. It may keep a state
+    between calls (an engine that it sets, steps and reads): one thread at a time calls it.
 
     Args:
         f: ``f(t, x, u, p)`` to the rates of the states, in their order. ``x.angle``, ``u.torque`` and
@@ -229,9 +231,10 @@ def simulator(
         raise UsageError(f"simulator {name!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
     rig = Simulator(f, name, dict(states), dict(inputs), measured, quantities, position, coordinate, horizon)
     if kind == STEP:
-        rig = replace(rig, f=_rates_of_step(f), stepped=PythonStep(f, rig.records))
+        step = one_at_a_time(f)
+        rig = replace(rig, f=_rates_of_step(step), stepped=PythonStep(step, rig.records))
     elif kind == ROLLOUT:
-        rig = _with_rollout(rig, f)
+        rig = _with_rollout(rig, one_at_a_time(f))
     probe(rig, TOLERANCES[kind])
     declare(rig, () if is_damped(rig, TOLERANCES[kind]) else UNDAMPED)
     return rig

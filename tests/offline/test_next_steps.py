@@ -111,3 +111,9 @@ def test_more_than_noise_is_said_to_remain_where_more_remains(example, is_noise)
     )
     steps = example.model_copy(update={"remainder": rest}).next_steps
     assert any("More than noise remains" in step for step in steps) is not is_noise
+
+
+def test_a_recording_of_arrays_is_named_by_a_placeholder_in_commands(example):
+    unsaved = example.recordings[0].model_copy(update={"path": "arrays"})
+    found = example.model_copy(update={"recordings": (unsaved,), "verdict": "unexplained_mismatch"})
+    assert any(line.startswith("labhil linear REC.mcap") for line in commands(found.next_steps))

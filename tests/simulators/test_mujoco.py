@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mujoco
@@ -104,6 +105,24 @@ def test_every_value_that_may_be_fitted_reaches_the_simulation(tmp_path: Path) -
         moved[k] *= 1.1
         assert float(described.mechanism.acceleration_at(moved)(*point)[0]) != base, name
     assert float(described.mechanism.acceleration_at(starts)(*point)[0]) == base
+
+
+def test_accelerations_at_other_values_do_not_change_each_other_in_threads(tmp_path: Path) -> None:
+    path = tmp_path / "cart.xml"
+    path.write_text(CART, encoding="utf-8")
+    described = read_mechanism(path)
+    starts = np.array([quantity.start for quantity in described.simulator.parameters.values()])
+    random = np.random.default_rng(1)
+    points = tuple(random.uniform(-0.5, 0.5, (3, 2000)))
+    factors = np.linspace(0.8, 1.2, 16)
+
+    def accelerations(factor: float) -> np.ndarray:
+        return described.mechanism.acceleration_at(list(factor * starts))(*points)
+
+    one_by_one = [accelerations(factor) for factor in factors]
+    with ThreadPoolExecutor(4) as executor:
+        at_once = list(executor.map(accelerations, factors))
+    np.testing.assert_array_equal(at_once, one_by_one)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +52,39 @@ def rolled(f: Callable[..., Any] = simulate, **changes: Any) -> lh.Simulator:
         "parameters": {"inertia": lh.Quantity(0.02, "kg·m²"), "gravity": lh.Quantity(0.5, "N·m")},
     }
     return lh.simulator(f, **{**given, **changes})
+
+
+class Engine:
+    """A simulator with a state of its own, which is set, stepped and read."""
+
+    angle = rate = 0.0
+
+    def simulate(self, p: Any, t: Any, u: Any, x0: Any) -> Any:
+        self.angle, self.rate = x0.angle, x0.rate
+        motion = [(self.angle, self.rate)]
+        for torque, length in zip(u.torque, np.diff(t), strict=False):
+            time.sleep(0.0)  # another thread may go on here
+            self.rate += length * (torque - p.gravity * np.sin(self.angle)) / p.inertia
+            self.angle += length * self.rate
+            motion.append((self.angle, self.rate))
+        return motion
+
+    def step(self, x: Any, u: Any, p: Any, dt: float) -> Any:
+        return self.simulate(p, np.array([0.0, dt]), type(u)([u.torque]), x)[1]
+
+
+@pytest.mark.parametrize("kind", ["rollout", "step"])
+def test_an_engine_with_a_state_is_called_by_one_thread_at_a_time(kind: str) -> None:
+    engine = Engine()
+    rig = rolled(engine.simulate if kind == "rollout" else engine.step, kind=kind)
+    assert rig.stepped is not None
+    accelerations = rig.stepped.acceleration_at
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (3, 200))
+    inertias = np.linspace(0.01, 0.05, 8)
+    one_by_one = [accelerations((inertia, 0.5))(*points) for inertia in inertias]
+    with ThreadPoolExecutor(4) as executor:
+        at_once = list(executor.map(lambda inertia: accelerations((inertia, 0.5))(*points), inertias))
+    np.testing.assert_array_equal(at_once, one_by_one)
 
 
 @pytest.mark.parametrize("f", [simulate, coarse])

@@ -66,6 +66,11 @@ async def in_state(pilot: Pilot[None], app: LabApp, state: str) -> None:
     await until(pilot, lambda: app.runner.state == state)
 
 
+def pane_has_keys(app: LabApp) -> bool:
+    """Whether the next key goes to the screen below the prompt, which takes a moment on a busy machine."""
+    return not isinstance(app.screen, TextPrompt) and app.focused is not None
+
+
 def only_recording(folder: Path) -> Recording:
     (path,) = folder.glob("*.mcap")
     return read_recording(path)
