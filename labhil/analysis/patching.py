@@ -35,7 +35,7 @@ from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step, stiffen_model_friction
 from labhil.simulators.xml_text import XmlText
 
-STEP_DIVISORS = (2, 4, 8)
+STEP_DIVISORS = (2, 4, 8, 16)
 """By which the file's time step is divided, in turn, where it is too long."""
 
 DRY_FRICTION_TERMS = (
