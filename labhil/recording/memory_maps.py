@@ -61,10 +61,15 @@ def release_array(values: FloatArray) -> None:
 def sha256_of(data: FileBytes) -> str:
     """SHA-256 of a file's content, in hexadecimal digits."""
     digest = hashlib.sha256()
+    update_digest(digest, data)
+    return digest.hexdigest()
+
+
+def update_digest(digest: hashlib._Hash, data: FileBytes) -> None:
+    """Feed a file's content to a digest, piece by piece."""
     for start in range(0, len(data), RELEASE_INTERVAL):
         digest.update(data[start : start + RELEASE_INTERVAL])
         release_pages(data, start)
-    return digest.hexdigest()
 
 
 class Spool:

@@ -20,6 +20,7 @@ from labhil.recording.bad_rows import REASONS, find_bad_rows, finite_rows
 from labhil.recording.channel_keys import apply_channel_keys, with_declared_hold
 from labhil.recording.format_detection import read_foreign_table
 from labhil.recording.formats.time_text import TimeKind
+from labhil.recording.memory_maps import bytes_of, update_digest
 from labhil.recording.recording import IMPORT, TIME_COLUMN
 from labhil.recording.rig_attachments import rig_attachments
 from labhil.recording.sheet import MappedSignal, Sheet, SignalValues
@@ -41,9 +42,6 @@ from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Strea
 TIME_COLUMNS = ("t", "time", "timestamp")
 MAX_TIME = 9e9
 """Longest time that fits into int64 nanoseconds, s."""
-
-DIGEST_CHUNK = 1 << 20
-"""Bytes that are read at a time to compute the SHA-256 of a file."""
 
 EDGE = "edge"
 PART = "part"
@@ -261,11 +259,9 @@ def _read_content(path: Path) -> tuple[bytes, str]:
 def _digest(path: Path, files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     try:
-        for path_inside in files:
-            digest.update(path_inside.name.encode() + b"\x00")
-            with path_inside.open("rb") as file:
-                while chunk := file.read(DIGEST_CHUNK):
-                    digest.update(chunk)
+        for file in files:
+            digest.update(file.name.encode() + b"\x00")
+            update_digest(digest, bytes_of(file))
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror}") from error
     return digest.hexdigest()

@@ -87,7 +87,6 @@ def test_cogging_and_dry_friction_by_bristles_are_named_and_the_file_is_repaired
     found = lh.diagnose(tmp_path / "run.mcap", rig)
     assert {effect.term for effect in found.missing} == {"cogging_torque", "coulomb_friction"}
     fixed = found.patch(path, tmp_path / "fixed.xml", rig=rig)
-    print(fixed.diff, [(a.beside, a.rmse, a.ratio) for a in fixed.attempts])
     assert fixed.attempts[-1].ratio <= 1.05
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
     np.testing.assert_allclose(model.actuator_biasprm[0][:3], [0.0006, 12.0, 0.4], rtol=0.05)
