@@ -7,7 +7,6 @@ complete, so it may be ended at any time.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -152,9 +151,9 @@ def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, A
 
 
 def _write_json(path: Path, data: Any) -> Path:
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
-    with atomic_file(path, "the result") as draft:
-        draft.write_text(text, encoding="utf-8")
+    from labhil.analysis.results import write_json
+
+    write_json(data, path)
     return path
 
 
