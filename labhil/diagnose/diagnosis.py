@@ -53,6 +53,9 @@ MIN_STD_IN_NOISE = 5.0
 """Standard deviation of an output, in those of its noise, from which "no mismatch" says something; a
 heuristic."""
 
+ENDED_BEFORE_SEARCH = "not_decidable", "ended early, before anything was searched"
+"""Verdict and reason of an answer that has only a baseline."""
+
 
 def diagnose(
     model: Model,
@@ -91,7 +94,10 @@ def diagnose(
     data, base, ended_early = fit_baseline_and_noise(data, terms)
     record = data.search if measured is None else measured
     faults = detect_all_faults(model, record)
-    refusal = _refuse_search(data, base, record, faults, ended_early)
+    try:
+        refusal = _refuse_search(data, base, record, faults, ended_early)
+    except EndedEarly:
+        refusal, ended_early = ENDED_BEFORE_SEARCH, True
     if refusal is not None:
         accept()  # the result is there, and stating it takes no time
         answer = _answer_without_search(data, base, *refusal, faults, heldout_is_test, began)
@@ -113,7 +119,11 @@ def _answer(
     """The answer of a search, without faults of the data and duration."""
     model, result = data.model, conclusion.result
     curves, doubts = sort_by_heldout_gain(conclusion.curves), conclusion.doubts
-    held_out_fit = refit_to_held_out(conclusion)
+    complete, held_out_fit = result.complete, None
+    try:
+        held_out_fit = refit_to_held_out(conclusion)
+    except EndedEarly:
+        complete = False
     accept()  # stating the result takes no time
     # what a curve may stand for is not excluded by the terms beside it
     absent = absent_effects(conclusion.curves[-1].fit if conclusion.curves else result.final)
@@ -159,7 +169,7 @@ def _answer(
         seconds=0.0,
         shorter=shorter,
         wider=wider,
-        complete=result.complete,
+        complete=complete,
         scale_factor=scale,
         remainder=find_remainder(
             _labels(result, curves), *conclusion.accepted, test, *(shorter or (before, after))
@@ -185,7 +195,7 @@ def _refuse_search(
         reason = f"too short: {duration:.3g} s were searched, and what a model of this rig lacks takes "
         return "not_decidable", reason + f"{horizon:.3g} s to show; record longer, or give another to test on"
     if ended_early:
-        return "not_decidable", "ended early, before anything was searched"
+        return ENDED_BEFORE_SEARCH
     return None
 
 

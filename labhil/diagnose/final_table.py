@@ -18,7 +18,6 @@ from labhil.diagnose.contrasts import (
 )
 from labhil.diagnose.discrepancy import AbsentEffects, discrepancy_shifts
 from labhil.diagnose.search_result import SearchResult
-from labhil.ending import EndedEarly
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import Estimate, estimates_from_errors, with_min_error, with_wider_error
 from labhil.identify.table import ParameterTable, table_of
@@ -86,10 +85,7 @@ def refit_to_held_out(conclusion: Conclusion) -> Fitted | None:
     """
     if conclusion.curves or not (conclusion.result.complete and _has_common_factor(conclusion.result.final)):
         return None
-    try:
-        return refit_on_held_out(conclusion.data, conclusion.result.final)
-    except EndedEarly:
-        return None
+    return refit_on_held_out(conclusion.data, conclusion.result.final)
 
 
 def _with_held(rows: list[Estimate], result: SearchResult, accepted: Accepted | None) -> list[Estimate]:

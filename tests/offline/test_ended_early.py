@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import signal
@@ -10,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -57,6 +59,32 @@ def test_a_diagnosis_that_is_ended_early_claims_no_more_than_it_tried(dataset: D
     assert result.json["complete"] is False
     assert result.json["missing"] == []
     assert result.json["verdict"] in ("not_decidable", "no_mismatch")
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize(
+    ("module", "function"),
+    [
+        ("labhil.diagnose.diagnosis", "leaves_only_noise"),
+        ("labhil.diagnose.structures.stages", "_validated_claims"),
+        ("labhil.diagnose.diagnosis", "refit_to_held_out"),
+    ],
+)
+def test_a_diagnosis_has_an_answer_between_its_steps_too(
+    monkeypatch: pytest.MonkeyPatch, module: str, function: str
+) -> None:
+    rest = getattr(importlib.import_module(module), function)
+
+    def ended_here(*arguments: Any) -> Any:
+        deadline.reason = "a test"
+        return rest(*arguments)
+
+    monkeypatch.setattr(f"{module}.{function}", ended_here)
+    with Deadline() as deadline:
+        result = diagnose_study(load_dataset([RECORDING], span=(0.0, 16.0)), baseline=["viscous_friction"])
+    assert deadline.reason
+    assert result.json["complete"] is False
+    assert result.json["baseline"]["parameters"]
 
 
 def test_a_deadline_ends_once_and_then_lets_finish() -> None:

@@ -72,17 +72,23 @@ def search_structures(
     n_candidates = len(candidates(data.model, baseline.terms))
     if not finished:
         return SearchResult(baseline, baseline, (), (), 1.0, n_candidates, complete=False)
-    result = replace(conclude_search(finished[-1], options.min_log_odds, n_candidates), complete=complete)
-    if result.missing and not predicts_better(
-        *(data.score_held_out(f.theta) for f in (result.baseline, result.final))
-    ):
+    result = None
+    try:
+        result = _validated_claims(finished[-1], options, n_candidates)
+        if complete:
+            return _with_force_curve(data, result, finished[-1].data.window, correlation, progress)
+    except EndedEarly:
+        accept()
+    return replace(result or _validated_claims(finished[-1], options, n_candidates), complete=False)
+
+
+def _validated_claims(stage: Stage, options: SearchOptions, n_candidates: int) -> SearchResult:
+    """What a stage claims, as far as held-out data bear it out."""
+    result = conclude_search(stage, options.min_log_odds, n_candidates)
+    before, after = (stage.data.score_held_out(fit.theta) for fit in (result.baseline, result.final))
+    if result.missing and not predicts_better(before, after):
         result = result.without_claims
-    result = validate_claims(finished[-1], result)
-    return (
-        _with_force_curve(data, result, finished[-1].data.window, correlation, progress)
-        if complete
-        else result
-    )
+    return validate_claims(stage, result)
 
 
 def _window_lengths(data: Data, options: SearchOptions) -> list[float]:
