@@ -78,15 +78,20 @@ class Helper:
             time.sleep(0.01)
         complaint = self._child.last_error()
         self._thread.end()
-        self._ended.set()
-        self._on_line({"ended": status, "complaint": complaint.removeprefix(": ")})
+        self._say_ended(status, complaint.removeprefix(": "))
 
     def _give_up(self) -> None:
         """End the process in order, since nobody reads its lines."""
         self._child.close_input()
-        self._ended.set()
         with contextlib.suppress(Exception):  # ``on_line`` is often the cause of the failure
-            self._on_line({"ended": None, "complaint": self._thread.failure()})
+            self._say_ended(None, self._thread.failure())
+
+    def _say_ended(self, status: int | None, complaint: str) -> None:
+        """Say the last line; whoever sees that nothing runs any more has it already."""
+        try:
+            self._on_line({"ended": status, "complaint": complaint})
+        finally:
+            self._ended.set()
 
 
 def write_line(line: Mapping[str, Any]) -> None:
