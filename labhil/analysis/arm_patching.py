@@ -112,7 +112,7 @@ def repair_arm(
             break
     else:
         raise UsageError(_refusal(into, attempts, promised.rmse, companion))
-    write_patched(candidate.text, companion.text(out.name), out, code)
+    write_patched(candidate.text.changed(), companion.text(out.name), out, code)
     joints = tuple(
         Joint(name, c.unit, b.rmse, p.rmse, c.rmse)
         for name, b, p, c in zip(

@@ -82,7 +82,7 @@ def _patch_sentence(diagnosis: DiagnosisPart, what: str) -> str:
     from labhil.physics.rigs import MODELS
 
     own = any(recording.rig in MODELS for recording in diagnosis.recordings)
-    return "" if own else f" `labhil patch` writes {what} into a MuJoCo or URDF file."
+    return "" if own else f" `labhil patch` writes {what} into a MuJoCo or URDF file, or beside an FMU."
 
 
 def _channel_step(diagnosis: DiagnosisPart) -> Steps:

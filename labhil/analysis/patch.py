@@ -19,6 +19,9 @@ MAX_ERROR_RATIO = 1.05
 MAX_STATED_RATIO = 1.25
 """Largest error of the diagnosed model over the stated one; beyond it, file or data are others."""
 
+STEP_DIVISORS = (2, 4, 8, 16)
+"""By which a simulator's time step is divided, in turn, where it is too long."""
+
 FIRM_FRICTION = "firm dry friction"
 """The remedy where the dry friction of a file is too soft."""
 
@@ -60,6 +63,7 @@ class Patch:
         unit: Unit of the errors.
         joints: Errors of each joint of an arm.
         unheld: Effects that neither file nor companion holds.
+        run_by: What simulated the repaired file.
     """
 
     path: Path
@@ -74,6 +78,7 @@ class Patch:
     unit: str
     joints: tuple[Joint, ...] = ()
     unheld: tuple[str, ...] = ()
+    run_by: str = "MuJoCo"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data (``labhil.patch/1``)."""
@@ -92,6 +97,7 @@ class Patch:
             "attempts": [asdict(attempt) for attempt in self.attempts],
             "joints": [asdict(joint) for joint in self.joints],
             "unheld": list(self.unheld),
+            "run_by": self.run_by,
             "diff": self.diff,
         }
 
@@ -114,19 +120,21 @@ def temporary_files(out: Path) -> Iterator[tuple[Path, Path]]:
                 path.unlink(missing_ok=True)
 
 
-def write_patched(text: XmlText, companion: str, out: Path, code: Path) -> None:
+def write_patched(content: bytes, companion: str, out: Path, code: Path) -> None:
     """Write a file and its companion, each completely or not at all."""
     with atomic_file(out) as draft:
-        draft.write_bytes(text.changed())
+        draft.write_bytes(content)
     if companion:
         with atomic_file(code) as draft:
             draft.write_text(companion, encoding="utf-8")
 
 
-def unified_diff(text: XmlText, out: Path) -> str:
-    """Return the changes of a file as a unified diff."""
+def unified_diff(text: XmlText, out: Path, *, by_element: bool = False) -> str:
+    """Return the changes of a file as a unified diff, with a line for each element where that is wanted."""
     before, after = (
-        content.decode("utf-8", "replace").splitlines(keepends=True)
+        (content.replace(b"><", b">\n<") if by_element else content)
+        .decode("utf-8", "replace")
+        .splitlines(keepends=True)
         for content in (text.content, text.changed())
     )
     return "".join(difflib.unified_diff(before, after, str(text.path), str(out), n=1))

@@ -20,6 +20,7 @@ class PatchSource:
     """Values, stated error and recordings of a result.
 
     Attributes:
+        path: The file of the result.
         values: Values by key.
         promised: The error on held-out data that the result states.
         horizon: Length of the simulated windows, s; None for inverse dynamics.
@@ -28,6 +29,7 @@ class PatchSource:
         channels: The stated error of each channel.
     """
 
+    path: Path
     values: Mapping[str, float]
     promised: float
     horizon: float | None
@@ -73,6 +75,7 @@ def _read_fields(data: Mapping[str, Any], path: Path) -> PatchSource:
     tests = [row for row in data["recordings"] if row["role"] == "test"]
     training = [row for row in data["recordings"] if row["role"] != "test"]
     return PatchSource(
+        path,
         {keyed(row["name"], row.get("joint")): float(row["value"]) for row in rows},
         float(promised),
         None if scored["horizon"] is None else float(scored["horizon"]),

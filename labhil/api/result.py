@@ -195,13 +195,13 @@ class ComputedResult(Result, Generic[P, S]):
     def patch(
         self, into: PathLike, out: PathLike, *, rig: PathLike | None = None, holdout: float = 0.3
     ) -> Patch:
-        """Write a repaired copy of the MuJoCo file that was fitted or diagnosed, like ``labhil patch``.
+        """Write a repaired copy of the file that was fitted or diagnosed, like ``labhil patch``.
 
-        MuJoCo runs the new file on the held-out data. Effects that the format cannot describe go into a
-        Python file beside it.
+        MuJoCo, or the FMU, runs the new file on the held-out data. Effects that the format cannot describe go
+        into a Python file beside it.
 
         Args:
-            into: The original MuJoCo file.
+            into: The original MJCF, URDF or FMU file.
             out: The new file; it must not exist.
             rig: The rig file of the fit or diagnosis, where it had one.
             holdout: The share of the recordings that was held out.

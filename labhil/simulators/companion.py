@@ -2,7 +2,7 @@
 
 The Python file accompanies the repaired one and does not import labhil: ``force`` is added at the joint in
 each step, ``Command`` turns the recorded input into the acting one, ``Sensor`` the simulated output into the
-measured one.
+measured one. For a simulator whose parameters are set by a program, ``PARAMETERS`` are their values.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ FORCES: Mapping[str, Law] = {
     "friction_asymmetry": Law("F = -c_a |v|", ("F -= {coefficient} * abs(v)",)),
     "coulomb_friction": Law("F = -F_c sgn v", ("F -= {level} * side",)),
     "static_friction": Law(
-        "|F| <= F_c + F_st + F_hold at v = 0; the file's dry friction holds with all of it, and this gives "
-        "F_hold back once it moves",
+        "|F| <= F_c + F_st + F_hold at v = 0; the dry friction holds with all of it, and this gives F_hold "
+        "back once it moves",
         ("F += {level} * (1.0 - math.exp(-abs(v) / (3.0 * AT_REST))) * moving",),
     ),
     "stribeck_friction": Law(
-        "F = -F_st exp(-|v| / v_s) sgn v; the file's dry friction holds with F_c + F_st, and this gives back "
+        "F = -F_st exp(-|v| / v_s) sgn v; the dry friction holds with F_c + F_st, and this gives back "
         "F_st (1 - exp(-|v| / v_s)) sgn v as it moves",
         ("F += {level} * (1.0 - math.exp(-abs(v) / {velocity})) * moving",),
     ),
@@ -92,6 +92,39 @@ The file's dry friction has to hold firmly, which its format cannot say; when it
 """
 
 
+class Usage(NamedTuple):
+    """How a simulation calls a companion.
+
+    Attributes:
+        signal: Name of the recorded input.
+        force: Line that adds ``force``; ``{drive}`` stands for its third argument, where it needs one.
+        drive: What the third argument is.
+        command: Line that calls ``command``.
+        sensor: Line that calls ``sensor``.
+        parameters: Line that sets ``PARAMETERS``.
+        max_step: Longest step for which the functions hold, s; None where the file states its step.
+    """
+
+    signal: str
+    force: str
+    drive: str
+    command: str
+    sensor: str
+    parameters: str = ""
+    max_step: float | None = None
+
+    @classmethod
+    def in_mujoco(cls, signal: str) -> Usage:
+        """Return the lines for MuJoCo's Python interface."""
+        return cls(
+            signal,
+            "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0]{drive})",
+            "data.qfrc_actuator[0]",
+            f"data.ctrl[...] = command({signal}, dt), with command = Command()",
+            "measured = sensor(data.qpos[0], dt), with sensor = Sensor()",
+        )
+
+
 class SortedEffects(NamedTuple):
     """Effects of a companion by the place where they act, each with its parameters.
 
@@ -119,28 +152,37 @@ def sort_effects(values: Mapping[str, float]) -> SortedEffects:
 
 
 def companion_text(
-    effects: SortedEffects, file: str, signal: str, at_rest: float, *, firm: bool = False
+    effects: SortedEffects,
+    file: str,
+    usage: Usage,
+    at_rest: float,
+    *,
+    firm: bool = False,
+    parameters: Mapping[str, float] | None = None,
 ) -> str:
     """Return the text of the Python file.
 
     Args:
         effects: The effects.
         file: Name of the repaired file.
-        signal: Name of its input.
+        usage: How a simulation of the file calls the functions.
         at_rest: Velocity below which dry friction is viscous, SI.
         firm: Whether the user has to make the dry friction of the file firm after loading.
+        parameters: Values that a program has to set.
 
     Returns:
         The text.
     """
-    usage = [
-        "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0])" if effects.forces else "",
-        f"data.ctrl[...] = command({signal}, dt), with command = Command()" if effects.inputs else "",
-        "measured = sensor(data.qpos[0], dt), with sensor = Sensor()" if effects.sensors else "",
+    needs_drive = any("drive" in line for term in effects.forces for line in FORCES[term].lines)
+    drive = f", {usage.drive}" if needs_drive else ""
+    lines_of_use = [
+        usage.command if effects.inputs else "",
+        usage.force.format(drive=drive) if effects.forces else "",
+        usage.sensor if effects.sensors else "",
     ]
     blocks = [
         _force_function(effects.forces, at_rest) if effects.forces else [],
-        _stage_class("Command", f"The input {signal} as it acts.", "u", effects.inputs, INPUTS)
+        _stage_class("Command", f"The input {usage.signal} as it acts.", "u", effects.inputs, INPUTS)
         if effects.inputs
         else [],
         _stage_class("Sensor", "The output as it is measured.", "y", effects.sensors, SENSORS)
@@ -149,19 +191,28 @@ def companion_text(
     ]
     lines = [
         f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
-        "",
-        "In each step of the simulation:",
-        "",
-        *(f"    {use}" for use in usage if use),
+        *(["", "Before the simulation:", "", f"    {usage.parameters}"] if parameters else []),
+        *(
+            ["", f"In each step of the simulation{_at_most(usage.max_step)}:", ""]
+            if any(lines_of_use)
+            else []
+        ),
+        *(f"    {line}" for line in lines_of_use if line),
         *(FIRM_FRICTION_NOTE.splitlines() if firm else []),
         '"""',
         "",
         "import math",
         *(["from collections import deque"] if effects.inputs or effects.sensors else []),
     ]
+    if parameters:
+        lines += ["", "PARAMETERS = {", *(f'    "{k}": {v:.6g},' for k, v in parameters.items()), "}"]
     for block in blocks:
         lines += ["", "", *block] if block else []
     return "\n".join(lines) + "\n"
+
+
+def _at_most(step: float | None) -> str:
+    return "" if step is None else f", of {step:.3g} s at most"
 
 
 def _force_function(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:

@@ -12,12 +12,12 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import CoSimulationFmu, FmuFile, ModelExchangeFmu, convert_fmi_errors
-from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_windows
-from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, runge_kutta, step_windows
+from labhil.simulators.stepped import AddedForce, Nodes, NonSmooth
 from labhil.simulators.tables import Acceleration
 
 MAX_STEP = 2e-3
-"""Longest step of the integration of an FMU for model exchange, s."""
+"""Longest step of the integration of an FMU for model exchange, and of one under an added force, s."""
 
 SOLVER_ROUNDING = 1e-5
 """Share of an acceleration below which that of a co-simulation's own solver is not accurate."""
@@ -25,6 +25,8 @@ SOLVER_ROUNDING = 1e-5
 
 class ModelExchangeMechanism:
     """An FMU for model exchange, whose derivatives give the acceleration.
+
+    ``added_force`` acts in :meth:`roll_out`.
 
     Args:
         fmu: The instance; one thread uses it at a time.
@@ -34,6 +36,7 @@ class ModelExchangeMechanism:
     """
 
     non_smooth = NonSmooth()
+    max_step = MAX_STEP
 
     def __init__(
         self, fmu: ModelExchangeFmu, file: FmuFile, parameters: Sequence[int], *, velocity_first: bool
@@ -42,6 +45,7 @@ class ModelExchangeMechanism:
         self._order = -1 if velocity_first else 1
         self._current_values: tuple[float, ...] | None = None
         self._lock = Lock()
+        self.added_force = AddedForce()
 
     def rates(self, numbers: Sequence[float], t: float, state: Sequence[float], drive: float) -> list[float]:
         """Return the rates of position and velocity."""
@@ -79,15 +83,11 @@ class ModelExchangeMechanism:
             return step_windows(record, nodes, windows, states, self._advance)
 
     def _advance(self, state: FloatArray, drive: float, length: float) -> FloatArray:
-        parts = max(1, ceil(length / MAX_STEP))
-        h = length / parts
-        for _ in range(parts):
-            a = np.array(self._rates(0.0, state, drive))
-            b = np.array(self._rates(0.0, state + 0.5 * h * a, drive))
-            c = np.array(self._rates(0.0, state + 0.5 * h * b, drive))
-            d = np.array(self._rates(0.0, state + h * c, drive))
-            state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-        return state
+        def rates(at: FloatArray) -> list[float]:
+            return self._rates(0.0, at, self.added_force.input_at(at, drive))
+
+        parts = self.added_force.substeps * max(1, ceil(length / MAX_STEP))
+        return runge_kutta(rates, state, length, parts)
 
     def _rates(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> list[float]:
         ordered = [float(x) for x in state][:: self._order]
@@ -106,6 +106,8 @@ class ModelExchangeMechanism:
 class CoSimulationMechanism:
     """An FMU for co-simulation, whose acceleration is taken from two short steps from each state.
 
+    ``added_force`` acts in :meth:`roll_out`.
+
     Args:
         fmu: The instance; one thread uses it at a time.
         file: The file, for messages.
@@ -114,10 +116,12 @@ class CoSimulationMechanism:
     """
 
     non_smooth = NonSmooth(rounding=SOLVER_ROUNDING)
+    max_step = MAX_STEP
 
     def __init__(self, fmu: CoSimulationFmu, file: FmuFile, parameters: Sequence[int], step: float) -> None:
         self._fmu, self._file, self._parameters, self._step = fmu, file, tuple(parameters), step
         self._lock = Lock()
+        self.added_force = AddedForce()
 
     def rates(self, numbers: Sequence[float], t: float, state: Sequence[float], drive: float) -> list[float]:
         """Return the rates of position and velocity; the time is always 0."""
@@ -148,9 +152,13 @@ class CoSimulationMechanism:
             with convert_fmi_errors(self._file, "a start from any state"):
                 self._fmu.start(starts, state.tolist(), drive)
 
-        def advance(_: FloatArray, drive: float, length: float) -> FloatArray:
-            with convert_fmi_errors(self._file, f"steps of {length:g} s"):
-                return np.array(self._fmu.step(drive, length))
+        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
+            added = self.added_force
+            parts = 1 if added.force is None else added.substeps * max(1, ceil(length / MAX_STEP))
+            with convert_fmi_errors(self._file, f"steps of {length / parts:g} s"):
+                for _ in range(parts):
+                    state = np.array(self._fmu.step(added.input_at(state, drive), length / parts))
+            return state
 
         with self._lock:
             return step_windows(record, nodes, windows, states, advance, start)

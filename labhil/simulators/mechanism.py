@@ -13,8 +13,8 @@ import numpy as np
 from labhil.extras import load_optional
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.rollouts import Actuation, JointForce, roll_out
-from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.rollouts import Actuation, roll_out
+from labhil.simulators.stepped import JointForce, Nodes, NonSmooth
 from labhil.simulators.tables import Acceleration
 
 PURPOSE = "an MJCF file"

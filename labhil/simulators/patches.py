@@ -92,13 +92,13 @@ def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> 
     own_friction = {
         name: 0.0 for field, name in FRICTION_FIELDS.items() if read_value(file.model, field, 0) != 0.0
     }
-    with_holding = own_friction | dict(values)
-    holding = sum(with_holding.get(name, 0.0) for name in HOLDING_LEVELS)
-    if holding:
-        with_holding[FRICTION_FIELDS[Field.FRICTIONLOSS]] = (
-            with_holding.get(FRICTION_FIELDS[Field.FRICTIONLOSS], 0.0) + holding
-        )
-    return with_holding
+    return with_holding_friction(own_friction | dict(values))
+
+
+def with_holding_friction(values: Mapping[str, float]) -> dict[str, float]:
+    """Add extra friction at rest to the dry friction; a companion subtracts it in motion."""
+    holding, dry = sum(values.get(name, 0.0) for name in HOLDING_LEVELS), FRICTION_FIELDS[Field.FRICTIONLOSS]
+    return {**values, dry: values.get(dry, 0.0) + holding} if holding else dict(values)
 
 
 def drop_inactive(values: Mapping[str, float]) -> dict[str, float]:

@@ -55,6 +55,30 @@ def extrapolate_rates(state: FloatArray, once: FloatArray, twice: FloatArray, st
     return np.asarray(2.0 * (once - state) / step - (twice - state) / (2.0 * step))
 
 
+def runge_kutta(
+    rates: Callable[[FloatArray], Sequence[float]], state: FloatArray, length: float, parts: int
+) -> FloatArray:
+    """Integrate a state over ``length`` s in equal steps of the classical Runge-Kutta method (Kutta 1901).
+
+    Args:
+        rates: State (2,) to its rates.
+        state: Position and velocity, (2,).
+        length: Time, s.
+        parts: Number of steps.
+
+    Returns:
+        The state after that time, (2,).
+    """
+    h = length / parts
+    for _ in range(parts):
+        a = np.array(rates(state))
+        b = np.array(rates(state + 0.5 * h * a))
+        c = np.array(rates(state + 0.5 * h * b))
+        d = np.array(rates(state + h * c))
+        state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    return state
+
+
 def step_windows(
     record: Record,
     nodes: Nodes,

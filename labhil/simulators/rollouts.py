@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from labhil.errors import UsageError
 from labhil.extras import load_optional
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.stepped import Nodes
+from labhil.simulators.stepped import JointForce, Nodes
 
 
 class Actuation(NamedTuple):
@@ -24,10 +23,6 @@ class Actuation(NamedTuple):
 
     actuator: int
     control: int
-
-
-JointForce = Callable[[float, float, float], float]
-"""(position, velocity, force of the actuator) to an additional force at the joint."""
 
 
 def roll_out(

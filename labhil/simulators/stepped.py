@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -31,6 +31,27 @@ class NonSmooth:
     clip: tuple[float, float] = (-np.inf, np.inf)
     delay: float = 0.0
     rounding: float = ROUNDING
+
+
+JointForce = Callable[[float, float, float], float]
+"""(position, velocity, force of the actuator, or the input) to an additional force at the joint."""
+
+
+@dataclass(slots=True)
+class AddedForce:
+    """A force that is added to the input of a simulator in a roll-out.
+
+    Attributes:
+        force: The force, in units of the input; None where there is none.
+        substeps: Number by which the steps of the roll-out are divided.
+    """
+
+    force: JointForce | None = None
+    substeps: int = 1
+
+    def input_at(self, state: Sequence[float] | FloatArray, drive: float) -> float:
+        """Return the input with the force at a state."""
+        return drive if self.force is None else drive + self.force(float(state[0]), float(state[1]), drive)
 
 
 class SteppedSimulator(Protocol):

@@ -65,6 +65,11 @@ class XmlText:
             content = path.read_bytes()
         except OSError as error:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
+        return cls.of(path, content)
+
+    @classmethod
+    def of(cls, path: Path, content: bytes) -> XmlText:
+        """Parse the bytes of a file; UsageError where they are no XML."""
         return cls(path, content, _elements(path, content))
 
     def inside(self, tag: str, ancestor: str) -> list[Element]:

@@ -343,7 +343,6 @@ levels = [0.1, -0.1]
 dwell = 0.5
 at = 0.0
 duration = 3.0
-stabilise = {{ on = "ball_position", kp = 7.0, kd = 3.0 }}
 """,
     ).replace("duration = 4.0", "at = 0.0\nduration = 4.0")
 

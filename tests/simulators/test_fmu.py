@@ -20,6 +20,7 @@ from labhil.simulators.fmu import _unit
 from labhil.simulators.model import SimulatorModel
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "fmu"))
 from pendulum_fmu import built
 from pendulum_plant import swung, torques
 

@@ -13,7 +13,7 @@ import labhil as lh
 from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, UsageError
-from labhil.simulators.companion import companion_text, sort_effects
+from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
 from labhil.simulators.xml_text import XmlText
@@ -71,7 +71,7 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     }
     text, left = edited(tmp_path, SPRUNG, values | {"dead_zone.left": 0.1, "dead_zone.right": 0.2})
     assert "frictionloss='0.5'" in text  # it holds with both, and the function gives one of them back
-    code = companion_text(sort_effects(left), "new.xml", "torque", 1e-4)
+    code = companion_text(sort_effects(left), "new.xml", Usage.in_mujoco("torque"), 1e-4)
     names: dict[str, object] = {}
     exec(code, names)
     force, command = names["force"], names["Command"]
@@ -80,6 +80,16 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     assert force(0.0, -5.0) == pytest.approx(-0.2)  # type: ignore[operator]
     assert command()(0.5, 0.01) == pytest.approx(0.3)  # type: ignore[operator]
     assert "F = -F_st exp(-|v| / v_s) sgn v" in code
+    assert "= force(data.qpos[0], data.qvel[0])\n" in code
+
+
+def test_friction_that_grows_with_the_load_is_given_the_load() -> None:
+    effects = sort_effects({"load_dependent_friction.coefficient": 0.1})
+    code = companion_text(effects, "new.xml", Usage.in_mujoco("torque"), 1e-4)
+    assert "= force(data.qpos[0], data.qvel[0], data.qfrc_actuator[0])\n" in code
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert names["force"](0.0, 5.0, -2.0) == pytest.approx(-0.2)  # type: ignore[operator]
 
 
 def test_a_urdf_is_to_be_saved_as_mjcf_first(tmp_path: Path) -> None:

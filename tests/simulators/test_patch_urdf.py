@@ -11,7 +11,7 @@ import pytest
 
 import labhil as lh
 from labhil.analysis.patch import MAX_ERROR_RATIO
-from labhil.simulators.companion import companion_text, sort_effects
+from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.urdf_patches import patch_urdf, shorten_urdf_step
 from labhil.simulators.xml_text import XmlText
@@ -89,7 +89,7 @@ def test_a_shorter_step_is_said_where_other_readers_pass_over_it(rig: Path) -> N
 
 
 def test_firm_friction_is_told_beside_a_file_that_cannot_say_it() -> None:
-    code = companion_text(sort_effects({}), "new.urdf", "torque", 1e-4, firm=True)
+    code = companion_text(sort_effects({}), "new.urdf", Usage.in_mujoco("torque"), 1e-4, firm=True)
     assert "model.dof_solref[:] = 2.0 * model.opt.timestep, 1.0" in code
     compile(code, "new_effects.py", "exec")
 

@@ -317,7 +317,7 @@ def _builder() -> Callable[..., Path]:
     import importlib.util
 
     spec = importlib.util.spec_from_file_location(
-        "pendulum_fmu", ROOT / "tests" / "simulators" / "pendulum_fmu.py"
+        "pendulum_fmu", ROOT / "examples" / "fmu" / "pendulum_fmu.py"
     )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

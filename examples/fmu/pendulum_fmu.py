@@ -1,8 +1,14 @@
-"""Builds the pendulum of ``fmu/pendulum.c`` as an FMU, with the standard's headers that fmpy brings."""
+"""Builds the pendulum of ``pendulum.c`` as an FMU, with the standard's headers that fmpy brings.
+
+``python examples/fmu/pendulum_fmu.py FOLDER`` writes FOLDER/rod.fmu (FMI 3); it needs a C compiler.
+"""
 
 from __future__ import annotations
 
+import shutil
 import subprocess
+import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -11,7 +17,7 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 
 HEADERS = Path(fmpy.__file__).parent / "c-code"
-SOURCE = Path(__file__).parent / "fmu" / "pendulum.c"
+SOURCE = Path(__file__).parent / "pendulum.c"
 
 # name, causality, variability, start, unit, more attributes, in the order of the value references
 VARIABLES = (
@@ -117,3 +123,8 @@ def _third(kinds: list[str], *, events: int) -> str:
 
 def _initial(causality: str) -> str:
     return "" if causality == "input" else ' initial="exact"'
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as build:
+        print(shutil.copy(built(Path(build), version=3), sys.argv[1] if len(sys.argv) > 1 else "."))
