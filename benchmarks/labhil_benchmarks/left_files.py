@@ -28,8 +28,9 @@ Log = Mapping[str, Mapping[int, bytes]]
 class LeftFile:
     """What one file gave back, over all streams.
 
-    ``wrong`` counts samples that nobody published so; ``unheard`` those from before the log began, or of
-    streams that it does not hold; ``holes`` those that are missing between the first and the last that were
+    ``wrong`` counts samples that nobody published so; ``unheard`` those from before the log began or after
+    its end (a killed publisher has reached one subscriber and not yet another), or of streams that it does
+    not hold; ``holes`` those that are missing between the first and the last that were
     saved. ``lost`` (s) is the time between the last sample saved and the last one published before the kill,
     of the stream where it is longest; None where no sample was published.
     """
@@ -88,8 +89,8 @@ def examine(variant: str, data: bytes, log: Log, begun_ns: int, killed_ns: int, 
     wrong = unheard = holes = 0
     for topic, samples in saved.items():
         published = log.get(topic, {})
-        first = min(published, default=1 << 63)
-        heard = {number: payload for number, payload in samples.items() if number >= first}
+        first, last = min(published, default=1 << 63), max(published, default=0)
+        heard = {number: payload for number, payload in samples.items() if first <= number <= last}
         wrong += sum(published.get(number) != payload for number, payload in heard.items())
         unheard += len(samples) - len(heard)
         holes += max(samples) - min(samples) + 1 - len(samples)
