@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from pauses import Pauses
 
 from labhil.bus import latch
 from labhil_benchmarks.left_files import PAGE, examine, variants
@@ -50,8 +49,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path: Path) -> Non
 def test_one_kill_of_each_kind(tmp_path: Path, kind: str) -> None:
     with twin_behind_a_relay("solenoid", kill_trials.SAMPLING) as relay:
         try:
-            with Pauses() as machine:
-                trial = kill_trials.KINDS[kind](relay, tmp_path, random.Random(3))
+            trial = kill_trials.KINDS[kind](relay, tmp_path, random.Random(3))
         finally:
             latch.release()
     assert trial["processes_left"] == []
@@ -63,4 +61,4 @@ def test_one_kill_of_each_kind(tmp_path: Path, kind: str) -> None:
     if kind in ("host", "twin"):
         assert "complete True" in trial["end"] and not trial["end"].startswith("exit 0")
     if kind in ("study", "tui"):
-        assert "device active: True" in trial["end"] or machine.tripped_a_watchdog
+        assert "device active: True" in trial["end"]
