@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -21,13 +20,13 @@ from labhil.analysis.patch import (
     unified_diff,
     write_patched,
 )
-from labhil.analysis.patch_check import PatchCheck, refusal_of_unknown, rest_velocity
+from labhil.analysis.patch_check import PatchCheck, companion_force, refusal_of_unknown, rest_velocity
 from labhil.analysis.patch_source import PatchSource
 from labhil.errors import UsageError
-from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.fmu import Mechanism, fmu_simulator
+from labhil.simulators.fmu_mechanism import MAX_STEP
 from labhil.simulators.fmu_patches import (
     DESCRIPTION,
     PatchedDescription,
@@ -152,7 +151,7 @@ def _companion(
     values = [check.values.get(name, quantity.start) for name, quantity in bench.simulator.parameters.items()]
     acceleration, still = mechanism.acceleration_at(values), np.zeros(2)
     without, with_unit_input = acceleration(still, still, np.array([0.0, 1.0]))
-    step = min(mechanism.max_step, check.dataset.test.period) / divisor
+    step = min(MAX_STEP, check.dataset.test.period) / divisor
     at_rest = rest_velocity(patched.remaining, step, 1.0 / abs(with_unit_input - without))
     effects = sort_effects(patched.remaining)
     return companion_text(effects, out.name, bench.usage(step), at_rest, parameters=patched.starts)
@@ -174,7 +173,5 @@ def _run(
         added = _mechanism(simulator).added_force
         added.substeps = divisor
         if sort_effects(patched.remaining).forces:
-            code.write_text(companion, encoding="utf-8")
-            push: Any = object_of(f"{code.name}:force", code.parent)
-            added.force = push
+            added.force = companion_force(companion, code)
         return check.rmse_of(simulator, patched.remaining)

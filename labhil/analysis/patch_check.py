@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import MAX_ERROR_RATIO, MAX_STATED_RATIO, Attempt
@@ -13,9 +14,11 @@ from labhil.errors import UsageError
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, index_of, start_values
+from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig
 from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.simulator import Simulator
+from labhil.simulators.stepped import JointForce
 
 DRY_FRICTION_TERMS = (
     "coulomb_friction",
@@ -96,6 +99,12 @@ def refusal_of_unknown(into: Path, terms: tuple[str, ...]) -> UsageError:
         f"{into}: no way is known to write {', '.join(terms)} of this size into a file (correct an inertia "
         "in the body or the parameter); nothing is written"
     )
+
+
+def companion_force(text: str, code: Path) -> JointForce:
+    """Write a companion to a temporary file, and return its function ``force``."""
+    code.write_text(text, encoding="utf-8")
+    return cast("JointForce", object_of(f"{code.name}:force", code.parent))
 
 
 def rest_velocity(values: Mapping[str, float], step: float, inertia: float) -> float:

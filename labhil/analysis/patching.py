@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from labhil.analysis.arm_patching import repair_arm
 from labhil.analysis.fmu_patching import FMU_SUFFIX, repair_fmu
@@ -19,10 +18,9 @@ from labhil.analysis.patch import (
     unified_diff,
     write_patched,
 )
-from labhil.analysis.patch_check import PatchCheck, refusal_of_unknown, rest_velocity
+from labhil.analysis.patch_check import PatchCheck, companion_force, refusal_of_unknown, rest_velocity
 from labhil.analysis.patch_source import read_patch_source
 from labhil.errors import UsageError
-from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig, load_rig
 from labhil.rig_sections import ModelSection
 from labhil.simulators.companion import Usage, companion_text, sort_effects
@@ -167,9 +165,7 @@ def _run_candidate(bench: Bench, candidate: PatchedFile, text: str, out: Path, c
         if candidate.needs_firm_friction:
             stiffen_model_friction(described.model, described.mechanism.timestep)
         if sort_effects(candidate.remaining).forces:
-            code.write_text(text, encoding="utf-8")
-            push: Any = object_of(f"{code.name}:force", code.parent)
-            described.mechanism.joint_force = push
+            described.mechanism.joint_force = companion_force(text, code)
         return check.rmse_of(described.simulator, candidate.remaining)
 
 

@@ -36,7 +36,6 @@ class ModelExchangeMechanism:
     """
 
     non_smooth = NonSmooth()
-    max_step = MAX_STEP
 
     def __init__(
         self, fmu: ModelExchangeFmu, file: FmuFile, parameters: Sequence[int], *, velocity_first: bool
@@ -116,7 +115,6 @@ class CoSimulationMechanism:
     """
 
     non_smooth = NonSmooth(rounding=SOLVER_ROUNDING)
-    max_step = MAX_STEP
 
     def __init__(self, fmu: CoSimulationFmu, file: FmuFile, parameters: Sequence[int], step: float) -> None:
         self._fmu, self._file, self._parameters, self._step = fmu, file, tuple(parameters), step
