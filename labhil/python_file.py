@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Mapping
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from labhil.errors import UsageError, suggestion
 
@@ -35,13 +38,22 @@ def object_of(stated: str, folder: Path) -> object:
     return value
 
 
+class _Uncached(SourceFileLoader):
+    """Compiles a file each time, as it may change within the resolution of its time, and leaves no cache."""
+
+    def path_stats(self, path: str) -> Mapping[str, Any]:
+        """Refuse to tell time and size, without which no cache is read or written."""
+        raise OSError(f"{path}: not cached")
+
+
 def module_of(path: Path) -> ModuleType:
     """Run a Python file; UsageError where there is none, or it cannot be run."""
     if not path.is_file():
         raise UsageError(
             f"expected the Python file {path}, found none (paths are relative to the file that names them)"
         )
-    spec = importlib.util.spec_from_file_location(f"labhil_file_{path.stem}", path)
+    name = f"labhil_file_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path, loader=_Uncached(name, str(path)))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module

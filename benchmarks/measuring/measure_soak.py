@@ -1,11 +1,14 @@
-"""What a lab at work costs: twin, host, recorder, worker and screen, for ten minutes. A command, no test:
+"""What a lab at work costs: three rigs, recorder, worker and screen, for two hours. A command, no test:
 
-    python benchmarks/measuring/measure_soak.py --minutes 10 -o benchmarks/results/soak.json
+    python benchmarks/measuring/measure_soak.py --minutes 120 -o benchmarks/results/soak.json
 
-``labhil serve`` keeps a simulated DC motor up at 100 Hz, begins a new recording every minute, and its worker
-fits and diagnoses each of them. ``labhil tui`` shows three charts in a terminal of 160 x 50 characters (a
-pseudo-terminal that is read all the time). This program moves the motor on four sines over the bus, and notes
-every two seconds what each process has used. CPU is in per cent of one core; memory is what is resident.
+``labhil serve`` keeps twins of ball and beam, DC motor and solenoid up, begins a new recording every few
+minutes, and its worker fits and diagnoses each rig in each of them. ``labhil tui`` shows charts in a terminal
+of 160 x 50 characters (a pseudo-terminal that is read all the time). This program moves the rigs on sines
+over the bus. Every two seconds it notes what each process has used, and how long each host takes to answer.
+CPU is in per cent of one core; memory is what is resident; handles are open files and sockets.
+
+What should stay flat is told hour by hour as a slope, and in six equal parts of the time.
 """
 
 from __future__ import annotations
@@ -38,34 +41,28 @@ from labhil.bus.session import Bus, open_bus
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
 from labhil.service.messages import Setpoint
+from labhil.signals import FloatArray
 from measured import tell
 
 LAB = """
 [lab]
 name = "soak"
 roll = ROLL
-[devices.bench]
-plugin = "dc_motor"
+"""
+DEVICE = """
+[devices.KIND]
+plugin = "KIND"
 address = "twin"
-rig = "rig.toml"
+rig = "KIND.toml"
 twin = { seed = 1 }
 """
-RIG = """
-[rig]
-kind = "dc_motor"
-[known]
-inertia = 0.1
-[limits]
-voltage = { min = -12.0, max = 12.0, rate = 5000.0 }
-current = { min = -8.0, max = 8.0 }
-"""
-TONES = (0.11, 0.23, 0.57, 1.3)
-AMPLITUDE = 2.0
 COMMANDS_EVERY = 0.02
 LOOK_EVERY = 2.0
 SETTLED = 60.0
 """Memory is compared with what it was after so many s, once buffers are filled."""
 PATIENCE = 60.0
+PARTS = 6
+"""Equal parts of the time that are compared."""
 ROLES = (
     ("labhil.service.host", "host"),
     ("labhil.campaign.studies.study", "study"),
@@ -75,6 +72,56 @@ ROLES = (
 )
 
 
+@dataclass(frozen=True)
+class Rig:
+    """A rig of the lab: what its file states, and the sines that move it."""
+
+    kind: str
+    known: str
+    limits: str
+    signal: str
+    tones: tuple[float, ...]
+    """Hz"""
+    amplitude: float
+    offset: float = 0.0
+    rests: bool = False
+    """Whether it rests for the last ten seconds of each minute: a coil may not be on for long."""
+
+    @property
+    def file(self) -> str:
+        """The text of its rig file."""
+        return f'[rig]\nkind = "{self.kind}"\n[known]\n{self.known}\n[limits]\n{self.limits}\n'
+
+    def setpoint(self, t: float) -> float:
+        """What its actuator is to do at a time in s."""
+        if self.rests and t % 60.0 > 50.0:
+            return 0.0
+        return self.offset + sum(self.amplitude * math.sin(2 * math.pi * tone * t) for tone in self.tones)
+
+
+RIGS = (
+    Rig(
+        "ball_beam",
+        "ball_mass = 0.261\nball_radius = 0.02\ncrank_radius = 0.08\nbeam_length = 0.40",
+        "servo_angle = { min = -1.2, max = 1.2, rate = 12.0 }",
+        "servo_angle", (0.31, 0.47, 0.83), 0.25,
+    ),
+    Rig(
+        "dc_motor",
+        "inertia = 0.1",
+        "voltage = { min = -12.0, max = 12.0, rate = 5000.0 }\ncurrent = { min = -8.0, max = 8.0 }",
+        "voltage", (0.11, 0.23, 0.57, 1.3), 2.0,
+    ),
+    Rig(
+        "solenoid",
+        "moving_mass = 0.064\nstop_low = 0.0\nstop_high = 0.005",
+        "coil_current_command = { min = 0.0, max = 2.7, rate = 2000.0 }\n"
+        "coil_current = { min = -0.2, max = 2.9 }",
+        "coil_current_command", (0.7, 1.9, 3.1), 0.2, 0.85, True,
+    ),
+)  # fmt: skip
+
+
 @dataclass
 class Usage:
     """What the processes of one role used: one entry per look, and the total."""
@@ -82,6 +129,8 @@ class Usage:
     at: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     memory: list[float] = field(default_factory=list)
+    handles: list[int] = field(default_factory=list)
+    threads: list[int] = field(default_factory=list)
     seconds: float = 0.0
 
 
@@ -99,6 +148,8 @@ class Meter:
         now = time.monotonic()
         cpu: dict[str, float] = defaultdict(float)
         memory: dict[str, float] = defaultdict(float)
+        handles: dict[str, int] = defaultdict(int)
+        threads: dict[str, int] = defaultdict(int)
         for process in self._all():
             with contextlib.suppress(psutil.Error):
                 role = role_of(" ".join(process.cmdline()))
@@ -107,12 +158,16 @@ class Meter:
                 spent = times.user + times.system
                 cpu[role] += spent - self._before.get(key, spent if self._first else 0.0)
                 memory[role] += process.memory_info().rss / 1e6
+                handles[role] += process.num_fds()
+                threads[role] += process.num_threads()
                 self._before[key] = spent
         for role, spent in cpu.items() if not self._first else ():
             usage = self.usage[role]
             usage.at.append(now - self.began)
             usage.cpu.append(100 * spent / (now - self._looked))
             usage.memory.append(memory[role])
+            usage.handles.append(handles[role])
+            usage.threads.append(threads[role])
             usage.seconds += spent
         self._looked, self._first = now, False
 
@@ -170,43 +225,57 @@ def drain(terminal: int, output: list[bytes]) -> None:
 @contextmanager
 def lab(folder: Path, roll: float) -> Iterator[tuple[int, str]]:
     """``labhil serve`` with its process id and the endpoint of its bus."""
-    (folder / "lab.toml").write_text(LAB.replace("ROLL", repr(roll)), encoding="utf-8")
-    (folder / "rig.toml").write_text(RIG, encoding="utf-8")
+    devices = [DEVICE.replace("KIND", rig.kind) for rig in RIGS]
+    (folder / "lab.toml").write_text("".join([LAB.replace("ROLL", repr(roll)), *devices]), encoding="utf-8")
+    for rig in RIGS:
+        (folder / f"{rig.kind}.toml").write_text(rig.file, encoding="utf-8")
     with serving(folder, "said.txt", PATIENCE) as running:
         yield running
 
 
 class Mover:
-    """Moves the motor on four sines; setpoints go out fifty times a second."""
+    """Moves the rigs on their sines; setpoints go out fifty times a second."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._over = threading.Event()
-        answer = ask(
-            bus, command_key("bench", "lease"), {"action": "take", "holder": "soak"}, patience=PATIENCE
-        )
-        self._token = str(answer["token"])
+        self._tokens: dict[str, str] = {}
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
+        for rig in RIGS:  # each moves from then on: a lease that is not used runs out
+            request = {"action": "take", "holder": "soak"}
+            answer = ask(bus, command_key(rig.kind, "lease"), request, patience=PATIENCE)
+            self._tokens[rig.kind] = str(answer["token"])
 
     def close(self) -> None:
         self._over.set()
         self._thread.join()
-        ask(self._bus, command_key("bench", "safe"), {"reason": "the soak is over"})
+        for rig in RIGS:
+            ask(self._bus, command_key(rig.kind, "safe"), {"reason": "the soak is over"})
 
     def _run(self) -> None:
         began = time.monotonic()
         while not self._over.wait(COMMANDS_EVERY):
             t = time.monotonic() - began
-            volts = sum(AMPLITUDE * math.sin(2 * math.pi * tone * t) for tone in TONES)
-            setpoint = Setpoint(self._token, time.time_ns(), {"voltage": volts})
-            publish_command(self._bus, setpoint_key("bench"), setpoint.to_bytes())
+            for rig in [rig for rig in RIGS if rig.kind in self._tokens]:
+                setpoint = Setpoint(self._tokens[rig.kind], time.time_ns(), {rig.signal: rig.setpoint(t)})
+                publish_command(self._bus, setpoint_key(rig.kind), setpoint.to_bytes())
+
+
+def time_answers(bus: Bus) -> list[float]:
+    """How long each host takes to answer the question for its state, s."""
+    took = []
+    for rig in RIGS:
+        asked = time.perf_counter()
+        ask(bus, command_key(rig.kind, "status"))
+        took.append(time.perf_counter() - asked)
+    return took
 
 
 def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: Path) -> dict[str, Any]:
     """Let all of it run; returns what it used and what was recorded."""
     output: list[bytes] = []
-    load = []
+    load, answers = [], []
     with ExitStack() as stack:
         service, endpoint = stack.enter_context(lab(folder, roll))
         wait_for(folder, "is up")
@@ -219,11 +288,13 @@ def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: P
         while time.monotonic() - meter.began < seconds:
             time.sleep(LOOK_EVERY)
             meter.look()
+            answers.append(time_answers(bus))
             load.append(os.getloadavg()[0])
         # numbers of processes that are gone would be missing, so results are counted while all is up
     return {
         "processes": {role: summarise_usage(usage, seconds) for role, usage in sorted(meter.usage.items())},
-        "recordings": summarise_recordings(folder),
+        "answers_of_hosts_ms": in_parts(np.array(answers)),
+        "recordings": {rig.kind: summarise_recordings(folder, rig.kind) for rig in RIGS},
         "results": {kind: len(list(folder.glob(f"*.{kind}.json"))) for kind in ("fit", "diagnosis")},
         "load_average": {"median": round(statistics.median(load), 1), "largest": round(max(load), 1)},
     }
@@ -255,23 +326,42 @@ def summarise_usage(usage: Usage, seconds: float) -> dict[str, Any]:
             "largest": round(float(memory.max()), 1),
         },
         "slope_mb_per_hour": None if slope is None else round(slope, 1),
+        "memory_mb_in_parts": [
+            round(float(np.median(part)), 1) for part in np.array_split(memory, PARTS) if len(part)
+        ],
+        "handles": {"start": usage.handles[0], "end": usage.handles[-1], "largest": max(usage.handles)},
+        "threads": {"start": usage.threads[0], "end": usage.threads[-1], "largest": max(usage.threads)},
         "looks": len(at),
     }
 
 
-def summarise_recordings(folder: Path) -> dict[str, Any]:
-    """What the recordings say: each by itself, and all of them as one row of numbers."""
+def in_parts(seconds: FloatArray) -> dict[str, Any]:
+    """Times in ms: of all, and of each equal part of the time in turn."""
+    parts = np.array_split(1e3 * seconds, PARTS)
+    return {
+        "median": round(1e3 * float(np.median(seconds)), 3),
+        "p99_9": round(1e3 * float(np.percentile(seconds, 99.9)), 3),
+        "largest": round(1e3 * float(seconds.max()), 3),
+        "median_in_parts": [round(float(np.median(part)), 3) for part in parts if part.size],
+        "p99_9_in_parts": [round(float(np.percentile(part, 99.9)), 3) for part in parts if part.size],
+        "largest_in_parts": [round(float(part.max()), 3) for part in parts if part.size],
+    }
+
+
+def summarise_recordings(folder: Path, device: str) -> dict[str, Any]:
+    """What the recordings say of a rig: each by itself, and all of them as one row of samples."""
     streams: list[StreamData] = []
-    gaps = 0
+    gaps = commands = 0
     for path in sorted(folder.glob("*.mcap")):
         recording = read_recording(path)
         if not recording.complete:
             raise SystemExit(f"{path}: {recording.damage}")
-        streams += [data for data in recording.streams if data.stream.name == "state"]
-        gaps += sum(data.lost for data in recording.streams)
+        mine = [data for data in recording.streams if data.device == device]
+        streams += [data for data in mine if data.stream.name == "state"]
+        commands += sum(len(data) for data in mine if data.stream.name == "command")
+        gaps += sum(data.lost for data in mine)
     seq, first = np.unique(np.concatenate([data.seq for data in streams]), return_index=True)
     t = np.concatenate([data.t_acq_ns for data in streams])[first] * 1e-9
-    steps = np.diff(t)
     return {
         "files": len(streams),
         "samples": len(seq),
@@ -279,18 +369,15 @@ def summarise_recordings(folder: Path) -> dict[str, Any]:
         "missing_over_all_files": int(seq[-1] - seq[0] + 1 - len(seq)),
         "samples_in_two_files": int(sum(len(data) for data in streams) - len(seq)),
         "rate_hz": round((len(seq) - 1) / float(t[-1] - t[0]), 3),
-        "step_ms": {
-            "median": round(1e3 * float(np.median(steps)), 3),
-            "p99_9": round(1e3 * float(np.percentile(steps, 99.9)), 3),
-            "largest": round(1e3 * float(steps.max()), 3),
-        },
+        "commands": commands,
+        "step_ms": in_parts(np.diff(t)),
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--roll", type=float, default=60.0, help="s; length of a recording")
+    parser.add_argument("--minutes", type=float, default=120.0)
+    parser.add_argument("--roll", type=float, default=300.0, help="s; length of a recording")
     parser.add_argument("--size", default="160x50", help="of the terminal")
     parser.add_argument("--tab", default="2", help="the tab that is in front")
     parser.add_argument("-o", "--out", type=Path)
@@ -302,8 +389,9 @@ def main() -> None:
         folder.mkdir()
         figures = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
     result = {
-        "schema": "labhil.soak/1",
+        "schema": "labhil.soak/2",
         "minutes": options.minutes,
+        "rigs": [rig.kind for rig in RIGS],
         "roll_s": options.roll,
         "terminal": options.size,
         "machine": {"cores": os.cpu_count(), "python": platform.python_version()},

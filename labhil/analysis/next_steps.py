@@ -82,7 +82,8 @@ def _patch_sentence(diagnosis: DiagnosisPart, what: str) -> str:
     from labhil.physics.rigs import MODELS
 
     own = any(recording.rig in MODELS for recording in diagnosis.recordings)
-    return "" if own else f" `labhil patch` writes {what} into a MuJoCo or URDF file, or beside an FMU."
+    files = "a MuJoCo, URDF or Python file, or beside an FMU"
+    return "" if own else f" `labhil patch` writes {what} into {files}."
 
 
 def _channel_step(diagnosis: DiagnosisPart) -> Steps:

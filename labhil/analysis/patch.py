@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from labhil.atomic_file import atomic_file
 from labhil.errors import UsageError
-from labhil.simulators.xml_text import Change, XmlText
+from labhil.simulators.xml_text import Change
 
 MAX_ERROR_RATIO = 1.05
 """Largest error of a repaired file on the held-out data, over that of the diagnosed model."""
@@ -120,16 +120,34 @@ def temporary_files(out: Path) -> Iterator[tuple[Path, Path]]:
                 path.unlink(missing_ok=True)
 
 
-def write_patched(content: bytes, companion: str, out: Path, code: Path) -> None:
-    """Write a file and its companion, each completely or not at all."""
+class EditedText(Protocol):
+    """The text of a file with changes to make."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        ...
+
+    @property
+    def content(self) -> bytes:
+        """Its bytes."""
+        ...
+
+    def changed(self) -> bytes:
+        """Return its bytes with all changes."""
+        ...
+
+
+def write_patched(content: bytes, companion: str, out: Path, code: Path | None) -> None:
+    """Write a file and its companion (None for none), each completely or not at all."""
     with atomic_file(out) as draft:
         draft.write_bytes(content)
-    if companion:
+    if code is not None:
         with atomic_file(code) as draft:
             draft.write_text(companion, encoding="utf-8")
 
 
-def unified_diff(text: XmlText, out: Path, *, by_element: bool = False) -> str:
+def unified_diff(text: EditedText, out: Path, *, by_element: bool = False) -> str:
     """Return the changes of a file as a unified diff, with a line for each element where that is wanted."""
     before, after = (
         (content.replace(b"><", b">\n<") if by_element else content)

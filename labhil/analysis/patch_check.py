@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
+
+import numpy as np
 
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.patch import MAX_ERROR_RATIO, MAX_STATED_RATIO, Attempt
@@ -16,9 +18,10 @@ from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, index_of, start_values
 from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig
+from labhil.simulators.companion import sort_effects
 from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.simulator import Simulator
-from labhil.simulators.stepped import JointForce
+from labhil.simulators.stepped import JointForce, SteppedSimulator
 
 DRY_FRICTION_TERMS = (
     "coulomb_friction",
@@ -107,9 +110,17 @@ def companion_force(text: str, code: Path) -> JointForce:
     return cast("JointForce", object_of(f"{code.name}:force", code.parent))
 
 
+def inertia_felt_by_input(simulator: SteppedSimulator, numbers: Sequence[float]) -> float:
+    """Input per acceleration of a simulator at rest, at these values of its parameters."""
+    still = np.zeros(2)
+    without, with_unit_input = simulator.acceleration_at(numbers)(still, still, np.array([0.0, 1.0]))
+    return float(1.0 / abs(with_unit_input - without))
+
+
 def rest_velocity(values: Mapping[str, float], step: float, inertia: float) -> float:
     """Velocity below which a companion's dry friction is viscous, so that one step cannot reverse it."""
     level = sum(abs(number) for name, number in values.items() if name.startswith(DRY_FRICTION_TERMS))
+    level += sum(abs(float(table.forces[0])) for table in sort_effects(values).tables)
     return max(2.0 * step * level / inertia, 1e-6)
 
 

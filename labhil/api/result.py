@@ -197,11 +197,11 @@ class ComputedResult(Result, Generic[P, S]):
     ) -> Patch:
         """Write a repaired copy of the file that was fitted or diagnosed, like ``labhil patch``.
 
-        MuJoCo, or the FMU, runs the new file on the held-out data. Effects that the format cannot describe go
-        into a Python file beside it.
+        MuJoCo, the FMU or Python runs the new file on the held-out data. Effects that the format cannot
+        describe go into a Python file beside it.
 
         Args:
-            into: The original MJCF, URDF or FMU file.
+            into: The original MJCF, URDF, FMU or Python file (``bench.py:pendulum``).
             out: The new file; it must not exist.
             rig: The rig file of the fit or diagnosis, where it had one.
             holdout: The share of the recordings that was held out.

@@ -12,6 +12,9 @@ from string import Formatter
 from textwrap import wrap
 from typing import NamedTuple
 
+from labhil.physics.friction_law import FrictionLaw, laws
+from labhil.simulators.law_tables import INTERPOLATE, LawTable
+
 WIDTH = 100
 
 
@@ -124,17 +127,43 @@ class Usage(NamedTuple):
             "measured = sensor(data.qpos[0], dt), with sensor = Sensor()",
         )
 
+    @classmethod
+    def of_step(cls, signal: str, force: str, max_step: float, parameters: str = "") -> Usage:
+        """Return the lines for a simulation that is stepped by its user.
+
+        Args:
+            signal: Name of the recorded input.
+            force: Line that adds ``force``.
+            max_step: Longest step, s.
+            parameters: Line that sets ``PARAMETERS``.
+        """
+        return cls(
+            signal,
+            force,
+            signal,
+            f"{signal} = command({signal}, dt), with command = Command()",
+            "measured = sensor(output, dt), with sensor = Sensor()",
+            parameters,
+            max_step,
+        )
+
 
 class SortedEffects(NamedTuple):
     """Effects of a companion by the place where they act, each with its parameters.
 
-    ``unknown`` ones have no law.
+    ``tables`` are friction laws of the user's own; ``unknown`` effects have no law.
     """
 
     forces: Mapping[str, Mapping[str, float]]
+    tables: tuple[LawTable, ...]
     inputs: Mapping[str, Mapping[str, float]]
     sensors: Mapping[str, Mapping[str, float]]
     unknown: tuple[str, ...]
+
+    @property
+    def has_force(self) -> bool:
+        """Whether anything acts as a force."""
+        return bool(self.forces or self.tables)
 
 
 def sort_effects(values: Mapping[str, float]) -> SortedEffects:
@@ -144,11 +173,12 @@ def sort_effects(values: Mapping[str, float]) -> SortedEffects:
         term, _, part = name.partition(".")
         terms.setdefault(term, {})[part] = value
     forces, inputs, sensors = (
-        {t: terms[t] for t in laws if t in terms} for laws in (FORCES, INPUTS, SENSORS)
+        {t: terms[t] for t in known if t in terms} for known in (FORCES, INPUTS, SENSORS)
     )
-    return SortedEffects(
-        forces, inputs, sensors, tuple(sorted(terms.keys() - forces.keys() - inputs.keys() - sensors.keys()))
-    )
+    own: dict[str, FrictionLaw] = {law.name: law for law in laws() if law.name in terms}
+    known = forces.keys() | inputs.keys() | sensors.keys() | own.keys()
+    tables = tuple(LawTable.of(law, terms[name]) for name, law in own.items())
+    return SortedEffects(forces, tables, inputs, sensors, tuple(sorted(terms.keys() - known)))
 
 
 def companion_text(
@@ -177,11 +207,12 @@ def companion_text(
     drive = f", {usage.drive}" if needs_drive else ""
     lines_of_use = [
         usage.command if effects.inputs else "",
-        usage.force.format(drive=drive) if effects.forces else "",
+        usage.force.format(drive=drive) if effects.has_force else "",
         usage.sensor if effects.sensors else "",
     ]
     blocks = [
-        _force_function(effects.forces, at_rest) if effects.forces else [],
+        INTERPOLATE.splitlines() if effects.tables else [],
+        _force_function(effects, at_rest) if effects.has_force else [],
         _stage_class("Command", f"The input {usage.signal} as it acts.", "u", effects.inputs, INPUTS)
         if effects.inputs
         else [],
@@ -202,6 +233,7 @@ def companion_text(
         '"""',
         "",
         "import math",
+        *(["from bisect import bisect"] if effects.tables else []),
         *(["from collections import deque"] if effects.inputs or effects.sensors else []),
     ]
     if parameters:
@@ -215,8 +247,9 @@ def _at_most(step: float | None) -> str:
     return "" if step is None else f", of {step:.3g} s at most"
 
 
-def _force_function(forces: Mapping[str, Mapping[str, float]], at_rest: float) -> list[str]:
+def _force_function(effects: SortedEffects, at_rest: float) -> list[str]:
     lines = [
+        *(line for table in effects.tables for line in table.text(WIDTH)),
         f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
         "",
         "",
@@ -224,7 +257,8 @@ def _force_function(forces: Mapping[str, Mapping[str, float]], at_rest: float) -
         '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
         "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
     ]
-    return [*lines, *_law_lines(forces, FORCES, "    "), "    return F"]
+    own = [f"    F -= interpolate(*{table.name}, abs(v)) * side" for table in effects.tables]
+    return [*lines, *_law_lines(effects.forces, FORCES, "    "), *own, "    return F"]
 
 
 def _stage_class(

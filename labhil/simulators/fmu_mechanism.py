@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import ceil
 from threading import Lock
 
 import numpy as np
@@ -12,12 +11,15 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import CoSimulationFmu, FmuFile, ModelExchangeFmu, convert_fmi_errors
-from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, runge_kutta, step_windows
+from labhil.simulators.pointwise import (
+    accelerations_at,
+    extrapolate_rates,
+    runge_kutta,
+    step_under_force,
+    step_windows,
+)
 from labhil.simulators.stepped import AddedForce, Nodes, NonSmooth
 from labhil.simulators.tables import Acceleration
-
-MAX_STEP = 2e-3
-"""Longest step of the integration of an FMU for model exchange, and of one under an added force, s."""
 
 SOLVER_ROUNDING = 1e-5
 """Share of an acceleration below which that of a co-simulation's own solver is not accurate."""
@@ -83,10 +85,9 @@ class ModelExchangeMechanism:
 
     def _advance(self, state: FloatArray, drive: float, length: float) -> FloatArray:
         def rates(at: FloatArray) -> list[float]:
-            return self._rates(0.0, at, self.added_force.input_at(at, drive))
+            return self._rates(0.0, at, drive + self.added_force.at(at, drive))
 
-        parts = self.added_force.substeps * max(1, ceil(length / MAX_STEP))
-        return runge_kutta(rates, state, length, parts)
+        return runge_kutta(rates, state, length, self.added_force.parts(length))
 
     def _rates(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> list[float]:
         ordered = [float(x) for x in state][:: self._order]
@@ -150,13 +151,12 @@ class CoSimulationMechanism:
             with convert_fmi_errors(self._file, "a start from any state"):
                 self._fmu.start(starts, state.tolist(), drive)
 
+        def step(_: FloatArray, drive: float, length: float) -> Sequence[float]:
+            return self._fmu.step(drive, length)
+
         def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            added = self.added_force
-            parts = 1 if added.force is None else added.substeps * max(1, ceil(length / MAX_STEP))
-            with convert_fmi_errors(self._file, f"steps of {length / parts:g} s"):
-                for _ in range(parts):
-                    state = np.array(self._fmu.step(added.input_at(state, drive), length / parts))
-            return state
+            with convert_fmi_errors(self._file, f"steps of up to {length:g} s"):
+                return step_under_force(step, self.added_force, state, drive, length)
 
         with self._lock:
             return step_windows(record, nodes, windows, states, advance, start)

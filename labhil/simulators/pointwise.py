@@ -12,7 +12,7 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.rollouts import interval_means
-from labhil.simulators.stepped import Nodes
+from labhil.simulators.stepped import AddedForce, Nodes
 
 _USER_CODE = RLock()
 """Held while a user's function runs."""
@@ -76,6 +76,41 @@ def runge_kutta(
         c = np.array(rates(state + 0.5 * h * b))
         d = np.array(rates(state + h * c))
         state = state + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+    return state
+
+
+def step_under_force(
+    step: Callable[[FloatArray, float, float], Sequence[float] | FloatArray],
+    added: AddedForce,
+    state: FloatArray,
+    drive: float,
+    length: float,
+    *,
+    inertia: float | None = None,
+) -> FloatArray:
+    """Make steps of a simulator under an added force, which is held from each step to the next.
+
+    Args:
+        step: State, input and time (s) to the state after that time.
+        added: The force; without one a single step is made.
+        state: Position and velocity, (2,).
+        drive: The input.
+        length: Time, s.
+        inertia: The force per acceleration; None where the force acts like the input.
+
+    Returns:
+        The state after that time, (2,).
+    """
+    if added.force is None:
+        return np.asarray(step(state, drive, length), dtype=np.float64)
+    parts = added.parts(length)
+    h = length / parts
+    for _ in range(parts):
+        force = added.at(state, drive)
+        if inertia is None:
+            state = np.asarray(step(state, drive + force, h), dtype=np.float64)
+        else:
+            state = np.asarray(step(state, drive, h), dtype=np.float64) + np.array([0.0, h * force / inertia])
     return state
 
 

@@ -11,9 +11,10 @@ import numpy as np
 from labhil.errors import UsageError
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.pointwise import accelerations_at, extrapolate_rates
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_under_force, step_windows
+from labhil.simulators.python_step import parameter_named
 from labhil.simulators.rollouts import interval_means
-from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.stepped import AddedForce, Nodes, NonSmooth
 from labhil.simulators.tables import Acceleration
 
 RolloutFunction = Callable[[Any, FloatArray, Any, Any], Any]
@@ -22,12 +23,24 @@ RolloutFunction = Callable[[Any, FloatArray, Any, Any], Any]
 
 
 class PythonRollout:
-    """A user's function with the classes of its arguments."""
+    """A user's function with the classes of its arguments.
+
+    ``added_force`` acts in :meth:`roll_out`.
+
+    Args:
+        simulate: The function.
+        name: Name of the simulator.
+        records: Classes of states, inputs and parameters.
+        inertia: Name of the parameter that forces are divided by; empty where they act like the input.
+    """
 
     non_smooth = NonSmooth()
 
-    def __init__(self, simulate: RolloutFunction, name: str, records: tuple[Any, Any, Any]) -> None:
-        self._simulate, self._name, self._records = simulate, name, records
+    def __init__(
+        self, simulate: RolloutFunction, name: str, records: tuple[Any, Any, Any], inertia: str = ""
+    ) -> None:
+        self._simulate, self._name, self._records, self._inertia = simulate, name, records, inertia
+        self.added_force = AddedForce()
         self._step = 1e-4
 
     def choose_step(
@@ -64,13 +77,15 @@ class PythonRollout:
         return partial(accelerations_at, partial(self.rates, numbers))
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """Return None: forces act like the input."""
-        return None
+        """Return the parameter that forces are divided by; None where they act like the input."""
+        return parameter_named(self._inertia, self._records[2], numbers)
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Simulate each window in one call, under the mean of the input, (N, 2)."""
+        """Simulate each window in one call, under the mean of the input, (N, 2); under a force in steps."""
+        if self.added_force.force is not None:
+            return self._roll_out_under_force(numbers, record, nodes, windows, states)
         motions = []
         for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
             t = record.t[first:last]
@@ -78,6 +93,19 @@ class PythonRollout:
             drives_held = np.append(drives, drives[-1])[: len(t)]
             motions.append(self._run(numbers, t - t[0], drives_held, np.asarray(states[w], dtype=np.float64)))
         return np.concatenate(motions)
+
+    def _roll_out_under_force(
+        self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
+    ) -> FloatArray:
+        inertia = self.inertia(numbers)
+
+        def step(state: FloatArray, drive: float, length: float) -> FloatArray:
+            return self._run(numbers, np.array([0.0, length]), np.full(2, drive), state)[-1]
+
+        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
+            return step_under_force(step, self.added_force, state, drive, length, inertia=inertia)
+
+        return step_windows(record, nodes, windows, states, advance)
 
     def _run(
         self, numbers: Sequence[float], t: FloatArray, drive: FloatArray, begin: FloatArray

@@ -10,8 +10,8 @@ import numpy as np
 
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
-from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_windows
-from labhil.simulators.stepped import Nodes, NonSmooth
+from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_under_force, step_windows
+from labhil.simulators.stepped import AddedForce, Nodes, NonSmooth
 from labhil.simulators.tables import Acceleration
 
 StepFunction = Callable[[Any, Any, Any, float], Sequence[float]]
@@ -39,13 +39,27 @@ def rates_of(step: StepFunction, state: Any, u: Any, p: Any, *, length: float = 
     return float(rates[0]), float(rates[1])
 
 
+def parameter_named(name: str, parameters: Any, numbers: Sequence[float]) -> float | None:
+    """Return the number of a parameter among those of a class of parameters; None where it has none."""
+    return dict(zip(parameters._fields, numbers, strict=False)).get(name)
+
+
 class PythonStep:
-    """A user's step function with the classes of its arguments."""
+    """A user's step function with the classes of its arguments.
+
+    ``added_force`` acts in :meth:`roll_out`.
+
+    Args:
+        step: The function.
+        records: Classes of states, inputs and parameters.
+        inertia: Name of the parameter that forces are divided by; empty where they act like the input.
+    """
 
     non_smooth = NonSmooth()
 
-    def __init__(self, step: StepFunction, records: tuple[Any, Any, Any]) -> None:
-        self._step, self._records = step, records
+    def __init__(self, step: StepFunction, records: tuple[Any, Any, Any], inertia: str = "") -> None:
+        self._step, self._records, self._inertia = step, records, inertia
+        self.added_force = AddedForce()
 
     def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
         """Return the acceleration from short steps."""
@@ -58,17 +72,20 @@ class PythonStep:
         return partial(accelerations_at, rates)
 
     def inertia(self, numbers: Sequence[float]) -> float | None:
-        """Return None: forces act like the input."""
-        return None
+        """Return the parameter that forces are divided by; None where they act like the input."""
+        return parameter_named(self._inertia, self._records[2], numbers)
 
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
         """Step all windows from sample to sample under the mean of the input, (N, 2)."""
         names, inputs, parameters = self._records
-        p = parameters(*numbers)
+        p, inertia = parameters(*numbers), self.inertia(numbers)
+
+        def step(state: FloatArray, drive: float, length: float) -> Sequence[float]:
+            return self._step(names(*state.tolist()), inputs(drive), p, length)
 
         def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            return np.asarray(self._step(names(*state.tolist()), inputs(drive), p, length), dtype=np.float64)
+            return step_under_force(step, self.added_force, state, drive, length, inertia=inertia)
 
         return step_windows(record, nodes, windows, states, advance)

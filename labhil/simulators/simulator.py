@@ -232,7 +232,7 @@ def simulator(
     rig = Simulator(f, name, dict(states), dict(inputs), measured, quantities, position, coordinate, horizon)
     if kind == STEP:
         step = one_at_a_time(f)
-        rig = replace(rig, f=_rates_of_step(step), stepped=PythonStep(step, rig.records))
+        rig = replace(rig, f=_rates_of_step(step), stepped=PythonStep(step, rig.records, coordinate.inertia))
     elif kind == ROLLOUT:
         rig = _with_rollout(rig, one_at_a_time(f))
     probe(rig, TOLERANCES[kind])
@@ -262,7 +262,7 @@ def _rates_of_step(step: StepFunction) -> RightHandSide:
 
 def _with_rollout(rig: Simulator, f: Any) -> Simulator:
     """Make a simulator of a function that simulates a whole input, with the rates of short runs."""
-    stepped = PythonRollout(f, rig.name, rig.records)
+    stepped = PythonRollout(f, rig.name, rig.records, rig.coordinate.inertia)
 
     def rates(t: float, x: Any, u: Any, p: Any) -> Sequence[float]:
         return stepped.rates(list(p), list(x), float(u[0]))

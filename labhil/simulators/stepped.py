@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import ceil
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +15,10 @@ from labhil.simulators.tables import ROUNDING, Acceleration
 
 Nodes = tuple[FloatArray, FloatArray]
 """Times and values (m,) of a piecewise linear input; it jumps where a time occurs twice."""
+
+
+MAX_STEP = 2e-3
+"""Longest step under an added force, and of an integration by labhil, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +44,23 @@ JointForce = Callable[[float, float, float], float]
 
 @dataclass(slots=True)
 class AddedForce:
-    """A force that is added to the input of a simulator in a roll-out.
+    """A force that is added to a simulator in a roll-out.
 
     Attributes:
-        force: The force, in units of the input; None where there is none.
+        force: The force, in units of the input where it acts like the input; None where there is none.
         substeps: Number by which the steps of the roll-out are divided.
     """
 
     force: JointForce | None = None
     substeps: int = 1
 
-    def input_at(self, state: Sequence[float] | FloatArray, drive: float) -> float:
-        """Return the input with the force at a state."""
-        return drive if self.force is None else drive + self.force(float(state[0]), float(state[1]), drive)
+    def at(self, state: Sequence[float] | FloatArray, drive: float) -> float:
+        """Return the force at a state under an input."""
+        return 0.0 if self.force is None else self.force(float(state[0]), float(state[1]), drive)
+
+    def parts(self, length: float) -> int:
+        """Return the number of steps for a time in s."""
+        return self.substeps * max(1, ceil(length / MAX_STEP))
 
 
 class SteppedSimulator(Protocol):

@@ -77,9 +77,8 @@ def test_a_file_is_to_be_patched_only_where_a_file_was_diagnosed(example):
     assert not any("labhil patch" in step for step in example.next_steps)
     of_a_file = [item.model_copy(update={"rig": "crane"}) for item in example.recordings]
     steps = example.model_copy(update={"recordings": tuple(of_a_file)}).next_steps
-    assert any(
-        "`labhil patch` writes them into a MuJoCo or URDF file, or beside an FMU." in step for step in steps
-    )
+    sentence = "`labhil patch` writes them into a MuJoCo, URDF or Python file, or beside an FMU."
+    assert any(sentence in step for step in steps)
 
 
 def test_a_curve_beside_laws_that_lacked_a_channel_asks_for_that_channel_first(example):

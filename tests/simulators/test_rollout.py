@@ -14,6 +14,7 @@ import pytest
 
 import labhil as lh
 from labhil.errors import UsageError
+from labhil.physics.model import Windows, index_of, start_values
 from labhil.physics.rigs import model_for, record_of
 from labhil.simulators.model import SimulatorModel
 
@@ -142,6 +143,45 @@ def test_its_own_rollout_is_noted_where_it_goes_elsewhere(tmp_path: Path) -> Non
 def test_what_breaks_is_named_with_what_was_expected(f: Callable[..., Any], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         rolled(f)
+
+
+@pytest.mark.parametrize("kind", ["rates", "step", "rollout"])
+def test_a_force_is_divided_by_the_inertia_that_is_named(kind: str) -> None:
+    """Its unit is then N·m, whatever the unit of the input is: 1 V is 0.05 N·m here."""
+
+    def rates(t: float, x: Any, u: Any, p: Any) -> tuple[float, float]:
+        return x.rate, (p.gain * u.voltage - p.drag * x.rate) / p.inertia
+
+    def step(x: Any, u: Any, p: Any, dt: float) -> tuple[float, float]:
+        velocity, acceleration = rates(0.0, x, u, p)
+        rate = velocity + dt * acceleration
+        return x.angle + 0.5 * dt * (velocity + rate), rate
+
+    def simulate(p: Any, t: Any, u: Any, x0: Any) -> Any:
+        states = [x0]
+        for k, length in enumerate(np.diff(t)):
+            states.append(type(x0)(*step(states[-1], type(u)(u.voltage[k]), p, length)))
+        return states
+
+    gain, inertia, drag, force = 0.05, 1e-3, 2e-3, 1e-3
+    rig = lh.simulator(
+        {"rates": rates, "step": step, "rollout": simulate}[kind],
+        kind=kind,
+        name=f"motor_{kind}",
+        states={"angle": "rad", "rate": "rad/s"},
+        inputs={"voltage": "V"},
+        parameters={"gain": gain, "inertia": inertia, "drag": drag},
+        coordinates={"angle": lh.Coordinate("rate", inertia="inertia", force="N·m")},
+    )
+    t = 0.01 * np.arange(200)
+    run = lh.recording(t, {"voltage": 0.0 * t}, {"angle": 0.5 * t}, rig=rig)
+    record = record_of(run.file, rig.kind)
+    model = SimulatorModel(rig, rig.rig_file, record)
+    theta = start_values(model.parameters)
+    theta[index_of(model.parameters)["constant_force.force"]] = force
+    angle = model.simulate(theta, record, Windows.of([(0, len(t))]), np.zeros((1, 2)))[:, 0]
+    settled = force / drag * (t - inertia / drag * -np.expm1(-t * drag / inertia))
+    assert angle == pytest.approx(settled, abs=2e-3 * settled[-1])
 
 
 def test_the_kinds_are_named() -> None:

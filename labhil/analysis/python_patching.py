@@ -1,0 +1,142 @@
+"""Candidates for the repaired file of a simulator in Python.
+
+The starts of its parameters are numbers in its file; forces, lags and the like are in a Python file beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+from labhil.analysis.patch import STEP_DIVISORS, unified_diff
+from labhil.analysis.patch_bench import Candidate
+from labhil.analysis.patch_check import PatchCheck, inertia_felt_by_input, rest_velocity
+from labhil.errors import UsageError
+from labhil.python_file import module_of, object_of
+from labhil.rig import RigFile, default_rig, load_rig
+from labhil.simulators.companion import Usage, sort_effects
+from labhil.simulators.patches import drop_inactive, format_number, with_holding_friction
+from labhil.simulators.python_rates import PythonRates
+from labhil.simulators.python_rollout import PythonRollout
+from labhil.simulators.python_step import PythonStep
+from labhil.simulators.python_text import PythonText
+from labhil.simulators.simulator import Simulator
+from labhil.simulators.stepped import MAX_STEP, JointForce
+
+SUFFIX = ".py"
+
+
+def split_name(into: Path) -> tuple[Path, str] | None:
+    """Split ``bench.py:pendulum`` into file and name; the name is empty where none is given.
+
+    Returns:
+        File and name; None where it is no Python file.
+    """
+    file, _, name = into.name.partition(":")
+    return (into.with_name(file), name) if file.endswith(SUFFIX) else None
+
+
+@dataclass(frozen=True)
+class PythonBench:
+    """A Python file with a simulator, with its rig file.
+
+    Attributes:
+        path: The file.
+        name: The name of the simulator in the file.
+        original: The simulator, so that it can be stepped.
+        rig: The rig file, or a default one.
+    """
+
+    path: Path
+    name: str
+    original: Simulator
+    rig: RigFile
+    run_by: str = "Python"
+
+    @classmethod
+    def read(cls, into: Path, rig_file: Path | None) -> PythonBench:
+        """Run a file and take a simulator from it.
+
+        Raises:
+            UsageError: There is none, or there are several and none is named.
+        """
+        file, name = split_name(into) or (into, "")
+        name = name or _only_simulator(file)
+        original = _stepped(file, name)
+        rig = default_rig(original.name) if rig_file is None else load_rig(rig_file)
+        return cls(file, name, original, rig)
+
+    def check_name(self, out: Path) -> None:
+        """Check that the new file is a Python file by its name."""
+        if out.suffix != SUFFIX:
+            raise UsageError(f"{out}: expected a new file that ends in {SUFFIX}, as {self.path} does")
+
+    def candidates(self, check: PatchCheck, out: Path) -> Iterator[Candidate]:
+        """Yield the file with its starts, then with shorter steps for the forces beside it."""
+        text = PythonText.read(self.path, self.name, self.original.parameters)
+        values = with_holding_friction(check.values)
+        starts = {n: values.pop(n, quantity.start) for n, quantity in self.original.parameters.items()}
+        for name, quantity in self.original.parameters.items():
+            if format_number(starts[name]) != format_number(quantity.start):
+                text.set(name, format_number(starts[name]), f"{name} as identified, {quantity.unit}")
+        remaining = drop_inactive(values)
+        mechanism, numbers = _mechanism(self.original), list(starts.values())
+        inertia = mechanism.inertia(numbers) or inertia_felt_by_input(mechanism, numbers)
+        for divisor in (1, *(STEP_DIVISORS if sort_effects(remaining).has_force else ())):
+            step = min(MAX_STEP, check.dataset.test.period) / divisor
+            yield Candidate(
+                text.changed(),
+                tuple(text.changes),
+                unified_diff(text, out),
+                remaining,
+                self._usage(step),
+                rest_velocity(remaining, step, abs(inertia)),
+                f"steps of 1/{divisor}" if divisor > 1 else "",
+                substeps=divisor,
+            )
+
+    def load(self, draft: Path, candidate: Candidate, force: JointForce | None) -> Simulator:
+        """Load a candidate with the force of its companion."""
+        simulator = _stepped(draft, self.name)
+        added = _mechanism(simulator).added_force
+        added.force, added.substeps = force, candidate.substeps
+        return simulator
+
+    def _usage(self, step: float) -> Usage:
+        """How a simulation with steps of at most ``step`` s calls the companion."""
+        (position, velocity), signal = self.original.states, next(iter(self.original.inputs))
+        force = f"force({position}, {velocity}{{drive}})"
+        inertia = self.original.coordinate.inertia
+        if not inertia:
+            return Usage.of_step(signal, f"{signal} += {force}", step)
+        return Usage.of_step(signal, f"{velocity} += dt * {force} / {inertia}", step)
+
+
+Mechanism = PythonRates | PythonStep | PythonRollout
+
+
+def _only_simulator(file: Path) -> str:
+    """The name of the only simulator of a file."""
+    found = [name for name, value in vars(module_of(file.resolve())).items() if isinstance(value, Simulator)]
+    if len(found) != 1:
+        names = f"{', '.join(found)}: give {file}:{found[0]}" if found else "none"
+        raise UsageError(f"{file}: expected one simulator (what labhil.simulator gives), found {names}")
+    return found[0]
+
+
+def _stepped(file: Path, name: str) -> Simulator:
+    """The simulator of a file; one that fits compile is stepped by Python here."""
+    simulator = object_of(f"{file.name}:{name}", file.parent)
+    if not isinstance(simulator, Simulator):
+        raise UsageError(
+            f"{file}: {name}: expected what labhil.simulator gives, found {type(simulator).__name__}"
+        )
+    if simulator.stepped is not None:
+        return simulator
+    return replace(simulator, stepped=PythonRates(simulator))
+
+
+def _mechanism(simulator: Simulator) -> Mechanism:
+    return cast("Mechanism", simulator.stepped)
