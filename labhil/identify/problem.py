@@ -18,7 +18,7 @@ from labhil.identify.rounding import effective_fractions
 from labhil.identify.window_products import window_products, without_states
 from labhil.identify.windows import noise_at
 from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import BoolArray, FloatArray, IntArray
 
 STATE_STEP = 1e-5
 """Step of the finite differences by initial states, in units of the states' scale."""
@@ -148,6 +148,14 @@ class Problem:
         part.guess = self.guess[chosen]
         return part
 
+    def without_guess(self, windows: Windows) -> Problem:
+        """The same problem on other windows of its record, whose initial states are not guessed."""
+        part = copy(self)
+        part.__dict__.pop("effective_fraction", None)
+        part._set_windows(windows)
+        part.guess = np.empty((0, self.guess.shape[1]))
+        return part
+
     def with_windows(self, windows: Windows) -> Problem:
         """The same problem on other windows of its record."""
         return Problem(self.model, self.record, windows, self.free, self.base, self.sigma)
@@ -222,17 +230,25 @@ class Problem:
             slopes = np.where(uninformative[:, :, None], 0.0, slopes)
         return np.asarray(slopes.reshape(residuals.size, len(keys)))
 
-    def state_slopes(self, point: Point, residuals: FloatArray, step: float = STATE_STEP) -> FloatArray:
+    def state_slopes(
+        self,
+        point: Point,
+        residuals: FloatArray,
+        step: float = STATE_STEP,
+        *,
+        varied: BoolArray | None = None,
+    ) -> FloatArray:
         """Slopes (N·c, S) of the residuals by the initial state of their window, by forward differences.
 
         Args:
             point: Where.
             residuals: (N·c,) those at ``point``.
             step: In units of the states' scale; negative for backward differences.
+            varied: (S,), the states that may vary; the slopes by the others are 0. None for all.
         """
-        by_states = np.empty((residuals.size, point.states.shape[1]))
-        for s, scale in enumerate(self.model.state_scale):
-            states = point.states.copy()
+        by_states = np.zeros((residuals.size, point.states.shape[1]))
+        for s in range(point.states.shape[1]) if varied is None else np.flatnonzero(varied):
+            scale, states = self.model.state_scale[s], point.states.copy()
             states[:, s] += step * scale
             by_states[:, s] = (self.residuals(Point(point.z, states)) - residuals) / step
         return by_states

@@ -17,6 +17,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Point, Problem
 from labhil.identify.projection import ProjectedResiduals
 from labhil.identify.quantiser import converter_step
+from labhil.identify.transitions import Transitions
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray
@@ -42,6 +43,7 @@ class OrderScanOptions:
             in a first scan.
         proposed: number of orders at which fits begin.
         amplitude_in_scales: amplitude of the simulated waves, in scales of their parameters.
+        order_of_constant: an order whose waves are constant over any travel, in its scale.
     """
 
     phase_step_in_rad: float = 2.0
@@ -51,6 +53,7 @@ class OrderScanOptions:
     max_travel_in_spans: float = 5.0
     proposed: int = 3
     amplitude_in_scales: float = 0.1
+    order_of_constant: float = 1e-9
 
 
 def starts_for_added_terms(fitted: Fitted, added: Sequence[str]) -> Starts:
@@ -115,13 +118,8 @@ def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
 
 def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     """Scan all orders of a term."""
-    problem = fitted.problem
-    along = problem.model.coordinates(
-        fitted.theta, problem.record, problem.windows, fitted.solution.point.states
-    )
-    waves = [p for p in term.parameters if p is not order]
-    scan = OrderScan(ProjectedResiduals.of(fitted), order, waves, along[order.waves_over])
-    keys = [p.key for p in waves]
+    scan = OrderScan.of(fitted, term, order)
+    keys = [p.key for p in scan.waves]
     return [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
 
 
@@ -134,6 +132,8 @@ class OrderScan:
         order: the order's parameter.
         waves: parameters of the sine and the cosine.
         coordinate: (N,), the coordinate that the force depends on.
+        transitions: the fit to first order, with the amplitude of the cosine as the unit of force; None where
+            the model remembers more than its states: then each order is simulated.
         options: options of the scan.
     """
 
@@ -141,7 +141,26 @@ class OrderScan:
     order: Parameter
     waves: list[Parameter]
     coordinate: FloatArray
-    options: OrderScanOptions = OrderScanOptions()
+    transitions: Transitions | None
+    options: OrderScanOptions
+
+    @classmethod
+    def of(cls, fitted: Fitted, term: Term, order: Parameter) -> OrderScan:
+        """Prepare a scan.
+
+        Args:
+            fitted: a fit without the term, or with it at zero.
+            term: the periodic term.
+            order: its parameter that is the order.
+        """
+        options, problem, states = OrderScanOptions(), fitted.problem, fitted.solution.point.states
+        along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
+        waves = [p for p in term.parameters if p is not order]
+        constant = _constant_force(fitted, order, waves, options)
+        return cls(
+            ProjectedResiduals.of(fitted), order, waves, along[order.waves_over],
+            Transitions.of(problem, fitted.theta, states, constant), options,
+        )  # fmt: skip
 
     def best(self) -> list[tuple[float, list[float]]]:
         """Find the orders that explain most.
@@ -200,15 +219,7 @@ class OrderScan:
     def _fit_order(self, order: float, *, one_phase: bool) -> tuple[float, list[float]]:
         """Sum of squares that the waves of one order explain, and their amplitudes."""
         unexplained, problem = self.unexplained, self.unexplained.fitted.problem
-        small = self.options.amplitude_in_scales
-        places = index_of(problem.model.parameters)
-        columns = []
-        for wave in self.waves:
-            theta = unexplained.fitted.theta.copy()
-            theta[places[self.order.key]] = order
-            theta[places[wave.key]] = small * wave.scale
-            columns.append(unexplained.residual_change(theta))
-        both = np.column_stack(columns)
+        both = self.responses(order)
         if one_phase:
             both = unexplained.project_out_all(both)
             gram, gradient = (both.T @ both)[None], (both.T @ unexplained.target)[None]
@@ -219,4 +230,34 @@ class OrderScan:
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(len(self.waves)) + 1e-300
         sizes = np.linalg.solve(gram, gradient[:, :, None])[:, :, 0]
         explained = float(np.sum(sizes * gradient))
+        small = self.options.amplitude_in_scales
         return explained, (-small * sizes[0] * [wave.scale for wave in self.waves]).tolist()
+
+    def responses(self, order: float) -> FloatArray:
+        """Changes of the residuals (N·c, 2) by the sine and the cosine of one order."""
+        if self.transitions is not None:
+            return self.transitions.respond(self._mean_waves(order))
+        places, columns = index_of(self.unexplained.fitted.problem.model.parameters), []
+        for wave in self.waves:
+            theta = self.unexplained.fitted.theta.copy()
+            theta[places[self.order.key]] = order
+            theta[places[wave.key]] = self.options.amplitude_in_scales * wave.scale
+            columns.append(self.unexplained.residual_change(theta))
+        return np.column_stack(columns)
+
+    def _mean_waves(self, order: float) -> FloatArray:
+        """Means (N, 2) of sine and cosine over the steps to samples, in units of the cosine's amplitude."""
+        before = np.concatenate([self.coordinate[:1], self.coordinate[:-1]])
+        middle, half = 0.5 * order * (self.coordinate + before), 0.5 * order * (self.coordinate - before)
+        waves = np.column_stack([np.sin(middle), np.cos(middle)]) * np.sinc(half / np.pi)[:, None]
+        return waves * np.array([wave.scale for wave in self.waves]) / self.waves[1].scale
+
+
+def _constant_force(
+    fitted: Fitted, order: Parameter, waves: Sequence[Parameter], options: OrderScanOptions
+) -> FloatArray:
+    """Values of the model's parameters with a cosine so long that it is constant."""
+    theta, places = fitted.theta.copy(), index_of(fitted.problem.model.parameters)
+    theta[places[order.key]] = options.order_of_constant * order.scale
+    theta[places[waves[1].key]] = options.amplitude_in_scales * waves[1].scale
+    return theta

@@ -13,7 +13,7 @@ import numpy as np
 
 from labhil.identify.problem import Point, Problem
 from labhil.physics.model import Model, Record, Windows
-from labhil.signals import FloatArray, IntArray
+from labhil.signals import BoolArray, FloatArray, IntArray
 
 ANGLE_SUFFIX = "_angle"
 """Suffix of the names of states that are periodic in one turn."""
@@ -357,9 +357,9 @@ def _unexplained_windows(problem: Problem, estimate: States, *, max_mean_square:
 
 
 def _improve_states(
-    problem: Problem, z: FloatArray, begin: States, iterations: int, which: np.ndarray | bool = True
+    problem: Problem, z: FloatArray, begin: States, iterations: int, varied: BoolArray | None = None
 ) -> States:
-    """Levenberg and Marquardt's method with one damping per window; states ``which`` (S,) vary.
+    """Levenberg and Marquardt's method with one damping per window; states ``varied`` (S,), or all, vary.
 
     A window is no longer simulated once a step has gained next to nothing, or where none is short enough.
     """
@@ -370,10 +370,10 @@ def _improve_states(
         everywhere = len(active) == len(damping)
         part = problem if everywhere else problem.select_windows(active)
         current = estimate if everywhere else _of_windows(problem, estimate, active)
-        slopes = part.state_slopes(Point(z, current.states), current.residuals) * which
+        slopes = part.state_slopes(Point(z, current.states), current.residuals, varied=varied)
         gram = part.state_gram(slopes, damping[active])
         gradient = part.products(slopes, current.residuals[:, None])
-        step = np.linalg.solve(gram, gradient)[:, :, 0] * which
+        step = np.linalg.solve(gram, gradient)[:, :, 0]
         trial = evaluate(part, z, current.states - step * problem.model.state_scale)
         cost, trial_cost = current.costs(part), trial.costs(part)
         better = trial_cost < cost

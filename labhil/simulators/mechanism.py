@@ -149,6 +149,7 @@ class Mechanism:
             sensor_delay,
         )
         self._smooth = _smooth_model(model, actuation)
+        self._last_smooth: tuple[tuple[float, ...], Any] | None = None
         self.joint_force: JointForce | None = None
 
     @property
@@ -176,9 +177,8 @@ class Mechanism:
     def acceleration_at(self, numbers: Sequence[float]) -> Acceleration:
         """Return the acceleration without friction at the joint, contacts and limits."""
         mujoco, actuation = load_optional("mujoco", PURPOSE), self._actuation
-        # structures are refitted side by side: each thread needs a model and data of its own
-        model = self._with_values(self._smooth, numbers)
-        data = mujoco.MjData(model)
+        model = self._smooth_at(numbers)
+        data = mujoco.MjData(model)  # structures are refitted side by side: each thread needs data of its own
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
             out = np.empty(len(x))
@@ -196,7 +196,7 @@ class Mechanism:
     def inertia(self, numbers: Sequence[float]) -> float:
         """Return the inertia at the joint, kg·m² or kg; infinite where a force does not accelerate it."""
         mujoco = load_optional("mujoco", PURPOSE)
-        model = self._with_values(self._smooth, numbers)
+        model = self._smooth_at(numbers)
         data, accelerations = mujoco.MjData(model), []
         data.qpos[0] = 0.0
         for force in (0.0, 1.0):
@@ -213,6 +213,13 @@ class Mechanism:
         model, (t, u) = self.with_values(numbers), nodes
         nodes = (t + self._sensor_delay, u)
         return roll_out(model, self._actuation, record, nodes, windows, states, self.joint_force)
+
+    def _smooth_at(self, numbers: Sequence[float]) -> Any:
+        """The smooth model with these values, which nobody changes; the last one is kept."""
+        key, last = tuple(numbers), self._last_smooth
+        if last is None or last[0] != key:
+            last = self._last_smooth = (key, self._with_values(self._smooth, numbers))
+        return last[1]
 
     def _with_values(self, model: Any, numbers: Sequence[float]) -> Any:
         mujoco = load_optional("mujoco", PURPOSE)

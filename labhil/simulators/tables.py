@@ -75,10 +75,11 @@ class OperatingRange(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TableShape:
-    """Number of powers of input and velocity that an acceleration needs within a range."""
+    """Numbers of powers of input and velocity, and of cells of the position, that an acceleration needs."""
 
     inputs: int
     velocities: int
+    cells: int
 
     @classmethod
     def of(
@@ -92,8 +93,10 @@ class TableShape:
         max_inputs: int = 7,
         max_velocities: int = 9,
         max_last_power: float = 1e-4,
+        cells: tuple[int, ...] = (1, 10, 20, 40, 80, 160),
+        max_error: float = 1e-5,
     ) -> TableShape:
-        """Determine the powers from samples at a few positions.
+        """Determine the powers from samples at a few positions, and the cells from samples at all.
 
         Args:
             acceleration: The simulator at some values of its parameters.
@@ -104,6 +107,8 @@ class TableShape:
             max_inputs: Most powers of the input.
             max_velocities: Most powers of the velocity.
             max_last_power: Largest share of the last two powers. Larger ones show a corner or a jump.
+            cells: Numbers of cells to try, each of which divides the last.
+            max_error: Largest error of the spline over the position, relative to the acceleration's size.
 
         Returns:
             The shape.
@@ -123,7 +128,12 @@ class TableShape:
                     "with a corner or a jump; leave dry friction, dead zones and limits to the effects that "
                     "are offered (`labhil terms`)"
                 )
-        return cls(_count_needed(by_input, rounding), _count_needed(by_velocity, rounding))
+        inputs, velocities = _count_needed(by_input, rounding), _count_needed(by_velocity, rounding)
+        x = np.linspace(where.x_low, where.x_high, cells[-1] + 1)
+        accelerations = _sample(acceleration, x, where, inputs, velocities)
+        allowed = max(max_error, rounding) * size
+        enough = [n for n in cells if _error_of_cells(x, accelerations, cells[-1] // n) <= allowed]
+        return cls(inputs, velocities, min(enough))
 
 
 def fill_table(
@@ -131,17 +141,14 @@ def fill_table(
     where: OperatingRange,
     shape: TableShape,
     clip: tuple[float, float],
-    *,
-    cells: int = 160,
 ) -> Table:
     """Sample the acceleration and fit splines over the position.
 
     Args:
         acceleration: The simulator at some values of its parameters.
         where: Range of the table.
-        shape: Powers of input and velocity.
+        shape: Powers of input and velocity, and cells of the position.
         clip: Limits of the input.
-        cells: Number of cells of the position.
 
     Returns:
         The table.
@@ -149,7 +156,7 @@ def fill_table(
     Raises:
         UsageError: An acceleration is not finite.
     """
-    x = np.linspace(where.x_low, where.x_high, cells + 1)
+    cells, x = shape.cells, np.linspace(where.x_low, where.x_high, shape.cells + 1)
     accelerations = _sample(acceleration, x, where, shape.inputs, shape.velocities)
     powers = np.einsum(
         "ia,jb,xab->xij", _to_powers(shape.inputs), _to_powers(shape.velocities), accelerations, optimize=True
@@ -181,6 +188,12 @@ def _sample(
             f"{where.u_low:.4g} to {where.u_high:.4g}"
         )
     return accelerations
+
+
+def _error_of_cells(x: FloatArray, accelerations: FloatArray, stride: int) -> float:
+    """Largest error of the spline through every so many positions, at all of them."""
+    spline = CubicSpline(x[::stride], accelerations[::stride], axis=0)
+    return float(np.max(np.abs(spline(x) - accelerations)))
 
 
 def _chebyshev_points(count: int) -> FloatArray:

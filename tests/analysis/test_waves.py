@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from labhil.identify.fit import Options, fit
 from labhil.identify.fitted import Fitted, fit_terms
-from labhil.identify.waves import starts_for_added_terms
+from labhil.identify.waves import OrderScan, starts_for_added_terms
 from labhil.identify.windows import noise_of
+from labhil.physics.model import index_of
 from labhil.physics.rigs import rig_model
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -44,6 +47,37 @@ def test_an_order_that_nobody_knows_is_among_the_starts(kind, orders):
         starts = starts_for_added_terms(without_waves(kind, found), ["cogging_torque"])
         proposed = [values["cogging_torque.order"] for values in starts]
         assert min(abs(k - order) for k in proposed) < 0.03 * order, proposed
+
+
+def scan_of(fitted: Fitted) -> OrderScan:
+    """A scan over the orders of a fit, and the same with each order simulated."""
+    term = fitted.problem.model.terms["cogging_torque"]
+    assert term.order is not None
+    return OrderScan.of(fitted, term, term.order)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("kind, orders", [("dc_motor", (1.5, 16.4)), ("axis", (70.0, 431.0))])
+def test_a_response_is_the_one_that_is_simulated(kind, orders):
+    """With dry friction among the terms, and rests: to first order in the wave, whose size is 0.1 scales."""
+    fitted = without_waves(kind, recorded(kind, 7.0 if kind == "dc_motor" else 331.0, 3))
+    fast = scan_of(fitted)
+    assert fast.transitions is not None
+    slow = replace(fast, transitions=None)
+    for order in orders:
+        simulated = slow.responses(order)
+        error = np.linalg.norm(fast.responses(order) - simulated) / np.linalg.norm(simulated)
+        assert error < 0.1
+
+
+@pytest.mark.extended
+def test_a_model_that_remembers_more_than_its_states_is_simulated():
+    """A lag of the sensor begins anew with each window, and so with each step."""
+    fitted = without_waves("axis", recorded("axis", 331.0, 3))
+    theta = fitted.theta.copy()
+    theta[index_of(fitted.problem.model.parameters)["sensor_lag.time_constant"]] = 0.02
+    assert scan_of(fitted).transitions is not None
+    assert scan_of(replace(fitted, theta=theta)).transitions is None
 
 
 @pytest.mark.extended

@@ -189,7 +189,7 @@ def compute_responses(
     target = solution.residuals - _explained_part(fitted, present)
     unplaced = [variant for local in present for variant in _with_smoothness(problem, local, options)]
     absent_terms = [key for key in data.model.terms if key not in fitted.terms] if absent is None else absent
-    unplaced += _all_absent_variants(data.model, fitted, lin, absent_terms, options)
+    unplaced += _all_absent_variants(fitted, lin, absent_terms, options)
     for curve in curves:
         columns = tuple(_Response("", 1.0, False, False, column) for column in curve.columns.T)
         unplaced += _curve_variants(_UnplacedVariant(curve.name, {}, columns), curve.roughness, options)
@@ -211,14 +211,11 @@ def compute_responses(
 
 
 def _all_absent_variants(
-    model: Model, fitted: Fitted, lin: Linearised, absent: Sequence[str], options: ResponseOptions
+    fitted: Fitted, lin: Linearised, absent: Sequence[str], options: ResponseOptions
 ) -> list[_UnplacedVariant]:
     """All variants of the terms that the fit lacks, in the order of the terms."""
-    # a term that is periodic along a coordinate takes hundreds of simulations; the others run in parallel
-    longest_first = sorted(absent, key=lambda key: model.terms[key].order is None)
-    of_terms = side_by_side(partial(_absent_variants, fitted, lin, options), longest_first)
-    by_term = dict(zip(longest_first, of_terms, strict=True))
-    return [variant for key in absent for variant in by_term[key]]
+    of_terms = side_by_side(partial(_absent_variants, fitted, lin, options), absent)
+    return [variant for variants in of_terms for variant in variants]
 
 
 def _place(unplaced: Sequence[_UnplacedVariant]) -> dict[str, list[Variant]]:
