@@ -1,6 +1,7 @@
 /* A pendulum as an FMU, FMI 2 (-DFMI=2) and FMI 3 (-DFMI=3): model exchange and co-simulation.
  *
  * The FMU under test, written against the standard's headers alone. Co-simulation makes Euler's steps of 0.1 ms.
+ * -DSTARTS are the starts of the variables in the order of their value references; the rates start at 0.
  * -DDRY adds Coulomb friction with a state event, which a table of accelerations cannot hold.
  */
 #include <math.h>
@@ -30,7 +31,7 @@ enum { ANGLE, RATE, TORQUE, INERTIA, GRAVITY, DRAG, WIDTH, START, RATE_OF_ANGLE,
 typedef struct { double v[COUNT]; int is_placed; } Rod;
 
 static void reset(Rod *rod) {
-    const double starts[COUNT] = {0.0, 0.0, 0.0, 0.02, 0.5, 0.01, 0.3, 0.1, 0.0, 0.0};
+    const double starts[COUNT] = {STARTS};
     memcpy(rod->v, starts, sizeof starts);
     rod->is_placed = 0;
 }

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import fmpy
@@ -34,20 +35,35 @@ CLOCK = '<Float64 name="time" valueReference="99" causality="independent" variab
 DERIVATIVES = ("der(angle)", "der(rate)")
 
 
-def built(folder: Path, *, version: int, kinds: str = "me cs", dry: bool = False, **changes: str) -> Path:
-    """An FMU in a folder; ``changes`` replace texts of its description, by name of a variable."""
+Variable = tuple[str, str, str, str, str, str]
+
+
+def built(
+    folder: Path,
+    *,
+    version: int,
+    kinds: str = "me cs",
+    dry: bool = False,
+    variables: Sequence[Variable] = VARIABLES,
+    **changes: str,
+) -> Path:
+    """An FMU in a folder; ``changes`` replace names of its description.
+
+    ``variables`` may have other names, units and starts than those of the pendulum, in the same order.
+    """
     tree = folder / f"fmi{version}"
     platform = fmpy.platform if version == 2 else fmpy.platform_tuple
     binaries = tree / "binaries" / platform
     binaries.mkdir(parents=True, exist_ok=True)
     library = binaries / f"rod{fmpy.sharedLibraryExtension}"
-    flags = [f"-DFMI={version}", *(["-DDRY"] if dry else [])]
+    starts = ", ".join(start for _, _, _, start, *_ in variables)
+    flags = [f"-DFMI={version}", f"-DSTARTS={starts}", *(["-DDRY"] if dry else [])]
     rest = tree / "rest.c"
     rest.write_text(_rest(version), encoding="utf-8")
     sources = [str(SOURCE), str(rest)]
     command = ["cc", "-O2", "-shared", "-fPIC", f"-I{HEADERS}", *flags, *sources, "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
-    text = (_second if version == 2 else _third)(kinds.split(), events=int(dry))
+    text = (_second if version == 2 else _third)(kinds.split(), variables, events=int(dry))
     for old, new in changes.items():
         assert f'name="{old}"' in text
         text = text.replace(f'name="{old}"', f'name="{new}"')
@@ -65,47 +81,47 @@ def _rest(version: int) -> str:
     return "".join(f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n" for name in sorted(names))
 
 
-def _units() -> str:
-    names = dict.fromkeys(v[4] for v in VARIABLES)
+def _units(variables: Sequence[Variable]) -> str:
+    names = dict.fromkeys(v[4] for v in variables)
     return "<UnitDefinitions>" + "".join(f'<Unit name="{name}"/>' for name in names) + "</UnitDefinitions>"
 
 
-def _second(kinds: list[str], *, events: int) -> str:
+def _second(kinds: list[str], variables: Sequence[Variable], *, events: int) -> str:
     means = {"me": "ModelExchange", "cs": "CoSimulation"}
-    variables = "".join(
+    described = "".join(
         f'<ScalarVariable name="{name}" valueReference="{k}" causality="{causality}" '
         f'variability="{variability}"{_initial(causality)}><Real start="{start}" unit="{unit}" {more}/>'
         "</ScalarVariable>"
-        for k, (name, causality, variability, start, unit, more) in enumerate(VARIABLES)
+        for k, (name, causality, variability, start, unit, more) in enumerate(variables)
     ) + "".join(
-        f'<ScalarVariable name="{name}" valueReference="{len(VARIABLES) + k}" causality="local" '
+        f'<ScalarVariable name="{name}" valueReference="{len(variables) + k}" causality="local" '
         f'variability="continuous" initial="calculated"><Real derivative="{k + 1}"/></ScalarVariable>'
         for k, name in enumerate(DERIVATIVES)
     )
-    first = len(VARIABLES) + 1
+    first = len(variables) + 1
     indices = "".join(f'<Unknown index="{first + k}"/>' for k in range(2))
     return (
         '<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="2.0" modelName="rod" '
         f'guid="{{rod}}" numberOfEventIndicators="{events}">'
         + "".join(f'<{means[kind]} modelIdentifier="rod"/>' for kind in kinds)
-        + f"{_units()}<ModelVariables>{variables}</ModelVariables><ModelStructure><Outputs>"
+        + f"{_units(variables)}<ModelVariables>{described}</ModelVariables><ModelStructure><Outputs>"
         f'<Unknown index="1"/></Outputs><Derivatives>{indices}</Derivatives><InitialUnknowns>{indices}'
         "</InitialUnknowns></ModelStructure></fmiModelDescription>"
     )
 
 
-def _third(kinds: list[str], *, events: int) -> str:
+def _third(kinds: list[str], variables: Sequence[Variable], *, events: int) -> str:
     means = {"me": "ModelExchange", "cs": "CoSimulation"}
-    variables = "".join(
+    described = "".join(
         f'<Float64 name="{name}" valueReference="{k}" causality="{causality}" '
         f'variability="{variability}"{_initial(causality)} start="{start}" unit="{unit}" {more}/>'
-        for k, (name, causality, variability, start, unit, more) in enumerate(VARIABLES)
+        for k, (name, causality, variability, start, unit, more) in enumerate(variables)
     ) + "".join(
-        f'<Float64 name="{name}" valueReference="{len(VARIABLES) + k}" causality="local" '
+        f'<Float64 name="{name}" valueReference="{len(variables) + k}" causality="local" '
         f'variability="continuous" initial="calculated" derivative="{k}"/>'
         for k, name in enumerate(DERIVATIVES)
     )
-    first = len(VARIABLES)
+    first = len(variables)
     unknown = "".join(
         f'<{what} valueReference="{first + k}"/>'
         for what in ("ContinuousStateDerivative", "InitialUnknown")
@@ -116,7 +132,7 @@ def _third(kinds: list[str], *, events: int) -> str:
         '<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="3.0" modelName="rod" '
         'instantiationToken="{rod}">'
         + "".join(f'<{means[kind]} modelIdentifier="rod"/>' for kind in kinds)
-        + f"{_units()}<ModelVariables>{variables}{CLOCK}</ModelVariables><ModelStructure>"
+        + f"{_units(variables)}<ModelVariables>{described}{CLOCK}</ModelVariables><ModelStructure>"
         f'<Output valueReference="0"/>{unknown}</ModelStructure></fmiModelDescription>'
     )
 

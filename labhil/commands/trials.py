@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from labhil.campaign.trials.card import ScoreCard
 
 FIRST = "Number of the first trial, where earlier trials of the seed are known already."
-METHOD = "diagnose, or stepwise (forward selection by the extended BIC, for comparison)."
+METHOD = (
+    "diagnose, stepwise (forward selection by the extended BIC, for comparison), or a diagnosis with your "
+    "own simulator of the rig: bench.py:cart, cart.xml, cart.fmu."
+)
 
 
 def add_trials(app: typer.Typer) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from itertools import count as count_up
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from labhil.campaign.trials.answer import Answer, TrueEffect
 from labhil.campaign.trials.bench import bench_of
 from labhil.campaign.trials.card import make_score_card, reliability_bins
 from labhil.campaign.trials.compose import compose_trial, record_secret
-from labhil.campaign.trials.folder import read_index
+from labhil.campaign.trials.folder import Results, read_index
 from labhil.campaign.trials.judge import judge
 from labhil.campaign.trials.make import TrialSetOptions, answers_beside, make_trial, make_trials
 from labhil.campaign.trials.noise import TrueNoise
@@ -38,6 +39,7 @@ from labhil.recording.reader import read_recording
 from labhil_benchmarks.trials.calibrate import claimed_in
 from labhil_benchmarks.trials.stepwise import log_ways
 
+SIMULATORS = Path(__file__).parents[2] / "benchmarks" / "simulators"
 NOTHING = {
     "schema": "labhil.diagnosis/1",
     "verdict": "no_mismatch",
@@ -237,6 +239,26 @@ def test_methods_answer_the_same_trials_beside_each_other(listed_set, here):
     assert score_trials(folder, answers, silent, "stepwise").false_alarms == Proportion(0, 2)
     with pytest.raises(UnknownNameError, match="--method"):
         run_trials(folder, 1, silent, "guess")
+
+
+def test_each_simulator_has_results_of_its_own(tmp_path):
+    names = [Results(tmp_path, f"sims/{name}").name for name in ("cart.py:cart", "cart.xml", "cart.fmu")]
+    assert names == ["results-cart.py-cart", "results-cart.xml", "results-cart.fmu"]
+    with pytest.raises(UnknownNameError, match="--method"):
+        Results(tmp_path, "cart.py")
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("simulator", ["cart.py:cart", pytest.param("cart.xml", marks=pytest.mark.long)])
+def test_a_simulator_of_a_users_own_names_what_is_concealed(tmp_path, simulator):
+    folder = tmp_path / "set"
+    options = TrialSetOptions("axis", 1, "1", folder, answers_beside(folder), 4)
+    make_trials(options, 1, silent)
+    method = str(SIMULATORS / simulator)
+    run_trials(folder, 1, silent, method)
+    card = score_trials(folder, options.answers, silent, method)
+    assert (card.trials, card.failures) == (1, 0)
+    assert sum(card.confusion.values()) == 1
 
 
 def test_the_extended_criterion_counts_the_ways_to_choose():

@@ -11,13 +11,15 @@ from typing import Any
 from labhil.campaign.trials.seal import sha256_of
 from labhil.documents import parse_json, read_document
 from labhil.errors import UnknownNameError, UsageError
+from labhil.rig import is_simulator
 
 SCHEMA = "labhil.trials/1"
 INDEX = "trials.json"
 RIG = "rig.toml"
 DIAGNOSE, STEPWISE = "diagnose", "stepwise"
 METHODS = (DIAGNOSE, STEPWISE)
-"""How trials may be answered: by a diagnosis, or by what it is compared with."""
+"""How trials may be answered, beside a diagnosis with a user's own simulator: by a diagnosis with labhil's
+model, or by what it is compared with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +112,8 @@ def write_text_atomically(path: Path, text: str) -> None:
 class Results:
     """The results of one method in a folder of trials, and their hashes.
 
+    The method is one of ``METHODS``, or names a simulator (``bench.py:cart``, ``cart.xml``, ``cart.fmu``).
+
     Raises:
         UnknownNameError: there is no such method.
     """
@@ -118,13 +122,14 @@ class Results:
     method: str = DIAGNOSE
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
+        if self.method not in METHODS and not is_simulator(self.method):
             raise UnknownNameError("--method", self.method, METHODS)
 
     @property
     def name(self) -> str:
         """The name of their folder."""
-        return "results" if self.method == DIAGNOSE else f"results-{self.method}"
+        short = Path(self.method).name.replace(":", "-")
+        return "results" if self.method == DIAGNOSE else f"results-{short}"
 
     @property
     def hashes(self) -> Path:

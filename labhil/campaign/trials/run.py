@@ -32,6 +32,9 @@ from labhil.campaign.trials.folder import (
 )
 from labhil.campaign.trials.seal import sha256_of
 from labhil.errors import UsageError
+from labhil.physics.rigs import rig_model
+from labhil.recording.metadata import read_rig_kinds
+from labhil.rig import simulator_rig
 
 SCHEMA = "labhil.diagnosis/1"
 Progress = Callable[[str], None]
@@ -44,7 +47,7 @@ def run_trials(folder: Path, jobs: int, progress: Progress, method: str = DIAGNO
         folder: a folder of ``labhil trial make``.
         jobs: number of processes.
         progress: is called with a line of text after each trial.
-        method: one of ``METHODS``.
+        method: one of ``METHODS``, or a user's own simulator of the rig, as ``--simulator`` takes it.
 
     Returns:
         SHA-256 of the file of all hashes.
@@ -128,10 +131,7 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
     began = time.perf_counter()
     try:
         search, test = (recording_path(folder, name, role) for role in ("search", "test"))
-        dataset = load_dataset(search, test_path=test)
-        result: dict[str, Any] = (
-            _stepwise().stepwise_study(dataset) if method == STEPWISE else diagnose_study(dataset).json
-        )
+        result = _answer(search, test, method)
     except Exception as error:  # noqa: BLE001 - any failure is counted, and the other trials are diagnosed
         return {
             "schema": SCHEMA,
@@ -143,3 +143,15 @@ def diagnose_trial(folder: Path, name: str, method: str = DIAGNOSE) -> dict[str,
             "seconds": time.perf_counter() - began,
         }
     return result
+
+
+def _answer(search: Path, test: Path, method: str) -> dict[str, Any]:
+    """Answer one trial by a method, as JSON data."""
+    if method == STEPWISE:
+        answer: dict[str, Any] = _stepwise().stepwise_study(load_dataset(search, test_path=test))
+        return answer
+    if method == DIAGNOSE:
+        return diagnose_study(load_dataset(search, test_path=test)).json
+    (kind,) = read_rig_kinds(search).values()
+    dataset = load_dataset(search, simulator_rig(method), test_path=test)
+    return diagnose_study(dataset, baseline=rig_model(kind or "").baseline).json

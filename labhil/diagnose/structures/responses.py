@@ -22,7 +22,7 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.least_squares import Solution
 from labhil.identify.problem import Linearised, Problem
 from labhil.identify.waves import starts_for_added_terms
-from labhil.physics.model import Model, index_of, terms_named
+from labhil.physics.model import index_of, terms_named
 from labhil.physics.terms import Parameter
 from labhil.signals import BoolArray, FloatArray
 
