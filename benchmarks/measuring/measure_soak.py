@@ -57,6 +57,7 @@ rig = "KIND.toml"
 twin = { seed = 1 }
 """
 COMMANDS_EVERY = 0.02
+HOLDER = "soak"
 LOOK_EVERY = 2.0
 SETTLED = 60.0
 """Memory is compared with what it was after so many s, once buffers are filled."""
@@ -242,10 +243,16 @@ class Mover:
         self._tokens: dict[str, str] = {}
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
+        self.taken = dict.fromkeys((rig.kind for rig in RIGS), 0)
         for rig in RIGS:  # each moves from then on: a lease that is not used runs out
-            request = {"action": "take", "holder": "soak"}
-            answer = ask(bus, command_key(rig.kind, "lease"), request, patience=PATIENCE)
-            self._tokens[rig.kind] = str(answer["token"])
+            self.take(rig.kind)
+
+    def take(self, device: str) -> None:
+        """Take the lease of a device: it ran out where a busy machine held up this program for too long."""
+        request = {"action": "take", "holder": HOLDER}
+        answer = ask(self._bus, command_key(device, "lease"), request, patience=PATIENCE)
+        self._tokens[device] = str(answer["token"])
+        self.taken[device] += 1
 
     def close(self) -> None:
         self._over.set()
@@ -262,13 +269,15 @@ class Mover:
                 publish_command(self._bus, setpoint_key(rig.kind), setpoint.to_bytes())
 
 
-def time_answers(bus: Bus) -> list[float]:
-    """How long each host takes to answer the question for its state, s."""
+def time_answers(bus: Bus, mover: Mover) -> list[float]:
+    """How long each host takes to answer the question for its state, s; a lost lease is taken again."""
     took = []
     for rig in RIGS:
         asked = time.perf_counter()
-        ask(bus, command_key(rig.kind, "status"))
+        status = ask(bus, command_key(rig.kind, "status"))
         took.append(time.perf_counter() - asked)
+        if status["holder"] != HOLDER:
+            mover.take(rig.kind)
     return took
 
 
@@ -288,11 +297,12 @@ def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: P
         while time.monotonic() - meter.began < seconds:
             time.sleep(LOOK_EVERY)
             meter.look()
-            answers.append(time_answers(bus))
+            answers.append(time_answers(bus, mover))
             load.append(os.getloadavg()[0])
         # numbers of processes that are gone would be missing, so results are counted while all is up
     return {
         "processes": {role: summarise_usage(usage, seconds) for role, usage in sorted(meter.usage.items())},
+        "leases_taken": mover.taken,
         "answers_of_hosts_ms": in_parts(np.array(answers)),
         "recordings": {rig.kind: summarise_recordings(folder, rig.kind) for rig in RIGS},
         "results": {kind: len(list(folder.glob(f"*.{kind}.json"))) for kind in ("fit", "diagnosis")},
