@@ -20,6 +20,7 @@ from fmpy.fmi3 import FMU3Model, FMU3Slave
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SOURCE = Path(__file__).parent / "pendulum.c"
 
+Variable = tuple[str, str, str, str, str, str]
 # name, causality, variability, start, unit, more attributes, in the order of the value references
 VARIABLES = (
     ("angle", "output", "continuous", "0", "rad", ""),
@@ -33,9 +34,6 @@ VARIABLES = (
 )
 CLOCK = '<Float64 name="time" valueReference="99" causality="independent" variability="continuous"/>'
 DERIVATIVES = ("der(angle)", "der(rate)")
-
-
-Variable = tuple[str, str, str, str, str, str]
 
 
 def built(

@@ -20,10 +20,12 @@ from labhil.analysis.patch import (
     Attempt,
     Joint,
     Patch,
+    companion_path,
     temporary_files,
     unified_diff,
     write_patched,
 )
+from labhil.analysis.patch_bench import StatedNames
 from labhil.analysis.patch_source import PatchSource
 from labhil.errors import UsageError
 from labhil.identify.score import Score, score
@@ -31,7 +33,7 @@ from labhil.identify.windows import noise_of
 from labhil.physics.model import index_of, start_values
 from labhil.physics.terms import keyed
 from labhil.python_file import module_of
-from labhil.rig import RigFile, default_rig, load_rig
+from labhil.rig import RigFile
 from labhil.simulators.arm import TORQUE, ArmFileModel, ArmSimulator, arm_simulator
 from labhil.simulators.arm_companion import ArmCompanion
 from labhil.simulators.arm_patches import ROTOR, PatchedArm, patch_arm
@@ -58,10 +60,9 @@ class ArmBench:
     @classmethod
     def read(cls, into: Path, rig_file: Path | None) -> ArmBench:
         """Read a file with the signal names of a rig file, or with its own."""
-        rig = None if rig_file is None else load_rig(rig_file)
-        outputs = None if rig is None or rig.model is None else rig.model.outputs
-        simulator = arm_simulator(into, None, outputs, "" if rig is None else rig.kind.name)
-        return cls(into, simulator, rig or default_rig(simulator.name))
+        stated = StatedNames.read(rig_file)
+        simulator = arm_simulator(into, None, stated.outputs, stated.name)
+        return cls(into, simulator, stated.rig_of(simulator.name))
 
     def constants(self, model: ArmFileModel, theta: np.ndarray) -> list[float] | None:
         """Return the torque constants, N·m/A; None where torques are measured."""
@@ -100,7 +101,7 @@ def repair_arm(
     progress("scoring the diagnosed model on the held-out data")
     promised = _score(model, theta, dataset)
     _check_stated_errors(into, source, promised)
-    code = out.with_name(f"{out.stem}_effects.py")
+    code = companion_path(out)
     before = _run(bench, model, into, _companion_without_effects(bench, model, theta), dataset, into)
     attempts: list[Attempt] = []
     for remedy in ("", FIRM_FRICTION):

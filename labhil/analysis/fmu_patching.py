@@ -9,17 +9,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from labhil.analysis.patch import STEP_DIVISORS, unified_diff
-from labhil.analysis.patch_bench import Candidate
+from labhil.analysis.patch import unified_diff
+from labhil.analysis.patch_bench import Candidate, StatedNames, check_suffix, finer_steps
 from labhil.analysis.patch_check import PatchCheck, inertia_felt_by_input, rest_velocity
-from labhil.errors import UsageError
-from labhil.rig import RigFile, default_rig, load_rig
-from labhil.rig_sections import ModelSection
-from labhil.simulators.companion import Usage, sort_effects
+from labhil.rig import RigFile
+from labhil.simulators.companion import Usage
 from labhil.simulators.fmu import Mechanism, fmu_simulator
 from labhil.simulators.fmu_patches import DESCRIPTION, patch_fmu, read_description, with_description
 from labhil.simulators.simulator import Simulator
-from labhil.simulators.stepped import MAX_STEP, JointForce
+from labhil.simulators.stepped import JointForce
 
 FMU_SUFFIX = ".fmu"
 
@@ -32,27 +30,25 @@ class FmuBench:
         path: The FMU.
         original: The FMU as it was read.
         rig: The rig file, or a default one.
-        section: Its ``[model]``; None without a rig file.
+        stated: The names that the rig file states.
     """
 
     path: Path
     original: Simulator
     rig: RigFile
-    section: ModelSection | None
+    stated: StatedNames
     run_by: str = "the FMU"
 
     @classmethod
     def read(cls, path: Path, rig_file: Path | None) -> FmuBench:
         """Read an FMU with the signal names of a rig file, or with its own."""
-        rig = None if rig_file is None else load_rig(rig_file)
-        section = None if rig is None else rig.model
-        simulator = _read(path, section, "" if rig is None else rig.kind.name)
-        return cls(path, simulator, rig or default_rig(simulator.name), section)
+        stated = StatedNames.read(rig_file)
+        simulator = _read(path, stated, stated.name)
+        return cls(path, simulator, stated.rig_of(simulator.name), stated)
 
     def check_name(self, out: Path) -> None:
         """Check that the new file is an FMU by its name."""
-        if out.suffix != FMU_SUFFIX:
-            raise UsageError(f"{out}: expected a new file that ends in {FMU_SUFFIX}, as {self.path} does")
+        check_suffix(out, self.path)
 
     def candidates(self, check: PatchCheck, out: Path) -> Iterator[Candidate]:
         """Yield the FMU with its starts, then with shorter steps for the forces beside it."""
@@ -63,23 +59,22 @@ class FmuBench:
         diff = unified_diff(text, out / DESCRIPTION, by_element=True)
         values = [check.values.get(name, start) for name, start in starts.items()]
         inertia = inertia_felt_by_input(self._mechanism(self.original), values)
-        for divisor in (1, *(STEP_DIVISORS if sort_effects(patched.remaining).has_force else ())):
-            step = min(MAX_STEP, check.dataset.test.period) / divisor
+        for steps in finer_steps(patched.remaining, check.dataset.test.period):
             yield Candidate(
                 content,
                 tuple(text.changes),
                 diff,
                 patched.remaining,
-                self._usage(step),
-                rest_velocity(patched.remaining, step, inertia),
-                f"steps of 1/{divisor}" if divisor > 1 else "",
+                self._usage(steps.length),
+                rest_velocity(patched.remaining, steps.length, inertia),
+                steps.remedy,
                 patched.starts,
-                substeps=divisor,
+                substeps=steps.divisor,
             )
 
     def load(self, draft: Path, candidate: Candidate, force: JointForce | None) -> Simulator:
         """Load a candidate with the force of its companion."""
-        simulator = _read(draft, self.section, self.original.name)
+        simulator = _read(draft, self.stated, self.original.name)
         added = self._mechanism(simulator).added_force
         added.force, added.substeps = force, candidate.substeps
         return simulator
@@ -101,7 +96,5 @@ class FmuBench:
         return mechanism
 
 
-def _read(path: Path, section: ModelSection | None, name: str) -> Simulator:
-    if section is None:
-        return fmu_simulator(path)
-    return fmu_simulator(path, inputs=section.inputs, outputs=section.outputs, name=name)
+def _read(path: Path, stated: StatedNames, name: str) -> Simulator:
+    return fmu_simulator(path, inputs=stated.inputs, outputs=stated.outputs, name=name)

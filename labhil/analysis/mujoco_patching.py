@@ -8,10 +8,9 @@ from functools import cached_property
 from pathlib import Path
 
 from labhil.analysis.patch import FIRM_FRICTION, STEP_DIVISORS, unified_diff
-from labhil.analysis.patch_bench import Candidate
+from labhil.analysis.patch_bench import Candidate, StatedNames
 from labhil.analysis.patch_check import PatchCheck, rest_velocity
-from labhil.rig import RigFile, default_rig, load_rig
-from labhil.rig_sections import ModelSection
+from labhil.rig import RigFile
 from labhil.simulators.companion import Usage
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.mjcf_file import MechanismFile
@@ -30,22 +29,21 @@ class MujocoBench:
         path: The file.
         described: The file's mechanism and signals.
         rig: The rig file, or a default one.
-        section: Its ``[model]``; None without a rig file.
+        stated: The names that the rig file states.
     """
 
     path: Path
     described: MechanismFile
     rig: RigFile
-    section: ModelSection | None
+    stated: StatedNames
     run_by: str = "MuJoCo"
 
     @classmethod
     def read(cls, path: Path, rig_file: Path | None) -> MujocoBench:
         """Read a file with the signal names of a rig file, or with its own."""
-        rig = None if rig_file is None else load_rig(rig_file)
-        section = None if rig is None else rig.model
-        described = _describe(path, section, "" if rig is None else rig.kind.name)
-        return cls(path, described, rig or default_rig(described.simulator.name), section)
+        stated = StatedNames.read(rig_file)
+        described = read_mechanism(path, stated.inputs, stated.outputs, stated.name)
+        return cls(path, described, stated.rig_of(described.simulator.name), stated)
 
     @property
     def original(self) -> Simulator:
@@ -75,7 +73,7 @@ class MujocoBench:
 
     def load(self, draft: Path, candidate: Candidate, force: JointForce | None) -> Simulator:
         """Load a candidate with the force of its companion."""
-        described = _describe(draft, self.section, self.original.name)
+        described = read_mechanism(draft, self.stated.inputs, self.stated.outputs, self.original.name)
         if candidate.firm:
             stiffen_model_friction(described.model, described.mechanism.timestep)
         if force is not None:
@@ -104,9 +102,3 @@ class MujocoBench:
             firm=patched.needs_firm_friction,
             substeps=patched.substeps,
         )
-
-
-def _describe(file: Path, section: ModelSection | None, name: str) -> MechanismFile:
-    """Read a file with the signal names of a rig file's section, or with its own."""
-    inputs, outputs = (None, None) if section is None else (section.inputs, section.outputs)
-    return read_mechanism(file, inputs, outputs, name)

@@ -102,6 +102,11 @@ class Patch:
         }
 
 
+def companion_path(out: Path) -> Path:
+    """Return the path of the companion of a repaired file."""
+    return out.with_name(f"{out.stem}_effects.py")
+
+
 @contextmanager
 def temporary_files(out: Path) -> Iterator[tuple[Path, Path]]:
     """Yield temporary names beside ``out`` for a file and its companion, and delete both files at the end.

@@ -4,15 +4,81 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+from labhil.analysis.patch import STEP_DIVISORS
 from labhil.analysis.patch_check import PatchCheck
-from labhil.rig import RigFile
+from labhil.errors import UsageError
+from labhil.rig import RigFile, default_rig, load_rig
 from labhil.simulators.companion import SortedEffects, Usage, companion_text, sort_effects
 from labhil.simulators.simulator import Simulator
-from labhil.simulators.stepped import JointForce
+from labhil.simulators.stepped import MAX_STEP, JointForce
 from labhil.simulators.xml_text import Change
+
+
+class StatedNames(NamedTuple):
+    """What a rig file states of a simulator's signals; None, and an empty name, where there is no rig file.
+
+    Attributes:
+        rig: The rig file.
+        inputs: Names in the simulator's file by recorded input.
+        outputs: Names in the simulator's file by recorded output.
+        name: The rig kind.
+    """
+
+    rig: RigFile | None
+    inputs: Mapping[str, str] | None
+    outputs: Mapping[str, str] | None
+    name: str
+
+    @classmethod
+    def read(cls, rig_file: Path | None) -> StatedNames:
+        """Read a rig file, where there is one."""
+        if rig_file is None:
+            return cls(None, None, None, "")
+        rig = load_rig(rig_file)
+        if rig.model is None:
+            return cls(rig, None, None, rig.kind.name)
+        return cls(rig, rig.model.inputs, rig.model.outputs, rig.kind.name)
+
+    def rig_of(self, name: str) -> RigFile:
+        """Return the rig file, or a default one for the simulator of this name."""
+        return self.rig or default_rig(name)
+
+
+class FinerSteps(NamedTuple):
+    """Steps of a simulation under a force: their length in s, and by what it is divided."""
+
+    length: float
+    divisor: int
+
+    @property
+    def remedy(self) -> str:
+        """What was done, for a message; empty for nothing."""
+        return f"steps of 1/{self.divisor}" if self.divisor > 1 else ""
+
+
+def finer_steps(remaining: Mapping[str, float], period: float) -> Iterator[FinerSteps]:
+    """Yield the steps in which a simulator is tried whose user steps it: finer ones only where forces act.
+
+    Args:
+        remaining: Values of the effects of its companion.
+        period: Sampling period of the data, s.
+    """
+    for divisor in (1, *(STEP_DIVISORS if sort_effects(remaining).has_force else ())):
+        yield FinerSteps(min(MAX_STEP, period) / divisor, divisor)
+
+
+def check_suffix(out: Path, path: Path) -> None:
+    """Check that a new file ends as the old one does.
+
+    Raises:
+        UsageError: It does not.
+    """
+    if out.suffix != path.suffix:
+        raise UsageError(f"{out}: expected a new file that ends in {path.suffix}, as {path} does")
 
 
 @dataclass(frozen=True)
@@ -43,7 +109,7 @@ class Candidate:
     firm: bool = False
     substeps: int = 1
 
-    @property
+    @cached_property
     def effects(self) -> SortedEffects:
         """The remaining effects by the place where they act."""
         return sort_effects(self.remaining)

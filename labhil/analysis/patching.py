@@ -8,7 +8,14 @@ from pathlib import Path
 from labhil.analysis.arm_patching import repair_arm
 from labhil.analysis.fmu_patching import FMU_SUFFIX, FmuBench
 from labhil.analysis.mujoco_patching import MujocoBench
-from labhil.analysis.patch import MAX_ERROR_RATIO, Attempt, Patch, temporary_files, write_patched
+from labhil.analysis.patch import (
+    MAX_ERROR_RATIO,
+    Attempt,
+    Patch,
+    companion_path,
+    temporary_files,
+    write_patched,
+)
 from labhil.analysis.patch_bench import Bench, Candidate
 from labhil.analysis.patch_check import PatchCheck, companion_force, refusal_of_unknown
 from labhil.analysis.patch_source import PatchSource, read_patch_source
@@ -43,15 +50,14 @@ def patch(
         UsageError: The new file exists already, the files do not belong together, or the error of the
             repaired file is too large.
     """
-    code = out.with_name(f"{out.stem}_effects.py")
-    for path in (out, code):
+    for path in (out, companion_path(out)):
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
     source = read_patch_source(result)
     if into.suffix == FMU_SUFFIX:
         return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)
-    if split_name(into) is not None:
-        return _repair(PythonBench.read(into, rig_file), source, out, holdout, progress)
+    if (named := split_name(into)) is not None:
+        return _repair(PythonBench.read(*named, rig_file), source, out, holdout, progress)
     if load_model(into).njnt > 1:
         return repair_arm(source, into, out, rig_file, holdout, progress)
     return _repair(MujocoBench.read(into, rig_file), source, out, holdout, progress)
@@ -73,7 +79,7 @@ def _repair(
             raise refusal_of_unknown(bench.path, candidate.effects.unknown)
         attempts.append(check.attempt(remedy, _run(bench, candidate, out, check)))
         if attempts[-1].ratio <= MAX_ERROR_RATIO:
-            code = out.with_name(f"{out.stem}_effects.py") if candidate.needs_companion else None
+            code = companion_path(out) if candidate.needs_companion else None
             write_patched(candidate.content, candidate.companion(out.name), out, code)
             return Patch(
                 out, code, candidate.changes, tuple(candidate.remaining), candidate.diff, source.promised,

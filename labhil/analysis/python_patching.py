@@ -10,20 +10,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
-from labhil.analysis.patch import STEP_DIVISORS, unified_diff
-from labhil.analysis.patch_bench import Candidate
+from labhil.analysis.patch import unified_diff
+from labhil.analysis.patch_bench import Candidate, StatedNames, check_suffix, finer_steps
 from labhil.analysis.patch_check import PatchCheck, inertia_felt_by_input, rest_velocity
 from labhil.errors import UsageError
 from labhil.python_file import module_of, object_of
-from labhil.rig import RigFile, default_rig, load_rig
-from labhil.simulators.companion import Usage, sort_effects
+from labhil.rig import RigFile
+from labhil.simulators.companion import Usage
 from labhil.simulators.patches import drop_inactive, format_number, with_holding_friction
 from labhil.simulators.python_rates import PythonRates
 from labhil.simulators.python_rollout import PythonRollout
 from labhil.simulators.python_step import PythonStep
 from labhil.simulators.python_text import PythonText
 from labhil.simulators.simulator import Simulator
-from labhil.simulators.stepped import MAX_STEP, JointForce
+from labhil.simulators.stepped import JointForce
 
 SUFFIX = ".py"
 
@@ -56,22 +56,19 @@ class PythonBench:
     run_by: str = "Python"
 
     @classmethod
-    def read(cls, into: Path, rig_file: Path | None) -> PythonBench:
-        """Run a file and take a simulator from it.
+    def read(cls, file: Path, name: str, rig_file: Path | None) -> PythonBench:
+        """Run a file and take a simulator from it; the only one where the name is empty.
 
         Raises:
             UsageError: There is none, or there are several and none is named.
         """
-        file, name = split_name(into) or (into, "")
         name = name or _only_simulator(file)
         original = _stepped(file, name)
-        rig = default_rig(original.name) if rig_file is None else load_rig(rig_file)
-        return cls(file, name, original, rig)
+        return cls(file, name, original, StatedNames.read(rig_file).rig_of(original.name))
 
     def check_name(self, out: Path) -> None:
         """Check that the new file is a Python file by its name."""
-        if out.suffix != SUFFIX:
-            raise UsageError(f"{out}: expected a new file that ends in {SUFFIX}, as {self.path} does")
+        check_suffix(out, self.path)
 
     def candidates(self, check: PatchCheck, out: Path) -> Iterator[Candidate]:
         """Yield the file with its starts, then with shorter steps for the forces beside it."""
@@ -84,17 +81,16 @@ class PythonBench:
         remaining = drop_inactive(values)
         mechanism, numbers = _mechanism(self.original), list(starts.values())
         inertia = mechanism.inertia(numbers) or inertia_felt_by_input(mechanism, numbers)
-        for divisor in (1, *(STEP_DIVISORS if sort_effects(remaining).has_force else ())):
-            step = min(MAX_STEP, check.dataset.test.period) / divisor
+        for steps in finer_steps(remaining, check.dataset.test.period):
             yield Candidate(
                 text.changed(),
                 tuple(text.changes),
                 unified_diff(text, out),
                 remaining,
-                self._usage(step),
-                rest_velocity(remaining, step, abs(inertia)),
-                f"steps of 1/{divisor}" if divisor > 1 else "",
-                substeps=divisor,
+                self._usage(steps.length),
+                rest_velocity(remaining, steps.length, abs(inertia)),
+                steps.remedy,
+                substeps=steps.divisor,
             )
 
     def load(self, draft: Path, candidate: Candidate, force: JointForce | None) -> Simulator:

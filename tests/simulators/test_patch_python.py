@@ -146,10 +146,10 @@ def test_the_command_takes_the_file_without_a_name_and_tells_what_it_did(tmp_pat
     ]
     done = subprocess.run([*command, "--json"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["companion"] == "new_effects.py"
-    assert sorted(told["left"]) == ["coulomb_friction.level", "time_delay.delay"]
-    assert "-STARTS" in told["diff"]
+    result = json.loads(done.stdout)
+    assert result["companion"] == "new_effects.py"
+    assert sorted(result["left"]) == ["coulomb_friction.level", "time_delay.delay"]
+    assert "-STARTS" in result["diff"]
     assert path.exists()
     again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert again.returncode == 2
@@ -162,7 +162,9 @@ def test_a_file_with_no_place_for_the_starts_is_refused(tmp_path: Path) -> None:
         UsageError, match=r"expected the starts of pendulum as a dictionary.*for drag, inertia"
     ):
         PythonText.read(tmp_path / "made.py", "pendulum", ["inertia", "drag"])
-    (tmp_path / "other.py").write_text("x = 1\n", encoding="latin-1")
+    (tmp_path / "latin.py").write_text("# coding: latin-1\nname = 'é'\n", encoding="latin-1")
+    with pytest.raises(UsageError, match="expected a Python file in UTF-8"):
+        PythonText.read(tmp_path / "latin.py", "pendulum", ["inertia", "drag"])
 
 
 CALL = "rig = lh.simulator(f, parameters="
