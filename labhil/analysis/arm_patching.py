@@ -12,7 +12,7 @@ from typing import cast
 
 import numpy as np
 
-from labhil.analysis.dataset import Dataset, load_dataset
+from labhil.analysis.dataset import Dataset
 from labhil.analysis.patch import (
     FIRM_FRICTION,
     MAX_ERROR_RATIO,
@@ -93,7 +93,7 @@ def repair_arm(
         UsageError: The files do not belong together, or the error of the repaired file is too large.
     """
     bench = ArmBench.read(into, rig_file)
-    dataset = load_dataset(source.search, bench.rig, source.test or None, holdout)
+    dataset = source.load_dataset(bench.rig, holdout)
     model = dataset.model
     if not isinstance(model, ArmFileModel):
         raise UsageError("expected a diagnosis of one recording of an arm, found one of several recordings")

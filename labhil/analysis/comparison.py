@@ -15,7 +15,8 @@ import numpy as np
 
 from labhil.analysis.compared_models import Candidate, RecordingSpan, read_candidates
 from labhil.analysis.comparison_statements import next_steps, statement
-from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
+from labhil.analysis.dataset import RecordingLike, naming, read_all
+from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.results import Source, finite
 from labhil.analysis.rig_choice import rig_of

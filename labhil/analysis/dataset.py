@@ -8,23 +8,23 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.motion_check import constant
 from labhil.analysis.results import Source
 from labhil.analysis.rig_choice import common_rig
+from labhil.analysis.stretch import MAX_SAMPLES, check_max_samples, stretch_note
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
-from labhil.diagnose.intake import mark_censored, replace_outliers
+from labhil.diagnose.intake import replace_outliers
 from labhil.diagnose.timing import detect_all_faults, unchecked_timing_note
 from labhil.errors import OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
-from labhil.identify.windows import FEWEST_SAMPLES, split, with_least_noise
+from labhil.identify.windows import split
 from labhil.physics.arm import ArmModel
 from labhil.physics.joining import join_records
-from labhil.physics.measured_input import smoothing_notes, with_input_smoothing
+from labhil.physics.measured_input import smoothing_notes
 from labhil.physics.model import Model, Record
-from labhil.physics.rigs import model_for, record_of
+from labhil.physics.rigs import model_for
 from labhil.physics.several import several
 from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import read_recordings
@@ -90,6 +90,8 @@ class Dataset:
         """Describe assumptions of the model and limits of the data, a text each."""
         notes = list(self.model.notes) if isinstance(self.model, MODELS_WITH_NOTES) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
+        used = [stretch_note(recording, record) for recording, record, _ in self.recordings]
+        notes += [note for note in used if note is not None]
         notes += smoothing_notes(self.measured, units.get(self.measured.input_names[0], ""))
         if constant(self.train.inputs).all():
             names = ", ".join(self.train.input_names)
@@ -150,6 +152,7 @@ def load_dataset(
     allow_no_holdout: bool = False,
     device: str | None = None,
     run: int | None = None,
+    max_samples: int | None = MAX_SAMPLES,
 ) -> Dataset:
     """Read one recording or several, and split off or read test data.
 
@@ -164,6 +167,8 @@ def load_dataset(
         allow_no_holdout: Whether ``holdout`` may be 0.
         device: One of several devices in a recording.
         run: One of several runs in a file.
+        max_samples: Number of samples of each recording that are used, those where its inputs change most;
+            None for all. Not used for arms.
 
     Raises:
         UsageError: Options, recordings or the rig file do not fit together (also as OptionError,
@@ -174,11 +179,12 @@ def load_dataset(
         raise OptionError("holdout", f": expected a share from 0.05 to 0.9{nothing}, found {holdout:g}")
     paths, test_paths = _as_tuple(path), _as_tuple(test_path)
     _refuse_counts(paths, test_paths, per_recording)
+    check_max_samples(max_samples)
     loaded = [recording.of_device(device) for recording in read_all((*paths, *test_paths), run)]
     training, testing = loaded[: len(paths)], loaded[len(paths) :]
     _refuse_duplicates(training)
     rig = common_rig(training, rig_file)
-    records, measured = measured_of(training, rig, span)
+    records, measured = measured_of(training, rig, span, most=max_samples)
     model = model_for(rig, measured, per_recording)
     train_entries = tuple(
         (recording, record, "") for recording, record in zip(training, records, strict=True)
@@ -192,7 +198,7 @@ def load_dataset(
             train, test = _split_held_out(model, measured, training, holdout)
             _refuse_horizon(rig, test)
         return Dataset(rig, model, train, test, False, measured, train_entries)
-    test_records, measured_test = measured_of(testing, rig, like=measured, of=training[0])
+    test_records, measured_test = measured_of(testing, rig, like=measured, of=training[0], most=max_samples)
     if len(test_records) > 1 and len(records) == 1:
         model = several(model, (), 1)
     test_entries = tuple(
@@ -229,91 +235,6 @@ def naming(recordings: Sequence[Recording]) -> Iterator[None]:
         if len(recordings) > 1 or path in str(error):
             raise
         raise RecordingError(f"{path}: {error}") from error
-
-
-def refuse_holes(path: Path, record: Record) -> None:
-    """Raise RecordingError where inputs or outputs are not finite, or times do not increase.
-
-    Args:
-        path: The recording's file, for the message.
-        record: What was measured.
-    """
-    stalled = np.flatnonzero(np.diff(record.t) <= 0.0)
-    if len(stalled):
-        raise RecordingError(
-            f"{path}: expected times that increase, found {len(stalled)} that do not, the first after "
-            f"{record.t[stalled[0]]:g} s; `labhil diagnose` tells more of its faults"
-        )
-    names = (*record.input_names, *record.output_names)
-    for name, values in zip(names, np.hstack([record.inputs, record.outputs]).T, strict=True):
-        unusable = np.flatnonzero(~np.isfinite(values))
-        if len(unusable):
-            raise RecordingError(
-                f"{path}: {name}: expected finite numbers, found {len(unusable)} of {len(values)} samples "
-                f"that are none, the first at {record.t[unusable[0]]:g} s; `labhil export` to a table and "
-                "`labhil import` of that drop such rows"
-            )
-
-
-def measured_of(
-    recordings: Sequence[Recording],
-    rig: RigFile,
-    span: tuple[float, float] | None = None,
-    like: Record | None = None,
-    of: Recording | None = None,
-) -> tuple[list[Record], Record]:
-    """Extract the signals of a rig from recordings.
-
-    Args:
-        recordings: One or more.
-        rig: The rig file.
-        span: Part of each recording that is used, from … to, s.
-        like: A record whose input the recordings must have, too.
-        of: The recording of that record, for the message.
-
-    Returns:
-        A record for each recording, and all of them joined.
-
-    Raises:
-        RecordingError: A recording has another input than ``like``.
-    """
-    records = [
-        _cut_to_span(_annotate(record_of(recording, rig.kind), rig), span, recording)
-        for recording in recordings
-    ]
-    for recording, record in zip(recordings, records, strict=True):
-        if like is not None and of is not None and record.input_names != like.input_names:
-            raise RecordingError(
-                f"{recording.path}: expected the input {like.input_names[0]} as in {of.path}, "
-                f"found {record.input_names[0]}"
-            )
-    return records, join_records(records, [str(recording.path) for recording in recordings])
-
-
-def _annotate(record: Record, rig: RigFile) -> Record:
-    """Add the holds that the rig file states, and properties that only the complete record shows.
-
-    These are the noise of channels that rest for a part of it, the noise of a measured input, and readings at
-    the ends of their range.
-    """
-    record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
-    record = with_input_smoothing(record)
-    return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
-
-
-def _cut_to_span(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:
-    """The samples of a record within ``span`` (s, both ends counted); UsageError where hardly any are."""
-    if span is None:
-        return record
-    begin, end = np.searchsorted(record.t, span[0]), np.searchsorted(record.t, span[1], side="right")
-    if end - begin < FEWEST_SAMPLES:
-        raise OptionError(
-            "span",
-            f" {span[0]:g} {span[1]:g}: expected at least {FEWEST_SAMPLES} samples of "
-            f"{recording.path}, which reaches from {record.t[0]:g} to {record.t[-1]:g} s, "
-            f"found {max(end - begin, 0)}",
-        )
-    return record.part(int(begin), int(end))
 
 
 def _split_held_out(

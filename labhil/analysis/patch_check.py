@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from labhil.analysis.dataset import Dataset, load_dataset
+from labhil.analysis.dataset import Dataset
 from labhil.analysis.patch import MAX_ERROR_RATIO, MAX_STATED_RATIO, Attempt
 from labhil.analysis.patch_source import PatchSource
 from labhil.errors import UsageError
@@ -62,7 +62,7 @@ class PatchCheck:
             raise UsageError(
                 f"{source.path}: expected a simulation of {into}, found inverse dynamics of another file"
             )
-        dataset = load_dataset(source.search, rig, source.test or None, holdout)
+        dataset = source.load_dataset(rig, holdout)
         model = _score(dataset.model, dataset, source.values, source.horizon)
         if model.rmse > MAX_STATED_RATIO * source.promised:
             raise UsageError(

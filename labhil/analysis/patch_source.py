@@ -8,9 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
+from labhil.rig import RigFile
+
+ROUNDING = 1e-12
+"""Relative error of a time that was written as begin and duration, so that the last sample stays."""
 
 DIAGNOSIS, FIT = "labhil.diagnosis/1", "labhil.fit/1"
 
@@ -27,6 +32,8 @@ class PatchSource:
         search: Training recordings.
         test: Test recordings.
         channels: The stated error of each channel.
+        span: Part of the training recording that was used, s; None where there are several.
+        max_samples: Samples of the recording of which most were used.
     """
 
     path: Path
@@ -36,6 +43,14 @@ class PatchSource:
     search: tuple[Path, ...]
     test: tuple[Path, ...]
     channels: tuple[float, ...] = ()
+    span: tuple[float, float] | None = None
+    max_samples: int | None = None
+
+    def load_dataset(self, rig: RigFile, holdout: float) -> Dataset:
+        """Load the data of the result: the same parts of the same recordings."""
+        return load_dataset(
+            self.search, rig, self.test or None, holdout, span=self.span, max_samples=self.max_samples
+        )
 
 
 def read_patch_source(path: Path) -> PatchSource:
@@ -82,7 +97,17 @@ def _read_fields(data: Mapping[str, Any], path: Path) -> PatchSource:
         _recordings(path, training),
         _recordings(path, tests),
         tuple(float(row[name]) for row in scored["per_channel"]),
+        _span_of(training),
+        max(int(row["samples"]) for row in data["recordings"]),
     )
+
+
+def _span_of(training: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
+    """The used part of the only training recording, s."""
+    if len(training) != 1:
+        return None
+    start, duration = float(training[0]["start"]), float(training[0]["duration"])
+    return start, start + duration * (1.0 + ROUNDING)
 
 
 def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from labhil.analysis.dataset import RecordingLike, measured_of, naming, read_all, refuse_holes
+from labhil.analysis.dataset import RecordingLike, naming, read_all
+from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.results import finite, score_json
 from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.saved_curves import with_saved_curves

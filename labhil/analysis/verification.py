@@ -11,12 +11,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.analysis.dataset import RecordingLike, measured_of, refuse_holes
+from labhil.analysis.dataset import RecordingLike
+from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.results import Source, finite, score_json
 from labhil.analysis.rig_choice import rig_of
 from labhil.analysis.saved_curves import with_saved_curves
 from labhil.analysis.saved_model import Reference, accepted_of
 from labhil.analysis.schema import VerificationPart, validate
+from labhil.analysis.stretch import MAX_SAMPLES, check_max_samples, stretch_note
 from labhil.diagnose.intake import replace_outliers
 from labhil.diagnose.timing import detect_all_faults
 from labhil.diagnose.verify import ALPHA, Verification, verify
@@ -49,6 +51,8 @@ def verify_study(
     rig_file: Path | RigFile | None = None,
     *,
     alpha: float = ALPHA,
+    span: tuple[float, float] | None = None,
+    max_samples: int | None = MAX_SAMPLES,
     device: str | None = None,
     run: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -60,6 +64,8 @@ def verify_study(
         model_file: The result.
         rig_file: The rig file; by default the one in the recording.
         alpha: Probability of a false alarm.
+        span: Part of the recording that is used, from … to, s.
+        max_samples: Number of samples that are used, those where the inputs change most; None for all.
         device: One of several devices in the recording.
         run: One of several runs in the file.
         progress: Called with a line of text at each stage.
@@ -81,7 +87,8 @@ def verify_study(
             f"{model_file}: rig: expected a model of {rig.kind.name}, as the recording {path}, "
             f"found one of {accepted.rig}"
         )
-    records, record = measured_of([recording], rig)
+    check_max_samples(max_samples)
+    records, record = measured_of([recording], rig, span, most=max_samples)
     refuse_holes(path, records[0])
     if len(record) < 2 * FEWEST_SAMPLES:
         raise RecordingError(
@@ -91,9 +98,13 @@ def verify_study(
     verification = verify(
         model, model.prepare(replace_outliers(record)), accepted, alpha=alpha, progress=progress
     )
-    source = Source(str(path), recording.sha256, model.kind, len(record), _duration(record), "test")
+    source = Source(
+        str(path), recording.sha256, model.kind, len(record), _duration(record), "test", float(record.t[0])
+    )
     seconds = time.perf_counter() - start_time
     data = verification_json(verification, source, model_file, seconds)
+    if (used := stretch_note(recording, record)) is not None:
+        data["notes"] = [used, *data["notes"]]
     # faults of the recording may be the reason for a contradiction
     data["faults"] = finite([asdict(fault) for fault in detect_all_faults(model, record)])
     doubts = doubts_of(record, rig, misfit=not verification.consistent, time_column=recording.time_column)

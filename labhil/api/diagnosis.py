@@ -285,6 +285,7 @@ def diagnose(
     reference: Fit | Diagnosis | PathLike | None = None,
     per_recording: Iterable[str] | str | None = None,
     span: tuple[float, float] | None = None,
+    max_samples: int | None = 100_000,
     device: str | None = None,
     run: int | None = None,
     seconds: float | None = None,
@@ -306,6 +307,8 @@ def diagnose(
             nominal values in the model, can a changed value be distinguished from missing physics.
         per_recording: Terms, parameters or sizes with a separate value in each recording.
         span: Begin and end of the part of every recording to use, s.
+        max_samples: Number of samples of every recording to use, those where its inputs change most; None
+            for all. Arms always use all.
         device: The device, where recordings have several.
         run: The run, from 1, where a file has several.
         seconds: Time limit, s; the answer is then the best result so far.
@@ -332,7 +335,16 @@ def diagnose(
     from labhil.analysis.study import diagnose_study
 
     dataset = load_inputs(
-        rec, model, test, holdout, per_recording, span=span, device=device, run=run, warn=warn
+        rec,
+        model,
+        test,
+        holdout,
+        per_recording,
+        span=span,
+        max_samples=max_samples,
+        device=device,
+        run=run,
+        warn=warn,
     )
     with progress_reporter(progress) as say, ending_early(number_or_none(seconds, "seconds")) as deadline:
         study = diagnose_study(

@@ -270,6 +270,7 @@ def fit(
     start: Fit | Diagnosis | PathLike | None = None,
     per_recording: Iterable[str] | str | None = None,
     span: tuple[float, float] | None = None,
+    max_samples: int | None = 100_000,
     estimator: str = "hybrid",
     seed: int = 0,
     window: float | None = None,
@@ -296,6 +297,8 @@ def fit(
         start: A fit or a diagnosis, or its file, to start from; its terms are the default of ``terms``.
         per_recording: Terms, parameters or sizes with a separate value in each recording.
         span: Begin and end of the part of every recording to use, s.
+        max_samples: Number of samples of every recording to use, those where its inputs change most; None
+            for all. Arms always use all.
         estimator: The global search: ``hybrid``, ``nlse``, ``pso``, ``cma_es``, ``mcmc``, …; all end with
             least squares.
         seed: Seed of the estimator.
@@ -340,6 +343,7 @@ def fit(
         holdout,
         per_recording,
         span=span,
+        max_samples=max_samples,
         allow_no_holdout=True,
         device=device,
         run=run,

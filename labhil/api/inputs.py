@@ -125,6 +125,15 @@ def span_of(value: object) -> tuple[float, float] | None:
     return first, last
 
 
+def max_samples_of(value: object) -> int | None:
+    """Return a largest number of samples; None for None.
+
+    Raises:
+        OptionError: It is no integer.
+    """
+    return None if value is None else whole_number_of(value, "max_samples")
+
+
 def recordings_of(
     values: PathLike | Recording | Sequence[PathLike | Recording], argument: str
 ) -> list[Path | FileRecording]:
@@ -147,6 +156,7 @@ def load_inputs(
     per_recording: Iterable[str] | str | None,
     *,
     span: object,
+    max_samples: object,
     device: str | None,
     run: int | None,
     warn: Warn,
@@ -162,6 +172,7 @@ def load_inputs(
         number_of(holdout, "holdout"),
         names_of(per_recording, "per_recording") or (),
         span=span_of(span),
+        max_samples=max_samples_of(max_samples),
         allow_no_holdout=allow_no_holdout,
         device=device,
         run=run,

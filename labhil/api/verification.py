@@ -11,11 +11,13 @@ from labhil.api.inputs import (
     PathLike,
     Progress,
     Warn,
+    max_samples_of,
     number_of,
     progress_reporter,
     recordings_of,
     reference_of,
     rig_file,
+    span_of,
 )
 from labhil.api.render import data_frame
 from labhil.api.result import Result
@@ -128,6 +130,8 @@ def verify(
     model: PathLike | Model | RigFile | None = None,
     *,
     alpha: float = 1e-3,
+    span: tuple[float, float] | None = None,
+    max_samples: int | None = 100_000,
     device: str | None = None,
     run: int | None = None,
     progress: Progress = None,
@@ -145,6 +149,9 @@ def verify(
         model: A rig kind, the path of a rig file, or a :func:`labhil.model`; by default the rig file
             in the recording.
         alpha: Probability of a false alarm.
+        span: Begin and end of the part of the recording to use, s.
+        max_samples: Number of samples to use, those where the inputs change most; None for all. Arms always
+            use all.
         device: The device, where the recording has several.
         run: The run, from 1, where the file has several.
         progress: A function of a line about the current stage, or True for a line on stderr.
@@ -176,6 +183,8 @@ def verify(
             reference,
             rig_file(model),
             alpha=number_of(alpha, "alpha"),
+            span=span_of(span),
+            max_samples=max_samples_of(max_samples),
             device=device,
             run=run,
             progress=say,

@@ -42,6 +42,12 @@ SpanOption = Annotated[
     tuple[float, float] | None,
     typer.Option(metavar="FROM TO", help="Use only this span of every recording, s."),
 ]
+MaxSamplesOption = Annotated[
+    int,
+    typer.Option(
+        metavar="N", help="Use so many samples of every recording, where its inputs change most (arms: all)."
+    ),
+]
 SimulatorOption = Annotated[
     str | None,
     typer.Option(metavar="FILE", help="Your simulator instead: arm.xml (MuJoCo), x.fmu, bench.py:pendulum."),
@@ -124,6 +130,7 @@ def fit(
         float, typer.Option(help="Share held out at the end, 0 for nothing; not used with --test.")
     ] = 0.3,
     span: SpanOption = None,
+    max_samples: MaxSamplesOption = 100_000,
     device: DeviceOption = None,
     run: RunOption = None,
     window: WindowOption = None,
@@ -153,6 +160,7 @@ def fit(
             start=model,
             per_recording=per_recording,
             span=span,
+            max_samples=max_samples,
             estimator=estimator,
             seed=seed,
             window=window,
@@ -180,6 +188,7 @@ def diagnose(
     run: RunOption = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
     span: SpanOption = None,
+    max_samples: MaxSamplesOption = 100_000,
     seconds: Annotated[
         float | None,
         typer.Option(metavar="N", help="Time limit, s; the best result so far counts (as after Ctrl+C)."),
@@ -208,6 +217,7 @@ def diagnose(
             reference=model,
             per_recording=per_recording,
             span=span,
+            max_samples=max_samples,
             device=device,
             run=run,
             seconds=seconds,
@@ -244,6 +254,8 @@ def verify(
         float,
         typer.Option(help="Probability of a false alarm: that a recording of the model itself is refused."),
     ] = 1e-3,
+    span: SpanOption = None,
+    max_samples: MaxSamplesOption = 100_000,
     json_path: ResultOption = None,
 ) -> None:
     """Verify an accepted model on a recording; the exit status is 1 when the recording contradicts the model.
@@ -260,6 +272,8 @@ def verify(
             model,
             rig_or_simulator(rig, simulator),
             alpha=alpha,
+            span=span,
+            max_samples=max_samples,
             device=device,
             run=run,
             progress=progress,

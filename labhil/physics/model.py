@@ -40,7 +40,8 @@ class Begin:
 
     ``shift`` is the time of the record minus the recording's own, s; ``noise_scale`` (channels,) the noise of
     its outputs over that of the record, empty if not estimated; ``clock_faults`` are faults of its time
-    stamps; ``input_smoothing`` is the smoothing of the first input where that is the reading of a sensor.
+    stamps; ``input_smoothing`` is the smoothing of the first input where that is the reading of a sensor;
+    ``left_out`` counts the samples of a long recording that are not used.
     """
 
     row: int = 0
@@ -49,6 +50,7 @@ class Begin:
     noise_scale: tuple[float, ...] = ()
     clock_faults: tuple[ClockFault, ...] = ()
     input_smoothing: Smoothing | None = None
+    left_out: int = 0
 
 
 @dataclass(frozen=True, slots=True)
