@@ -25,7 +25,7 @@ from labhil.physics.joining import join_records
 from labhil.physics.measured_input import smoothing_notes
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import model_for
-from labhil.physics.several import several
+from labhil.physics.several import model_of_one, several
 from labhil.physics.solenoid import SolenoidModel
 from labhil.recording.reader import read_recordings
 from labhil.recording.recording import Recording
@@ -88,7 +88,8 @@ class Dataset:
 
     def notes(self) -> list[str]:
         """Describe assumptions of the model and limits of the data, a text each."""
-        notes = list(self.model.notes) if isinstance(self.model, MODELS_WITH_NOTES) else []
+        model = model_of_one(self.model)
+        notes = list(model.notes) if isinstance(model, MODELS_WITH_NOTES) else []
         units = {signal.name: signal.unit for signal in self.rig.kind.inputs}
         used = [stretch_note(recording, record) for recording, record, _ in self.recordings]
         notes += [note for note in used if note is not None]

@@ -22,7 +22,7 @@ from labhil.identify.further_channels import suggest_measurements
 from labhil.identify.windows import FEWEST_SAMPLES_IN_WINDOW
 from labhil.physics.model import Model, index_of, terms_named
 from labhil.physics.rigs import rig_model
-from labhil.physics.several import for_every_recording
+from labhil.physics.several import for_every_recording, model_of_one
 from labhil.simulators.arm import ArmFileModel
 from labhil.simulators.model import SimulatorModel
 
@@ -152,7 +152,7 @@ def diagnose_study(
         progress: Called with a line of text at each stage.
     """
     model = with_saved_curves(dataset.model, reference)
-    values = _reference_values(dataset, reference)
+    values = reference_values(dataset, reference)
     term_names = baseline
     if term_names is None:
         term_names = (
@@ -194,12 +194,13 @@ def _held_out_spans(dataset: Dataset) -> list[list[float]]:
     return [[float(record.t[0]), float(record.t[-1])] for record in dataset.test.recordings()]
 
 
-def _reference_values(dataset: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
+def reference_values(dataset: Dataset, reference: Reference | None) -> Mapping[str, float] | None:
     """Values of the user's simulation: of a result, of ``[nominal]``, or of a simulator's file."""
     if reference is not None:
         return for_every_recording(dataset.model, values_of(reference))
     parameter_index = index_of(dataset.model.parameters)
-    file_nominal = dataset.model.nominal if isinstance(dataset.model, (ArmFileModel, SimulatorModel)) else {}
+    model = model_of_one(dataset.model)
+    file_nominal = model.nominal if isinstance(model, (ArmFileModel, SimulatorModel)) else {}
     file_nominal = {name: value for name, value in file_nominal.items() if name in parameter_index}
     nominal = for_every_recording(dataset.model, dataset.rig.nominal or file_nominal)
     for name, value in nominal.items():

@@ -54,8 +54,7 @@ class SeveralModel:
     Args:
         inner: The model of each recording.
         names: Terms or parameters (with a joint in brackets for that joint alone) with a value of their own
-        in
-            each recording.
+            in each recording.
         count: Number of recordings; without ``names``, records may have any number.
 
     Raises:
@@ -216,6 +215,11 @@ def several(inner: Model, names: Sequence[str], count: int) -> SeveralModel:
     if isinstance(inner, AcceptsExtraForce):
         return SeveralModelWithExtraForce(inner, names, count)
     return SeveralModel(inner, names, count)
+
+
+def model_of_one(model: Model) -> Model:
+    """The model of a single recording, of one of several; another model itself."""
+    return model.inner if isinstance(model, SeveralModel) else model
 
 
 def names_per_recording(model: Model) -> tuple[str, ...]:

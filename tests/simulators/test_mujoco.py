@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import labhil as lh
+from labhil.analysis.dataset import load_dataset
+from labhil.analysis.study import reference_values
 from labhil.errors import RecordingError, RigFileError, UsageError
 from labhil.physics.model import Windows, start_values
 from labhil.physics.rigs import model_for, record_of
@@ -54,6 +56,27 @@ def test_a_file_is_offered_the_catalogue_and_begins_with_its_own_friction(tmp_pa
     assert len(model.terms) >= 20
     assert model.terms["coulomb_friction"].parameters[0].unit == "N"
     assert cart.nominal["viscous_friction.coefficient"] == 1.0
+
+
+def test_values_of_the_file_are_the_reference_of_several_recordings_too(tmp_path: Path) -> None:
+    (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
+    cart = lh.mujoco_simulator(tmp_path / "cart.xml")
+    t = np.arange(0.0, 4.0, 0.01)
+    recordings = [
+        lh.recording(
+            t,
+            {"servo": np.sin(rate * t)},
+            {"scale": 0.3 * np.sin(rate * t), "tacho": 0.3 * rate * np.cos(rate * t)},
+            rig=cart,
+        )
+        for rate in (3.0, 5.0)
+    ]
+    for chosen in (recordings[:1], recordings):
+        dataset = load_dataset([recording.file for recording in chosen])
+        values = reference_values(dataset, None)
+        assert values is not None
+        assert values["stiffness"] == 4.0
+        assert values["slide_mass"] == pytest.approx(2.0)
 
 
 def test_the_file_stands_for_a_rig_wherever_one_is_named(tmp_path: Path) -> None:
