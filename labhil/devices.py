@@ -16,7 +16,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from labhil.driver import Counters, DeviceInfo, Driver, DriverSpec, TimedDriver, Twin, TwinOptions
+from labhil.driver import (
+    Counters,
+    DeviceInfo,
+    Driver,
+    DriverSpec,
+    FaultReportingDriver,
+    TimedDriver,
+    Twin,
+    TwinOptions,
+)
 from labhil.kinds import Known, RigKind
 from labhil.kinds import kind_named as rig_kind
 from labhil.signals import Batch, Direction, Hold, Signal, Stream
@@ -32,6 +41,7 @@ __all__ = [
     "Driver",
     "DriverContract",
     "DriverSpec",
+    "FaultReportingDriver",
     "Hold",
     "Known",
     "RigKind",

@@ -134,16 +134,8 @@ class Driver(Protocol):
 
 
 @runtime_checkable
-class TimedDriver(Driver, Protocol):
-    """A driver that moves along a path: its commands belong to times of the device's clock.
-
-    It plays them a little later and as smoothly as they are, however unevenly they come. It also says
-    what keeps its device from being commanded, which ends a run as a limit does.
-    """
-
-    def command_at(self, values: Mapping[str, float], t_hw_ns: int) -> None:
-        """As :meth:`Driver.command`, for a time of the device's clock."""
-        ...
+class FaultReportingDriver(Driver, Protocol):
+    """A driver that says what keeps its device from being commanded, which ends a run as a limit does."""
 
     def fault(self) -> str:
         """Return why the device cannot be commanded, in words; empty when it can."""
@@ -151,6 +143,18 @@ class TimedDriver(Driver, Protocol):
 
     def is_transient(self) -> bool:
         """Whether the trouble passes by itself, and a path may go on then without anybody looking."""
+        ...
+
+
+@runtime_checkable
+class TimedDriver(FaultReportingDriver, Protocol):
+    """A driver that moves along a path: its commands belong to times of the device's clock.
+
+    It plays them a little later and as smoothly as they are, however unevenly they come.
+    """
+
+    def command_at(self, values: Mapping[str, float], t_hw_ns: int) -> None:
+        """As :meth:`Driver.command`, for a time of the device's clock."""
         ...
 
 

@@ -40,7 +40,7 @@ MAX_DELAY = 10.0
 
 
 class SerialDriver:
-    """Satisfies :class:`labhil.driver.Driver`; a plugin sets ``rig`` and its ``spec``.
+    """Satisfies :class:`labhil.driver.FaultReportingDriver`; a plugin sets ``rig`` and its ``spec``.
 
     Opening a port resets an Arduino, so every ``connect`` waits for the device's HELLO and sends the
     configuration again. ``spec`` is then that of the connected device. The device goes to its safe output by
@@ -59,7 +59,7 @@ class SerialDriver:
         self._reading = threading.RLock()
         self._writing = threading.RLock()
         self._first_command_at: float | None = None
-        self._is_commanded = False
+        self._is_commanded = self._has_expired = False
         self._received_at = 0.0
 
     def connect(self) -> DeviceInfo:
@@ -95,7 +95,7 @@ class SerialDriver:
         self._clock, self._period_ns = Unwrapper(32), 1e9 / hello.sample_rate
         self._last_seq: int | None = None
         self._acquired_ns = 0
-        self._first_command_at, self._is_commanded = None, False
+        self._first_command_at, self._is_commanded, self._has_expired = None, False, False
         self._scaler = Scaler(self.rig, hello)
         self._closing = False
         self.spec = self.rig.spec_of(hello)
@@ -110,7 +110,6 @@ class SerialDriver:
 
         Raises:
             DeviceResetError: The device booted again; earlier samples are returned first.
-            DeviceError: The device ended an output that lasted too long; likewise.
             ConnectError: The connection is lost, or the driver is closed.
         """
         deadline = time.monotonic() + timeout
@@ -209,11 +208,7 @@ class SerialDriver:
     def _check_flags(self, flags: int) -> None:
         if not flags & StateFlag.CONFIGURED:
             raise self._reset("it has lost its configuration")
-        if flags & StateFlag.EXPIRED:
-            raise DeviceError(
-                f"{self.address}: expected an output of {self.spec.longest_output:g} s at most without a"
-                " break, found that it lasted longer: the device has ended it"
-            )
+        self._has_expired = bool(flags & StateFlag.EXPIRED)
         if flags & StateFlag.SAFE:
             self.counters.unheard += self._is_commanded
             self._is_commanded = False
@@ -267,6 +262,19 @@ class SerialDriver:
         if not low <= value <= high:
             unit = next(signal.unit for signal in self.spec.commands if signal.name == name)
             raise CommandRefusedError(f"{name}: expected {low:g} … {high:g} {unit}, found {value:g}")
+
+    def fault(self) -> str:
+        """Return that the device ended an output that lasted too long, until it was made safe; else empty."""
+        if not self._has_expired:
+            return ""
+        return (
+            f"{self.address}: expected an output of {self.spec.longest_output:g} s at most without a break, "
+            "found that it lasted longer: the device has ended it"
+        )
+
+    def is_transient(self) -> bool:
+        """Whether the fault passes by itself: an output that lasted too long is for somebody to look at."""
+        return False
 
     def safe(self) -> None:
         """Bring the device to its safe output, until the next command; never raises."""

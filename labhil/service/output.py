@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from labhil.driver import Driver, TimedDriver
+from labhil.driver import Driver, FaultReportingDriver, TimedDriver
 from labhil.host_clock import unix_ns
 from labhil.rig_sections import Limit
 from labhil.service.declared import safe_values
@@ -44,6 +44,7 @@ class Output:
     def __init__(self, driver: Driver, limits: Mapping[str, Limit], speed: float) -> None:
         self._driver, self._speed = driver, speed
         self._timed = driver if isinstance(driver, TimedDriver) else None
+        self._reporting = driver if isinstance(driver, FaultReportingDriver) else None
         self._sent_for_ns: int | None = None
         self._safe = safe_values(driver.spec)
         self._sample_period = 1 / (driver.spec.stream.rate * speed)
@@ -101,11 +102,11 @@ class Output:
 
     def fault(self) -> str | None:
         """Return why the driver takes no commands; None where it does."""
-        return (self._timed.fault() or None) if self._timed is not None else None
+        return (self._reporting.fault() or None) if self._reporting is not None else None
 
     def is_transient(self) -> bool:
         """Return whether the driver recovers from that fault by itself."""
-        return self._timed is not None and self._timed.is_transient()
+        return self._reporting is not None and self._reporting.is_transient()
 
     def _row(self) -> Batch:
         t_ns = unix_ns()

@@ -70,17 +70,17 @@ class Bench:
 
 
 @contextmanager
-def running_twin(directory: Path, **twin: Any) -> Iterator[str]:
+def running_twin(directory: Path, plugin: str = "ball_beam", **twin: Any) -> Iterator[str]:
     """Start a twin that runs at twice the speed, and give its address."""
     section = TwinSection(**{"speed": 2.0, "seed": 1, **twin})
-    process, address = start_twin(DEVICE, "ball_beam", section, directory / "twin.json", lambda: False)
+    process, address = start_twin(DEVICE, plugin, section, directory / "twin.json", lambda: False)
     with process:
         yield address
 
 
 @contextmanager
 def running_host(
-    address: str, limits: dict[str, Limit], watchdog: float = PATIENT_WATCHDOG
+    address: str, limits: dict[str, Limit], watchdog: float = PATIENT_WATCHDOG, plugin: str = "ball_beam"
 ) -> Iterator[Bench]:
     """Start a host, and a bus for it; everything is stopped at the end."""
     with ExitStack() as stack:
@@ -92,7 +92,7 @@ def running_host(
                 events.extend(json.loads(payload) for payload in payloads)
 
         stack.enter_context(subscribe(bus, ALL_STREAMS, collect))
-        host = HostProcess(HostConfig(DEVICE, "ball_beam", address, limits, bus.endpoint, watchdog))
+        host = HostProcess(HostConfig(DEVICE, plugin, address, limits, bus.endpoint, watchdog))
         stack.callback(host.stop)
         yield Bench(bus, host, host.wait_connected(), events)
 
@@ -110,10 +110,14 @@ def start_bench(tmp_path: Path, twin_address: str) -> Iterator[Callable[..., Ben
     with ExitStack() as stack:
 
         def start(
-            limits: dict[str, Limit] | None = None, watchdog: float = PATIENT_WATCHDOG, **twin: Any
+            limits: dict[str, Limit] | None = None,
+            watchdog: float = PATIENT_WATCHDOG,
+            plugin: str = "ball_beam",
+            **twin: Any,
         ) -> Bench:
-            address = stack.enter_context(running_twin(tmp_path, **twin)) if twin else twin_address
-            return stack.enter_context(running_host(address, LIMITS if limits is None else limits, watchdog))
+            address = stack.enter_context(running_twin(tmp_path, plugin, **twin)) if twin else twin_address
+            limits = LIMITS if limits is None else limits
+            return stack.enter_context(running_host(address, limits, watchdog, plugin))
 
         yield start
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import time
@@ -11,7 +12,7 @@ import pytest
 from labhil.errors import BusError, CommandRefusedError, ConnectError, DeviceResetError, DeviceSilentError
 from labhil.rig_sections import Limit
 from labhil.service.hosts import HostProcess
-from labhil.service.messages import WATCHDOG, HostConfig
+from labhil.service.messages import WATCHDOG, HostConfig, Setpoint
 
 Start = Callable[..., Any]
 
@@ -82,6 +83,21 @@ def test_a_sample_outside_its_limits_makes_safe(start_bench: Start) -> None:
     assert bench.ask("status")["state"] == "tripped"
     with pytest.raises(CommandRefusedError):
         bench.set(0.0)
+
+
+def test_an_output_that_lasts_too_long_trips_the_host_which_goes_on(start_bench: Start) -> None:
+    bench = start_bench({}, plugin="solenoid", set={"longest_output": 1.0})
+    command = "coil_current_command"
+    for times in (1, 2):
+        bench.take_lease()
+        while sum(event["kind"] == "tripped" for event in bench.events) < times:
+            with contextlib.suppress(CommandRefusedError):  # it trips between two commands
+                bench.ask("set", **Setpoint(bench.token, time.time_ns(), {command: 0.5}).to_json())
+            time.sleep(0.02)
+        assert "lasted longer" in bench.wait_for_event("tripped")["message"]
+        status = bench.ask("status")
+        assert (status["state"], status["applied"]) == ("tripped", {command: 0.0})
+    assert bench.host.failure() is None
 
 
 def test_a_refused_setpoint_is_said_once(bench: Any) -> None:
