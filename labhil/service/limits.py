@@ -1,9 +1,13 @@
-"""The ``[limits]`` of a rig file, applied to outgoing commands and checked on incoming samples."""
+"""The ``[limits]`` of a rig file, applied to outgoing commands and checked on incoming samples.
+
+Commands are also kept within what the device takes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite
+from dataclasses import dataclass
+from math import inf, isfinite
 
 import numpy as np
 
@@ -15,24 +19,41 @@ COMMAND_MARGIN = 0.01
 """Share of its span by which samples of a commanded signal may exceed its limits: converters round."""
 
 NO_LIMIT = Limit()
+NO_RANGE = (-inf, inf)
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """What a command may be, and its largest rate of change per second."""
+
+    low: float
+    high: float
+    rate: float
 
 
 class CommandLimits:
-    """Keeps commands within their limits; a finite value of a signal without limits passes unchanged.
+    """Keeps commands within their limits and the range of the device; others pass unchanged.
 
     The columns of a vector have the limits of the vector, or their own where the rig file gives them.
 
     Args:
         commands: The commands of the device.
         limits: The limits of the rig file, by signal or column.
+        ranges: Lowest and highest values that the device takes, by signal or column.
     """
 
-    def __init__(self, commands: tuple[Signal, ...], limits: Mapping[str, Limit]) -> None:
-        self._limits = {
-            column: limits.get(column, limits.get(signal.name, NO_LIMIT))
-            for signal in commands
-            for column in signal.columns()
-        }
+    def __init__(
+        self,
+        commands: tuple[Signal, ...],
+        limits: Mapping[str, Limit],
+        ranges: Mapping[str, tuple[float, float]],
+    ) -> None:
+        self._bounds: dict[str, _Bounds] = {}
+        for signal in commands:
+            for column in signal.columns():
+                limit = limits.get(column, limits.get(signal.name, NO_LIMIT))
+                low, high = ranges.get(column, ranges.get(signal.name, NO_RANGE))
+                self._bounds[column] = _Bounds(max(limit.min, low), min(limit.max, high), limit.rate)
 
     def clip(self, name: str, value: float, previous: float | None, elapsed: float) -> float:
         """Clip a command to min and max, and to ``rate``·``elapsed`` around the previous command.
@@ -43,17 +64,17 @@ class CommandLimits:
             previous: The value that was sent before; None where there was none.
             elapsed: Time since then, s of the device's clock.
         """
-        limit = self._limits[name]
-        reach = limit.rate * elapsed if elapsed > 0 else 0.0
-        if isfinite(limit.rate) and previous is not None:
+        bounds = self._bounds[name]
+        reach = bounds.rate * elapsed if elapsed > 0 else 0.0
+        if isfinite(bounds.rate) and previous is not None:
             value = min(max(value, previous - reach), previous + reach)
-        return min(max(value, limit.min), limit.max)
+        return min(max(value, bounds.low), bounds.high)
 
     def refuse_unusable(self, values: Mapping[str, float]) -> None:
         """Raise CommandRefusedError for an unknown command or a value that is not finite."""
         for name, value in values.items():
-            if name not in self._limits:
-                raise CommandRefusedError(str(UnknownNameError("command", name, self._limits)))
+            if name not in self._bounds:
+                raise CommandRefusedError(str(UnknownNameError("command", name, self._bounds)))
             if not isfinite(value):
                 raise CommandRefusedError(f"{name}: expected a finite number, found {value}")
 
@@ -61,10 +82,10 @@ class CommandLimits:
         """Raise CommandRefusedError for an unusable value, or one beyond min or max."""
         self.refuse_unusable(values)
         for name, value in values.items():
-            limit = self._limits[name]
-            if not limit.min <= value <= limit.max:
+            bounds = self._bounds[name]
+            if not bounds.low <= value <= bounds.high:
                 raise CommandRefusedError(
-                    f"{name}: {value:g} is outside its limits, {limit.min:g} to {limit.max:g}"
+                    f"{name}: {value:g} is outside its limits, {bounds.low:g} to {bounds.high:g}"
                 )
 
 

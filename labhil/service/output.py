@@ -48,7 +48,7 @@ class Output:
         self._sent_for_ns: int | None = None
         self._safe = safe_values(driver.spec)
         self._sample_period = 1 / (driver.spec.stream.rate * speed)
-        self.limits = CommandLimits(driver.spec.commands, limits)
+        self.limits = CommandLimits(driver.spec.commands, limits, driver.spec.ranges)
         self.clock = Clock(0, unix_ns())
         self.requested, self.applied = dict(self._safe), dict(self._safe)
         self.unheard = 0.0

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from labhil.bus.keys import setpoint_key
+from labhil.bus.publish import publish_command
 from labhil.errors import BusError, CommandRefusedError, ConnectError, DeviceResetError, DeviceSilentError
 from labhil.rig_sections import Limit
 from labhil.service.hosts import HostProcess
@@ -98,6 +100,24 @@ def test_an_output_that_lasts_too_long_trips_the_host_which_goes_on(start_bench:
         status = bench.ask("status")
         assert (status["state"], status["applied"]) == ("tripped", {command: 0.0})
     assert bench.host.failure() is None
+
+
+def test_a_command_is_kept_within_what_the_device_takes(start_bench: Start) -> None:
+    """A controller saturates there; whoever asks for such a value outright is told."""
+    bench = start_bench({}, plugin="solenoid", set={})
+    command = "coil_current_command"
+    bench.take_lease()
+    with pytest.raises(CommandRefusedError, match=r"9 is outside its limits, 0 to 2\.7"):
+        bench.ask("set", **Setpoint(bench.token, time.time_ns(), {command: 9.0}).to_json())
+    for asked, taken in ((9.0, 2.7), (-1.0, 0.0)):
+        while bench.ask("status")["applied"] != {command: taken}:
+            publish_command(
+                bench.bus,
+                setpoint_key("bench"),
+                Setpoint(bench.token, time.time_ns(), {command: asked}).to_bytes(),
+            )
+            time.sleep(0.01)
+    assert bench.ask("status")["state"] == "active"
 
 
 def test_a_refused_setpoint_is_said_once(bench: Any) -> None:

@@ -21,7 +21,7 @@ def batch(*rows: tuple[float, float]) -> Batch:
 
 
 def test_a_streamed_value_is_clipped_to_range_and_rate() -> None:
-    limits = CommandLimits((SERVO,), LIMITS)
+    limits = CommandLimits((SERVO,), LIMITS, {})
     assert limits.clip("servo_angle", 3.0, previous=0.99, elapsed=1.0) == 1.0
     assert limits.clip("servo_angle", -1.0, previous=0.0, elapsed=0.01) == pytest.approx(-0.05)
     assert limits.clip("servo_angle", 0.03, previous=0.0, elapsed=0.01) == 0.03
@@ -29,7 +29,7 @@ def test_a_streamed_value_is_clipped_to_range_and_rate() -> None:
 
 
 def test_without_limits_nothing_is_clipped_but_numbers_are_asked_for() -> None:
-    limits = CommandLimits((SERVO,), {})
+    limits = CommandLimits((SERVO,), {}, {})
     assert limits.clip("servo_angle", 30.0, previous=0.0, elapsed=0.01) == 30.0
     with pytest.raises(CommandRefusedError, match="finite"):
         limits.refuse_unusable({"servo_angle": float("nan")})
@@ -76,3 +76,9 @@ def test_a_hosts_configuration_survives_its_way() -> None:
 def test_a_setpoint_that_is_none_is_refused(payload: bytes) -> None:
     with pytest.raises(CommandRefusedError, match="a setpoint is"):
         Setpoint.from_bytes(payload)
+
+
+def test_the_range_of_the_device_narrows_the_limits() -> None:
+    limits = CommandLimits((SERVO,), {"servo_angle": Limit(max=2.0)}, {"servo_angle": (-1.0, 3.0)})
+    assert limits.clip("servo_angle", 9.0, None, 0.0) == 2.0
+    assert limits.clip("servo_angle", -9.0, None, 0.0) == -1.0
