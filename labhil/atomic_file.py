@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from labhil.errors import DiskFailedError, LabhilError, UsageError
 
@@ -51,3 +53,15 @@ def atomic_file(path: Path, what: str = "") -> Iterator[Path]:
         if not special:
             with suppress(OSError):
                 draft.unlink(missing_ok=True)
+
+
+def write_json_file(data: Any, path: Path) -> None:
+    """Write a result as indented JSON, UTF-8; numbers that are not finite have been made None before.
+
+    Raises:
+        UsageError: The path cannot be written.
+        DiskFailedError: The disk is full or fails.
+    """
+    text = json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)
+    with atomic_file(path, "the result") as draft:
+        draft.write_text(text + "\n", encoding="utf-8")

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
-from labhil.atomic_file import atomic_file
+from labhil.atomic_file import write_json_file
 from labhil.errors import UsageError
 from labhil.extras import require
 from labhil.terminal import complain, printable_json, show, terminal
@@ -114,9 +114,7 @@ def write_json(data: dict[str, Any], path: Path | None = None) -> None:
         ascii_only = "utf" not in (getattr(sys.stdout, "encoding", None) or "utf-8").lower()
         show(printable_json(json.dumps(data, ensure_ascii=ascii_only, allow_nan=False, indent=1)))
         return
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, indent=1)
-    with atomic_file(path, "the result") as draft:
-        draft.write_text(text + "\n", encoding="utf-8")
+    write_json_file(data, path)
 
 
 def refuse_unwritable(*paths: Path | None) -> None:

@@ -5,16 +5,13 @@ Package ``schema`` reads them.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from labhil.atomic_file import atomic_file
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.diagnose.locate import Location
 from labhil.identify.fit import Fit
@@ -259,15 +256,3 @@ def finite(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     return bool(value) if isinstance(value, np.bool_) else value
-
-
-def write_json(data: Any, path: Path) -> None:
-    """Write indented JSON data, UTF-8.
-
-    Raises:
-        UsageError: The path cannot be written.
-        DiskFailedError: The disk is full or fails.
-    """
-    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
-    with atomic_file(path, "the result") as draft:
-        draft.write_text(text + "\n", encoding="utf-8")

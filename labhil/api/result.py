@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
 from labhil.api.inputs import PathLike, path_of
 from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
+from labhil.atomic_file import write_json_file
 from labhil.errors import ModelFileError, UsageError
 from labhil.extras import require_analysis
 
@@ -81,12 +82,10 @@ class Result(ABC):
         Raises:
             UsageError: It cannot be written there.
         """
-        from labhil.analysis.results import write_json
-
         file = path_of(path, "path")
         if not file.parent.is_dir():
             raise UsageError(f"{file}: expected a folder {file.parent} to write into, found none")
-        write_json(dict(self._data), file)
+        write_json_file(dict(self._data), file)
         return file
 
     def report(self, path: PathLike) -> Path:

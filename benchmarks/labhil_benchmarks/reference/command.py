@@ -7,8 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from labhil.analysis.results import write_json
-from labhil.atomic_file import atomic_file
+from labhil.atomic_file import atomic_file, write_json_file
 from labhil.terminal import terminal
 from labhil_benchmarks.reference.page import page
 from labhil_benchmarks.reference.published import NUMBERS
@@ -41,7 +40,7 @@ def reference_command(
         with atomic_file(markdown, "the page") as draft:
             draft.write_text(page(reference), encoding="utf-8")
     if json_path is not None:
-        write_json(reference.to_json(), json_path)
+        write_json_file(reference.to_json(), json_path)
     # what was asked for is saved by now, whatever becomes of stdout
     shown = console or terminal()
     shown = shown if shown.is_terminal else terminal(file=shown.file, width=WIDTH)

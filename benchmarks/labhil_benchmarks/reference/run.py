@@ -15,7 +15,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from labhil.analysis.results import finite, write_json
+from labhil.analysis.results import finite
+from labhil.atomic_file import write_json_file
 from labhil.errors import RunStoppedError, UsageError
 from labhil_benchmarks.reference.findings import findings
 from labhil_benchmarks.reference.parts import FULL, PARTS, QUICK, Effort, Part, parts_of
@@ -127,7 +128,7 @@ class Kept:
         path = self._path(job)
         if path is not None:
             unfinished = path.with_suffix(".part")
-            write_json(finite(asdict(part)), unfinished)
+            write_json_file(finite(asdict(part)), unfinished)
             unfinished.replace(path)
 
     def _path(self, job: Job) -> Path | None:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.atomic_file import atomic_file
+from labhil.atomic_file import atomic_file, write_json_file
 from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError
 
@@ -147,13 +147,7 @@ def _write(folder: Path, stem: str, kind: str, data: Any, curves: Mapping[str, A
     path = free_name(folder, stem, f"{kind}.json")
     with atomic_file(path.with_suffix(".npz"), "the curves") as draft:
         np.savez_compressed(draft, **curves)
-    return _write_json(path, data)
-
-
-def _write_json(path: Path, data: Any) -> Path:
-    from labhil.analysis.results import write_json
-
-    write_json(data, path)
+    write_json_file(data, path)
     return path
 
 
@@ -182,7 +176,8 @@ def _verify(task: Task) -> dict[str, Any]:
     losses: list[str] = []
     first = task.recordings[0]
     result = verify(first, task.model, device=task.device, progress=report_progress, warn=losses.extend)
-    path = _write_json(free_name(first.parent, stem_of(task), "verification.json"), result.to_dict())
+    path = free_name(first.parent, stem_of(task), "verification.json")
+    write_json_file(result.to_dict(), path)
     text = "\n".join([*losses, result.text(width=100)])
     return {"done": text, "consistent": not result.contradicted, "path": str(path)}
 
@@ -194,7 +189,8 @@ def _compare(task: Task) -> dict[str, Any]:
     recordings = task.tests or _relocated_recordings(first) or None
     comparison = compare(*task.recordings, recording=recordings, progress=report_progress, warn=_warn)
     stem = first.name.removesuffix(".json").removesuffix(".fit").removesuffix(".diagnosis")
-    path = _write_json(free_name(first.parent, stem, "comparison.json"), comparison.to_dict())
+    path = free_name(first.parent, stem, "comparison.json")
+    write_json_file(comparison.to_dict(), path)
     return {"done": str(path), "verdict": comparison.statement}
 
 
