@@ -15,11 +15,11 @@ from labhil.plants.definition import (
     OUTPUT_EFFECTS,
     POSITIVE,
     SAMPLING,
+    Effect,
     PlantDefinition,
     with_sizes,
 )
 from labhil.plants.driven import TOLERANCE, PlantSimulation, compile_kernel
-from labhil.plants.effects import Effect
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import InputPath
 from labhil.plants.integrator import PLANT_STATES, SENSOR, Body, V, Workspace, X

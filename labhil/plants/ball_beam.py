@@ -10,8 +10,8 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.errors import UsageError
+from labhil.plants.ball_beam_definition import BALL_BEAM
 from labhil.plants.ball_motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, move
-from labhil.plants.effects import resolve
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import (
     HISTORY,
@@ -23,6 +23,7 @@ from labhil.plants.input_path import (
     settled_path,
 )
 from labhil.plants.sensor import Sensor
+from labhil.plants.trajectory import Noise
 from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
@@ -78,7 +79,7 @@ class BallBeamPlant:
         period: float = SAMPLE_PERIOD,
     ) -> None:
         self.terms = tuple(terms)
-        self.parameters = resolve(self.terms, parameters or {})
+        self.parameters = BALL_BEAM.resolve(self.terms, parameters or {})
         self.period = period
         self.sensor = Sensor.of(self.parameters)
         self._mechanics = Mechanics.of(self.parameters)
@@ -89,7 +90,8 @@ class BallBeamPlant:
         has_memory = self._path != NEUTRAL or self.sensor.lag > 0.0
         lag, delay = self._path.lag / period, self._path.delay / period
         self._substeps = substep_ends(delay, lag) if has_memory else np.ones(1)
-        self.noise: Callable[[int], FloatArray] = np.random.default_rng(seed).standard_normal
+        noise = Noise(np.random.default_rng(seed), self.parameters["noise_correlation"])
+        self.noise: Callable[[int], FloatArray] = noise.draw
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:

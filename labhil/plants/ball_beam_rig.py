@@ -8,19 +8,12 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.plants.ball_beam import SAMPLE_PERIOD, BallBeamPlant
-from labhil.plants.definition import SAMPLING, PlantDefinition
-from labhil.plants.effects import BARE_RIG, EFFECTS, HIDDEN, POSITIVE
 from labhil.plants.trajectory import Noise, SampleTimes, Trajectory, random_generator
 from labhil.signals import FloatArray
 
-BALL_BEAM = PlantDefinition({**BARE_RIG, **SAMPLING}, EFFECTS, frozenset(POSITIVE), HIDDEN)
-
 
 class BallBeamRig:
-    """A :class:`BallBeamPlant` with named signals; the servo angle (rad) is linear between samples.
-
-    It takes the parameters of the plant and those of ``SAMPLING``.
-    """
+    """A :class:`BallBeamPlant` with named signals; the servo angle (rad) is linear between samples."""
 
     def __init__(
         self,
@@ -30,11 +23,10 @@ class BallBeamRig:
         period: float = SAMPLE_PERIOD,
     ) -> None:
         self.terms = tuple(terms)
-        self.parameters = p = BALL_BEAM.resolve(self.terms, parameters or {})
+        self.plant = BallBeamPlant(parameters, self.terms, seed, period)
+        self.parameters = p = self.plant.parameters
         self.period = period
         self.sample_times = SampleTimes(p, period, seed)
-        overrides = {name: value for name, value in (parameters or {}).items() if name not in SAMPLING}
-        self.plant = BallBeamPlant(overrides, self.terms, seed, period)
         self.plant.noise = Noise(random_generator(seed, "ball_position"), p["noise_correlation"]).draw
         self._uneven = p["stamp_jitter"] > 0.0
         if self._uneven and p.get("time_delay.delay", 0.0):

@@ -8,10 +8,10 @@ from labhil.plants.definition import (
     OUTPUT_EFFECTS,
     POSITIVE,
     SAMPLING,
+    Effect,
     PlantDefinition,
     with_sizes,
 )
-from labhil.plants.effects import Effect
 
 COPPER = 0.0039
 

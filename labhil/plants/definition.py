@@ -6,11 +6,10 @@ Each rig has one (``dc_motor_definition``, ``solenoid_definition``, …); the ef
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from labhil.errors import UnknownNameError, UsageError
-from labhil.plants.effects import Effect, check_carriers
 
 NOT_NEGATIVE = (
     "_noise", "_resolution", "stamp_jitter", "stamp_error", "warming", "cooling", ".delay", ".gap", ".left",
@@ -18,6 +17,21 @@ NOT_NEGATIVE = (
     "spring_stiffness",
 )  # fmt: skip
 """Endings of the names of parameters that are not negative."""
+
+CARRIERS = ("presliding_friction", "maxwell_slip_friction")
+"""Effects that replace the event-based law of dry friction."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """An effect of a simulated rig; ``parameters`` maps short names to defaults (SI)."""
+
+    about: str
+    parameters: Mapping[str, float]
+
+
+def _accept(_values: Mapping[str, float], _terms: tuple[str, ...]) -> None:
+    """Accept any parameters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +43,14 @@ class PlantDefinition:
         effects: Effects by name.
         positive: Names of parameters that must be larger than zero.
         hidden: Effects that no list contains, for trials with unmodelled physics.
+        check: Raises UsageError for parameters and effects of this rig that do not fit together.
     """
 
     bare: Mapping[str, float]
     effects: Mapping[str, Effect]
     positive: frozenset[str]
     hidden: Mapping[str, Effect]
+    check: Callable[[Mapping[str, float], tuple[str, ...]], None] = _accept
 
     def parameters_of(self, effect: str) -> dict[str, float]:
         """Return the parameters of an effect by full name (``effect.parameter``) with their defaults.
@@ -76,7 +92,9 @@ class PlantDefinition:
             values[name] = float(value)
         for name, value in values.items():
             self._check(name, value)
-        check_carriers(chosen)
+        if set(CARRIERS) <= set(chosen):
+            raise UsageError(f"{' and '.join(CARRIERS)} both carry the dry friction; choose one of them")
+        self.check(values, chosen)
         low, high = values.get("stop_low", -math.inf), values.get("stop_high", math.inf)
         if low >= high:
             raise UsageError(f"stop_high must lie above stop_low ({low:g}), found {high:g}")

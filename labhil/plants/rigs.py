@@ -7,11 +7,11 @@ from typing import Protocol
 
 from labhil.errors import UnknownNameError
 from labhil.plants.axis import AXIS, AxisPlant
-from labhil.plants.ball_beam_rig import BALL_BEAM, BallBeamRig
+from labhil.plants.ball_beam_definition import BALL_BEAM
+from labhil.plants.ball_beam_rig import BallBeamRig
 from labhil.plants.dc_motor import DcMotorPlant
 from labhil.plants.dc_motor_definition import MOTOR
-from labhil.plants.definition import PlantDefinition
-from labhil.plants.effects import Effect
+from labhil.plants.definition import Effect, PlantDefinition
 from labhil.plants.solenoid import SolenoidPlant
 from labhil.plants.solenoid_definition import SOLENOID
 from labhil.plants.trajectory import Trajectory

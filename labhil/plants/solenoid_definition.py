@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-from labhil.plants.definition import FRICTION, OUTPUT_EFFECTS, POSITIVE, SAMPLING, PlantDefinition, with_sizes
-from labhil.plants.effects import Effect
+from labhil.plants.definition import (
+    FRICTION,
+    OUTPUT_EFFECTS,
+    POSITIVE,
+    SAMPLING,
+    Effect,
+    PlantDefinition,
+    with_sizes,
+)
 
 STROKE = 0.005
 COPPER = 0.0039

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from labhil.plants.effects import EFFECTS, all_parameters, resolve
+from labhil.plants.ball_beam_definition import BALL_BEAM
 from labhil.serial_twin.bench import SimulatedRig
-from labhil.serial_twin.settings import Settable, TwinSettings, check_range
+from labhil.serial_twin.settings import TwinSettings, check_range, settable_world
 from labhil.serial_twin.twin import SerialTwin
 
 
@@ -22,19 +22,16 @@ def make(settings: TwinSettings) -> SimulatedRig:
     return BallBeamBench(settings)
 
 
-SETTABLE = Settable(
-    default_terms=("viscous_friction", "coulomb_friction", "stribeck_friction"),
-    plant=all_parameters(),
-    resolve=resolve,
-    device={"pulse_resolution": 1e-6},  # s, step of the servo's pulse width; 180° are 1 ms
-    check=check,
-)
+DEVICE: Mapping[str, float] = {
+    "pulse_resolution": 1e-6,  # s, step of the servo's pulse width; 180° are 1 ms
+}
+TERMS = ("viscous_friction", "coulomb_friction", "stribeck_friction")
 
 TWIN = SerialTwin(
     name="ball_beam",
     rig="ball_beam",
     description="simulated ball and beam: servo pulse in, potentiometer counts out, 100 Hz",
-    effects={name: effect.about for name, effect in EFFECTS.items()},
-    settable=SETTABLE,
+    effects={name: effect.about for name, effect in BALL_BEAM.effects.items()},
+    settable=settable_world(BALL_BEAM, TERMS, DEVICE, check),
     make=make,
 )

@@ -7,7 +7,7 @@ import pytest
 
 from labhil.errors import UnknownNameError, UsageError
 from labhil.plants.ball_beam import BallBeamPlant
-from labhil.plants.effects import EFFECTS, all_parameters, parameters_of
+from labhil.plants.ball_beam_definition import BALL_BEAM, EFFECTS
 
 G = 9.81
 INERTIA = 0.261 * 1.4
@@ -137,7 +137,7 @@ def test_each_effect_changes_what_is_seen(effect):
 @pytest.mark.parametrize("effect", sorted(set(EFFECTS) - WITHOUT_ZERO))
 def test_an_effect_of_no_strength_is_exactly_absent(effect):
     others = [term for term in ("viscous_friction", "coulomb_friction") if term != effect]
-    neutral = {name: 0.0 for name in parameters_of(effect) if name != "stribeck_friction.velocity"}
+    neutral = {name: 0.0 for name in BALL_BEAM.parameters_of(effect) if name != "stribeck_friction.velocity"}
     with_it = drive_around_the_middle(BallBeamPlant(neutral, [*others, effect], seed=2), 5.0)
     without = drive_around_the_middle(BallBeamPlant(terms=others, seed=2), 5.0)
     np.testing.assert_array_equal(with_it, without)
@@ -183,7 +183,7 @@ def test_names_and_values_that_make_no_world_are_refused():
         BallBeamPlant({"ball_mass": 0.0})
     with pytest.raises(UsageError, match="dry friction"):
         BallBeamPlant(terms=["presliding_friction"])
-    assert set(parameters_of("dead_zone")) <= set(all_parameters())
+    assert set(BALL_BEAM.parameters_of("dead_zone")) <= set(BALL_BEAM.all_parameters())
 
 
 def test_a_minute_is_simulated_in_much_less():

@@ -24,7 +24,6 @@ from labhil.serial_twin.settings import TwinSettings
 from labhil.serial_twin.twin import write_answer
 from labhil_sim_ball_beam import TWIN
 from labhil_sim_ball_beam.rig import LEVEL, make_board
-from labhil_sim_ball_beam.twin import SETTABLE
 
 
 @pytest.fixture
@@ -94,14 +93,14 @@ def test_a_boot_forgets_the_configuration_and_is_told_apart(firmware):
 def test_the_answer_holds_everything_and_only_on_request(tmp_path):
     path = tmp_path / "answer.json"
     options = TwinOptions(seed=7, terms=("coulomb_friction",), parameters={"coulomb_friction.level": 0.2})
-    write_answer(path, TwinSettings.of(options, SETTABLE))
+    write_answer(path, TwinSettings.of(options, TWIN.settable))
     answer = json.loads(path.read_text(encoding="utf-8"))
     assert answer["terms"] == ["coulomb_friction"]
     assert answer["parameters"]["coulomb_friction.level"] == 0.2
     assert answer["parameters"]["ball_mass"] == 0.261
     assert "viscous_friction.coefficient" not in answer["parameters"]
     with pytest.raises(UsageError, match="cannot be written"):
-        write_answer(tmp_path / "no" / "where.json", TwinSettings.of(options, SETTABLE))
+        write_answer(tmp_path / "no" / "where.json", TwinSettings.of(options, TWIN.settable))
 
 
 @pytest.mark.parametrize(
@@ -129,8 +128,8 @@ def test_every_name_is_documented():
 
 
 def test_a_twin_without_terms_is_the_bare_rig():
-    assert TwinSettings.of(TwinOptions(terms=()), SETTABLE).terms == ()
-    assert TwinSettings.of(TwinOptions(), SETTABLE).terms == (
+    assert TwinSettings.of(TwinOptions(terms=()), TWIN.settable).terms == ()
+    assert TwinSettings.of(TwinOptions(), TWIN.settable).terms == (
         "viscous_friction",
         "coulomb_friction",
         "stribeck_friction",

@@ -19,7 +19,7 @@ from labhil.errors import UsageError
 from labhil.kinds import KINDS
 from labhil.physics.model import Model, Record
 from labhil.physics.rigs import rig_model
-from labhil.plants.definition import PlantDefinition
+from labhil.plants.definition import CARRIERS, PlantDefinition
 from labhil.plants.rigs import PLANT_DEFINITIONS, Plant, effects_of, plant_of
 from labhil.signals import FloatArray, Hold, Signal
 
@@ -30,8 +30,6 @@ CONVERTER_BITS = (0, 0, 8, 10)
 REQUIRES_DRY_FRICTION = ("presliding_friction", "maxwell_slip_friction", "position_dependent_friction")
 """Effects that modify dry friction; without one they do nothing, or drive the part."""
 DRY_FRICTION_TERMS = ("coulomb_friction", "stribeck_friction", "load_dependent_friction")
-CARRIERS = ("presliding_friction", "maxwell_slip_friction")
-"""Bristle laws that may replace the event-based law of a dry friction."""
 MEASUREMENT_EFFECTS = ("quantisation", "pwm_ripple")
 """Effects of a plant that belong to the bench's conditions."""
 FINEST_BITS = 16.0

@@ -1,20 +1,11 @@
-"""Parameters and effects of the simulated ball and beam."""
+"""Parameters and effects of the simulated ball and beam (see :mod:`labhil.plants.definition`)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
-from labhil.errors import UnknownNameError, UsageError
-
-
-@dataclass(frozen=True, slots=True)
-class Effect:
-    """An effect of a simulated rig; ``parameters`` maps short names to defaults (SI)."""
-
-    about: str
-    parameters: Mapping[str, float]
-
+from labhil.errors import UsageError
+from labhil.plants.definition import CARRIERS, POSITIVE, SAMPLING, Effect, PlantDefinition
 
 BARE_RIG: Mapping[str, float] = {
     "ball_mass": 0.261,  # kg
@@ -87,75 +78,11 @@ HIDDEN: Mapping[str, Effect] = {
 """Effects that no list contains, for trials with unmodelled physics."""
 
 DRY = ("coulomb_friction", "stribeck_friction", "friction_asymmetry", "position_dependent_friction")
-POSITIVE = {
-    "ball_mass", "ball_radius", "crank_radius", "beam_length", "stop", "adc_bits", "adc_range",
-    "stribeck_friction.velocity", "presliding_friction.stiffness", "saturation.limit", "rate_limit.rate",
-    "actuator_lag.time_constant", "sensor_lag.time_constant", "hidden_magnet.width",
-    "hidden_sticky_patch.width", "maxwell_slip_friction.stiffness", "maxwell_slip_friction.spread",
-    "maxwell_slip_friction.attraction",
-}  # fmt: skip
-CARRIERS = ("presliding_friction", "maxwell_slip_friction")
-"""Effects that replace the event-based law of dry friction."""
 LONGEST_DELAY = 2.0
 
 
-def parameters_of(effect: str) -> dict[str, float]:
-    """Return the effect's parameters by full name (``effect.parameter``) with their defaults."""
-    definition = HIDDEN[effect] if effect in HIDDEN else EFFECTS[effect]
-    return {f"{effect}.{name}": value for name, value in definition.parameters.items()}
-
-
-def all_parameters() -> dict[str, float]:
-    """Return all parameters of a plant with their defaults (SI), without those of hidden effects."""
-    named = (parameters_of(effect) for effect in EFFECTS)
-    return dict(BARE_RIG) | {name: value for group in named for name, value in group.items()}
-
-
-def resolve(terms: Iterable[str], overrides: Mapping[str, float]) -> dict[str, float]:
-    """Return the parameters of the ball and beam with some effects.
-
-    Args:
-        terms: Names of the effects.
-        overrides: Values by parameter name, SI.
-
-    Returns:
-        Values of all parameters, SI.
-
-    Raises:
-        UnknownNameError: An effect or a parameter does not exist.
-        UsageError: A parameter belongs to an effect that is not in ``terms``, or a value is out of range.
-    """
-    chosen = tuple(terms)
-    for term in chosen:
-        if term not in EFFECTS and term not in HIDDEN:
-            raise UnknownNameError("effect", term, EFFECTS)
-    values = dict(BARE_RIG)
-    for term in chosen:
-        values |= parameters_of(term)
-    for name, value in overrides.items():
-        if name not in values:
-            _refuse(name, chosen)
-        values[name] = float(value)
-    _check(values, chosen)
-    return values
-
-
-def _refuse(name: str, chosen: tuple[str, ...]) -> None:
-    known = all_parameters()
-    if name not in known:
-        raise UnknownNameError("parameter", name, known)
-    effect = name.partition(".")[0]
-    raise UsageError(
-        f"{name} belongs to {effect}, which is not among the terms: {', '.join(chosen) or 'none'}"
-    )
-
-
-def _check(values: Mapping[str, float], chosen: tuple[str, ...]) -> None:
-    for name, value in values.items():
-        if not abs(value) < float("inf") or (name in POSITIVE and value <= 0.0):
-            raise UsageError(
-                f"{name} must be a {'positive' if name in POSITIVE else 'finite'} number, found {value:g}"
-            )
+def check(values: Mapping[str, float], terms: tuple[str, ...]) -> None:
+    """Raise UsageError for sizes, a converter, a delay or effects that do not fit together."""
     if values["crank_radius"] >= values["beam_length"]:
         raise UsageError(
             f"crank_radius ({values['crank_radius']:g} m) must be smaller than beam_length"
@@ -167,13 +94,26 @@ def _check(values: Mapping[str, float], chosen: tuple[str, ...]) -> None:
         raise UsageError(f"start_position must lie within ±stop ({values['stop']:g} m)")
     if not 0.0 <= values.get("time_delay.delay", 0.0) <= LONGEST_DELAY:
         raise UsageError(f"time_delay.delay must lie between 0 and {LONGEST_DELAY:g} s")
-    check_carriers(chosen)
     for carrier in CARRIERS:
-        if carrier in chosen and not set(DRY) & set(chosen):
+        if carrier in terms and not set(DRY) & set(terms):
             raise UsageError(f"{carrier} needs a dry friction to carry; add one of: {', '.join(DRY)}")
 
 
-def check_carriers(chosen: Iterable[str]) -> None:
-    """Raise UsageError where more than one effect replaces the law of dry friction."""
-    if set(CARRIERS) <= set(chosen):
-        raise UsageError(f"{' and '.join(CARRIERS)} both carry the dry friction; choose one of them")
+BALL_BEAM = PlantDefinition(
+    bare={**BARE_RIG, **SAMPLING},
+    effects=EFFECTS,
+    positive=POSITIVE
+    | {
+        "ball_mass",
+        "ball_radius",
+        "crank_radius",
+        "beam_length",
+        "stop",
+        "adc_bits",
+        "adc_range",
+        "hidden_magnet.width",
+        "hidden_sticky_patch.width",
+    },
+    hidden=HIDDEN,
+    check=check,
+)
