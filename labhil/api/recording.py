@@ -241,14 +241,14 @@ def read(
 ) -> Recording:
     """Read a recording from a file.
 
-    Text tables, MAT, Parquet, XLSX, NPZ, ROS 2 bags and LeRobot datasets are read by the rules of a rig file:
-    its ``[table]`` and ``[channels]`` define signal and unit of each column. Recordings need no rules. MCAP
-    files of other programs are imported first (``labhil import``).
+    Text tables, MAT, Parquet, XLSX, NPZ, ROS 2 bags, LeRobot datasets and MCAP files of other programs are
+    read by the rules of a rig file: its ``[table]`` and ``[channels]`` define signal and unit of each column.
+    Recordings need no rules.
 
     Args:
         path: The file, or the folder of a ROS 2 bag.
-        rig: A rig kind, the path of a rig file, or a model; needed for every format but MCAP, where the
-            recording has its own.
+        rig: A rig kind, the path of a rig file, or a model; needed for everything but a recording, which has
+            its own.
         device: The device, where a recording has several.
         run: The run, from 1, where a file has several of one stream.
         progress: A function of a line about the current stage, or True for a line on stderr.
@@ -271,18 +271,26 @@ def read(
 
     file, resolved_rig = path_of(path, "path"), rig_file(rig)
     if _is_table(file):
-        if resolved_rig is None:
-            raise UsageError(
-                f"{file}: a table needs a rig, which says what its columns are: "
-                'labhil.read(…, rig="bench.toml"), or the kind where columns bear the names of signals'
-            )
-        from labhil.analysis.tables import read_table
-
-        with progress_reporter(progress) as say:
-            table, notes, content = read_table(file, resolved_rig, say)
-        return Recording(table, tuple(notes), content)
-    recording = read_recording(file, run).of_device(device)
+        return _import(file, resolved_rig, "a table", progress)
+    recording = read_recording(file, run)
+    if recording.foreign and not recording.streams:
+        return _import(file, resolved_rig, "an MCAP file of another program", progress)
+    recording = recording.of_device(device)
     return Recording(recording if resolved_rig is None else replace(recording, rig=resolved_rig))
+
+
+def _import(file: Path, rig: RigFile | None, what: str, progress: Progress) -> Recording:
+    """Read a file by the rules of a rig file; UsageError where there is none."""
+    if rig is None:
+        raise UsageError(
+            f"{file}: {what} needs a rig, which says what its columns are: "
+            'labhil.read(…, rig="bench.toml"), or the kind where columns bear the names of signals'
+        )
+    from labhil.analysis.tables import read_table
+
+    with progress_reporter(progress) as say:
+        table, notes, content = read_table(file, rig, say)
+    return Recording(table, tuple(notes), content)
 
 
 def _is_table(path: Path) -> bool:

@@ -16,8 +16,9 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import labhil as lh
 from labhil.bounds import ImplausibleError
-from labhil.errors import LabhilError, MissingExtraError, TableError
+from labhil.errors import LabhilError, MissingExtraError, TableError, UsageError
 from labhil.recording import describe_import, import_table, read_recording, write_import
 from labhil.recording.formats.mcap_decoders import MessageFormat, make_decoder
 from labhil.recording.formats.mcap_file import read_mcap
@@ -168,6 +169,16 @@ def test_signals_are_found_by_dotted_path_in_every_encoding(tmp_path, form):
     assert clock.get(form.partition(",")[0], "the stamps in their headers") in lines
     recording = read_recording(write_import(table, tmp_path / "b.mcap"))
     assert len(recording.stream_with("ball_position")) == COUNT
+
+
+def test_it_is_read_in_one_step_from_python(tmp_path):
+    path = mcap(tmp_path / "a.mcap", {"/bench": BENCH})
+    rules = rig("ball.x", "servo[0]")
+    recording = lh.read(path, rig=rules)
+    assert recording["ball_position"] == pytest.approx(EXPECTED[:, 1])
+    assert lh.read(recording.save(tmp_path / "saved.mcap"))["servo_angle"] == pytest.approx(EXPECTED[:, 0])
+    with pytest.raises(UsageError, match="an MCAP file of another program needs a rig"):
+        lh.read(path)
 
 
 @pytest.mark.parametrize("chunked", [True, False])
