@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from labhil.diagnose.adequacy import MAX_RMS_IN_NOISE, exceeds_noise
+from labhil.diagnose.adequacy import MAX_RMS_IN_NOISE, exceeds_noise, residual_rms
 from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
@@ -76,6 +76,16 @@ class Conclusion:
             return None
         return data.score_held_out(result.baseline.theta)[0], data.score_held_out(result.final.theta)[0]
 
+    @property
+    def predicts_worse(self) -> bool:
+        """Whether held-out errors have grown on windows of the metric and on those of the search.
+
+        A term may predict better on windows of some other length alone: a lag of 2 s makes any output smooth.
+        No model counts as an answer that predicts worse than the one it replaces.
+        """
+        shorter = self.on_shorter_windows
+        return shorter is not None and shorter[1].rmse >= shorter[0].rmse
+
 
 @dataclass(frozen=True, slots=True)
 class HeldOutScores:
@@ -122,7 +132,7 @@ def conclude(
         progress: is called with a line of text at each stage.
 
     Returns:
-        The conclusion.
+        The conclusion; without claims where the final model predicts worse than the baseline.
     """
     progress("scores, intervals and exclusion limits")
     scores = HeldOutScores.of(data, result)
@@ -131,6 +141,9 @@ def conclude(
     if data.model.metric is Metric.INVERSE_DYNAMICS and result.complete:
         curves = fit_joint_curves(data, result)
     conclusion = Conclusion(data, result, curves, more, scores.before, scores.after, scores.sigma)
+    if not curves and conclusion.predicts_worse:
+        baseline = result.without_claims
+        return conclude(data, baseline, residual_rms(data, baseline.final), progress)
     return replace(conclusion, after=scores.score_of(*conclusion.accepted)) if curves else conclusion
 
 

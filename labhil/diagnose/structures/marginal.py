@@ -163,12 +163,16 @@ def _projection_beside(products: FloatArray, baseline: int) -> FloatArray:
     return np.delete(projection, np.arange(1, 1 + baseline), axis=1)
 
 
-KAPPA_GRID = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
+KAPPA_GRID = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4])
 """Prior RMS of a term's response in noise levels, each value equally probable. The grid covers effects
-below the noise up to a hundred times the noise."""
+below the noise up to millimetres beside an encoder of a tenth of a micrometre."""
 
 INITIAL_KAPPA = 3.0
-"""Prior RMS in noise levels with which a response is estimated before the nearest κ of the grid is chosen."""
+"""Prior RMS in noise levels with which a response is estimated first."""
+
+MAX_KAPPA_ESTIMATES = 5
+"""Largest number of estimates of κ: beside a large disturbance the prior of a small one holds a response near
+zero, and each estimate frees it by a step of the grid or more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,13 +292,7 @@ def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
     gram, gradient = _submatrices(products, batch.columns), products[batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
     unit = _submatrices(grams.precision, batch.columns) * same
-    first = gram + unit / INITIAL_KAPPA**2
-    first_sizes = np.linalg.solve(_regularise(first), gradient[:, :, None])[:, :, 0]
-    squared = first_sizes * np.einsum(
-        "sij,sj->si", _submatrices(grams.raw, batch.columns) * same, first_sizes
-    )
-    squared = np.einsum("si,sij->sj", squared, same.astype(float))
-    kappa = _nearest_kappa(np.sqrt(np.maximum(squared, 0.0) / grams.samples))
+    kappa = _estimate_kappa(grams, batch, gram, gradient, unit)
     prior = _regularise(unit / (kappa[:, :, None] * kappa[:, None, :]))
     system = _regularise(gram + prior)
     inverse, log_det = _inverse_and_log_det(system)
@@ -312,6 +310,23 @@ def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
         - 0.5 * grams.dof * np.log(penalised)
     )
     return StructureSolution(logs, sizes, inverse, penalised)
+
+
+def _estimate_kappa(
+    grams: GramMatrices, batch: Batch, gram: FloatArray, gradient: FloatArray, unit: FloatArray
+) -> FloatArray:
+    """The κ (S, k) of the grid that each response has under the prior of that κ (MacKay 1992)."""
+    same = (batch.block[:, :, None] == batch.block[:, None, :]).astype(float)
+    raw = _submatrices(grams.raw, batch.columns) * same
+    kappa = np.full(batch.columns.shape, INITIAL_KAPPA)
+    for _ in range(MAX_KAPPA_ESTIMATES):
+        prior = unit / (kappa[:, :, None] * kappa[:, None, :])
+        sizes = np.linalg.solve(_regularise(gram + prior), gradient[:, :, None])[:, :, 0]
+        squares = np.einsum("si,sij->sj", sizes * np.einsum("sij,sj->si", raw, sizes), same)
+        before, kappa = kappa, _nearest_kappa(np.sqrt(np.maximum(squares, 0.0) / grams.samples))
+        if np.array_equal(before, kappa):
+            break
+    return kappa
 
 
 def _inverse_and_log_det(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
