@@ -19,6 +19,7 @@ import os
 import platform
 import re
 import statistics
+import sys
 import tempfile
 import threading
 import time
@@ -347,7 +348,11 @@ def main() -> None:
         os.environ["XDG_RUNTIME_DIR"] = directory
         folder = Path(directory) / "lab"
         folder.mkdir()
-        figures = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
+        try:
+            figures = soak(60 * options.minutes, options.roll, (columns, rows), options.tab, folder)
+        except BaseException:
+            print((folder / "said.txt").read_text(encoding="utf-8")[-20_000:], file=sys.stderr)
+            raise
     result = {
         "schema": "labhil.soak/2",
         "minutes": options.minutes,
