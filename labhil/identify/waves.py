@@ -60,7 +60,7 @@ def starts_for_added_terms(fitted: Fitted, added: Sequence[str]) -> Starts:
     """Start values for a refit with further terms, periodic terms at the orders that explain most.
 
     Args:
-        fitted: a fit without these terms.
+        fitted: a fit, as a rule without these terms.
         added: keys of the terms to add.
 
     Returns:
@@ -86,24 +86,15 @@ def scan_orders(fitted: Fitted, order: Parameter) -> FloatArray:
     Returns:
         Orders, the best one first.
     """
-    problem, point = fitted.problem, fitted.solution.point
-    term = problem.model.terms[order.term or ""]
-    places = index_of(problem.model.parameters)
-    theta = fitted.theta.copy()
-    theta[[places[p.key] for p in term.parameters if p is not order]] = 0.0
-    neutral_point = Point(theta[problem.free] / problem.scale, point.states)
-    residuals = problem.residuals(neutral_point)
-    fit_without_term = replace(
-        fitted, theta=theta, solution=replace(fitted.solution, point=neutral_point, residuals=residuals)
-    )
-    return np.array([values[order.key] for values in _scan(fit_without_term, term, order)])
+    term = fitted.problem.model.terms[order.term or ""]
+    return np.array([values[order.key] for values in wave_starts(fitted, term, order)])
 
 
 def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     """Start values of a periodic term at the orders that explain most of a fit's residuals.
 
     Args:
-        fitted: a fit without the term.
+        fitted: a fit; where it has the term, this is taken out of it as it is.
         term: the periodic term.
         order: its parameter that is the order.
 
@@ -118,9 +109,19 @@ def wave_starts(fitted: Fitted, term: Term, order: Parameter) -> Starts:
 
 def _scan(fitted: Fitted, term: Term, order: Parameter) -> Starts:
     """Scan all orders of a term."""
-    scan = OrderScan.of(fitted, term, order)
+    scan = OrderScan.of(_without(fitted, term, order) if term.key in fitted.terms else fitted, term, order)
     keys = [p.key for p in scan.waves]
     return [{order.key: k, **dict(zip(keys, sizes, strict=True))} for k, sizes in scan.best()]
+
+
+def _without(fitted: Fitted, term: Term, order: Parameter) -> Fitted:
+    """The fit with the amplitudes of a term at zero and all else as it is."""
+    problem, places = fitted.problem, index_of(fitted.problem.model.parameters)
+    theta = fitted.theta.copy()
+    theta[[places[p.key] for p in term.parameters if p is not order]] = 0.0
+    point = Point(theta[problem.free] / problem.scale, fitted.solution.point.states)
+    solution = replace(fitted.solution, point=point, residuals=problem.residuals(point))
+    return replace(fitted, theta=theta, solution=solution)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,11 +117,14 @@ class StructureSearch:
             self._linearise_until_stable(state)
         while len(state.likeliest) <= self.options.max_terms_for_subsets and self._search_subsets(state):
             self._linearise_until_stable(state)
+        # before terms are dropped: with a wrong order of cogging it explains little
+        for structure in dict.fromkeys((frozenset[str](), state.likeliest)):
+            self._refit_shapes(state, structure)
         self._drop_irrelevant(state, state.likeliest, state.min_relevance)
         if not state.best:
             self._refit_single_terms(state)
-        for structure in dict.fromkeys((frozenset[str](), state.best)):
-            self._refit_shapes(state, structure)
+        if state.best not in (frozenset(), state.likeliest):
+            self._refit_shapes(state, state.best)
         return state
 
     def _linearise_until_stable(self, state: SearchState) -> None:
@@ -214,12 +217,17 @@ class StructureSearch:
         self._refit_each(state, near, [single for single in singles if single not in state.refitted])
 
     def _drop_irrelevant(self, state: SearchState, structure: Structure, least: float) -> Structure:
-        """Drop terms of too little relevance one by one, the smallest first, and refit after each."""
+        """Drop terms of too little relevance one by one, the smallest first, and refit after each.
+
+        A structure that was refitted before is refitted again where it stands higher than a term of so little
+        relevance can explain: it ended in another minimum.
+        """
         while smallest_relevance(shares := state.relevance(structure)) < least:
-            near = state.refitted[structure]
+            near = state.refitted[structure].fitted
             structure = structure - {min(shares, key=lambda term: shares[term])}
-            if structure not in state.refitted:
-                self._refit_and_record(state, near.fitted, structure, {})
+            before = state.refitted.get(structure)
+            if before is None or before.fitted.solution.cost > (1.0 + least) * near.solution.cost:
+                self._refit_and_record(state, near, structure, {})
         return structure
 
     def _refit_limits(self, state: SearchState, best: Structure) -> None:
@@ -235,12 +243,15 @@ class StructureSearch:
             self._refit_and_record(state, state.refitted[best].fitted, (best - {term}) | {narrow}, values)
 
     def _refit_shapes(self, state: SearchState, structure: Structure) -> None:
-        """Refit a structure from other starts of its shape parameters, which other terms may have biased."""
+        """Refit a structure from other starts of its shape parameters, which other terms may have biased.
+
+        Each start has a whole fit: beside a fit that stands in its minimum no short one from elsewhere wins.
+        """
         near, model = state.refitted[structure].fitted, self.data.model
         shaped = [t for t in near.terms if any(p.shape for p in model.terms[t].parameters)]
         starts = [start for term in shaped for start in starts_for_added_terms(near, [term])]
-        if starts:
-            self._record(state, self._fit_from(near, near.terms, [{}, *starts]))
+        for fitted in side_by_side(lambda start: self._fit_from(near, near.terms, [start]), starts):
+            self._record(state, fitted)
 
     def _linearisation_at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """The linearisation at a fit, with its own terms and all others, or those in ``absent`` only."""
