@@ -87,6 +87,7 @@ def test_a_sample_outside_its_limits_makes_safe(start_bench: Start) -> None:
         bench.set(0.0)
 
 
+@pytest.mark.extended
 def test_an_output_that_lasts_too_long_trips_the_host_which_goes_on(start_bench: Start) -> None:
     bench = start_bench({}, plugin="solenoid", set={"longest_output": 1.0})
     command = "coil_current_command"

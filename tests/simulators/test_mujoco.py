@@ -58,6 +58,7 @@ def test_a_file_is_offered_the_catalogue_and_begins_with_its_own_friction(tmp_pa
     assert cart.nominal["viscous_friction.coefficient"] == 1.0
 
 
+@pytest.mark.extended
 def test_values_of_the_file_are_the_reference_of_several_recordings_too(tmp_path: Path) -> None:
     (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
     cart = lh.mujoco_simulator(tmp_path / "cart.xml")

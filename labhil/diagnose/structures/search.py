@@ -225,8 +225,10 @@ class StructureSearch:
         while smallest_relevance(shares := state.relevance(structure)) < least:
             near = state.refitted[structure].fitted
             structure = structure - {min(shares, key=lambda term: shares[term])}
-            before = state.refitted.get(structure)
-            if before is None or before.fitted.solution.cost > (1.0 + least) * near.solution.cost:
+            before, tried = state.refitted.get(structure), (structure, near.solution.cost)
+            is_high = before is None or before.fitted.solution.cost > (1.0 + least) * near.solution.cost
+            if is_high and tried not in state.reduced:
+                state.reduced.add(tried)
                 self._refit_and_record(state, near, structure, {})
         return structure
 

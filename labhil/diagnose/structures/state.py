@@ -61,6 +61,7 @@ class SearchState:
         predicted: structures as the newest linearisation predicts them.
         enumeration: the newest linearisation.
         linearised: structures at whose fits the others were compared.
+        reduced: structures that were refitted again without a term, each with the cost of the fit with it.
     """
 
     min_relevance: float
@@ -68,6 +69,7 @@ class SearchState:
     predicted: dict[Structure, Prediction] = field(default_factory=dict)
     enumeration: Enumeration | None = None
     linearised: set[Structure] = field(default_factory=set)
+    reduced: set[tuple[Structure, float]] = field(default_factory=set)
 
     @property
     def relevant(self) -> dict[Structure, RefittedStructure]:
