@@ -103,6 +103,7 @@ def test_an_output_that_lasts_too_long_trips_the_host_which_goes_on(start_bench:
     assert bench.host.failure() is None
 
 
+@pytest.mark.extended
 def test_a_command_is_kept_within_what_the_device_takes(start_bench: Start) -> None:
     """A controller saturates there; whoever asks for such a value outright is told."""
     bench = start_bench({}, plugin="solenoid", set={})
