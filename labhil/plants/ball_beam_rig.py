@@ -8,6 +8,7 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.plants.ball_beam import SAMPLE_PERIOD, BallBeamPlant
+from labhil.plants.ball_beam_definition import BALL_BEAM
 from labhil.plants.trajectory import Noise, SampleTimes, Trajectory, random_generator
 from labhil.signals import FloatArray
 
@@ -23,10 +24,10 @@ class BallBeamRig:
         period: float = SAMPLE_PERIOD,
     ) -> None:
         self.terms = tuple(terms)
-        self.plant = BallBeamPlant(parameters, self.terms, seed, period)
-        self.parameters = p = self.plant.parameters
+        self.parameters = p = BALL_BEAM.resolve(self.terms, parameters or {})
         self.period = period
         self.sample_times = SampleTimes(p, period, seed)
+        self.plant = BallBeamPlant(parameters, self.terms, seed, period)
         self.plant.noise = Noise(random_generator(seed, "ball_position"), p["noise_correlation"]).draw
         self._uneven = p["stamp_jitter"] > 0.0
         if self._uneven and p.get("time_delay.delay", 0.0):

@@ -49,7 +49,7 @@ class Disturbance:
 
     @classmethod
     def grid(
-        cls, n_candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5)
+        cls, n_candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)
     ) -> Disturbance:
         """Grid of all sizes with a uniform prior; some disturbance is as probable as one more of the terms.
 
