@@ -44,7 +44,7 @@ def _with_holds(
     table: ImportedTable, record: Record, progress: Callable[[str], None]
 ) -> tuple[ImportedTable, Record, list[str]]:
     """Return table and record with the hold of each input, and a line about each."""
-    if any(joint is not None for joint in record.output_joints):
+    if record.has_joints:
         # inverse dynamics uses measured positions and rates of joints only at their samples
         return table, record, []
     holds, lines = {}, []

@@ -96,7 +96,7 @@ def _annotate(record: Record, rig: RigFile) -> Record:
     """
     record = with_least_noise(record.with_holds({n: c.hold for n, c in rig.channels.items() if c.hold}))
     record = with_input_smoothing(record)
-    return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
+    return record if record.has_joints else mark_censored(record)
 
 
 def _cut_to_span(record: Record, span: tuple[float, float] | None, recording: Recording) -> Record:

@@ -234,7 +234,7 @@ class Shadow:
                 f"{', '.join(self._stream.names())}"
             )
         record = record.with_holds({n: c.hold for n, c in self._rig.channels.items() if c.hold})
-        return record if any(joint is not None for joint in record.output_joints) else mark_censored(record)
+        return record if record.has_joints else mark_censored(record)
 
     def _simulate(self, t: FloatArray, values: FloatArray, begin: float, lead: float) -> Stretch:
         """Simulate from ``begin`` on, s; an empty stretch where that is not possible."""

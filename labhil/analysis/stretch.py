@@ -40,8 +40,7 @@ def liveliest_stretch(record: Record, most: int | None) -> Record:
         A copy of the stretch; the record itself where it is no longer, and that of an arm: inverse dynamics
         is linear, and takes long recordings as they are.
     """
-    has_joints = any(joint is not None for joint in record.output_joints)
-    if most is None or len(record) <= most or has_joints:
+    if most is None or len(record) <= most or record.has_joints:
         return record
     travel = _travel(record.inputs)
     starts = np.linspace(0, len(record) - most, STARTS).astype(int)

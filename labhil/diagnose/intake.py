@@ -199,11 +199,10 @@ def _measured_channels(record: Record, sigma: FloatArray) -> list[RecordedChanne
         RecordedChannel(name, None, x, _noise(x), record.inputs, may_rest=True)
         for name, x in auxiliary.items()
     ]
-    is_arm = bool(record.output_joints and record.output_joints[0] is not None)
     channels += [
         RecordedChannel(name, None, x, _noise(x), np.delete(record.inputs, j, axis=1), may_rest=True)
         for j, (name, x) in enumerate(zip(record.input_names, record.inputs.T, strict=True))
-        if (is_arm and not _is_planned(name)) or name in MEASURED_INPUTS
+        if (record.has_joints and not _is_planned(name)) or name in MEASURED_INPUTS
     ]
     return channels
 

@@ -91,8 +91,7 @@ def _bridged_time(record: Record, missing: FloatArray, is_long: BoolArray) -> fl
 
     The filters of inverse dynamics bridge all gaps.
     """
-    is_arm = bool(record.output_joints and record.output_joints[0] is not None)
-    return float(missing.sum() if is_arm else missing[~is_long].sum())
+    return float(missing.sum() if record.has_joints else missing[~is_long].sum())
 
 
 def non_finite_faults(record: Record) -> list[Fault]:

@@ -158,6 +158,11 @@ class Record:
             censored=None if self.censored is None else self.censored[first:last],
         )
 
+    @property
+    def has_joints(self) -> bool:
+        """Whether an output belongs to a joint: the record is of an arm."""
+        return any(joint is not None for joint in self.output_joints)
+
     def within(self, first: int, last: int) -> list[int]:
         """Indices (from 0) of the recordings with samples among first … last − 1."""
         return [k for k, (a, b) in enumerate(self.spans) if max(a, first) < min(b, last)]
