@@ -106,6 +106,24 @@ def test_a_smooth_disturbance_takes_the_evidence_from_a_term_that_imitates_it() 
     assert gains[1] < 0.5 * gains[0]
 
 
+def test_an_effect_of_thousands_of_noise_levels_is_seen_beside_a_disturbance_of_that_size() -> None:
+    """The fine encoder of a rough machine: a disturbance takes weight from data, not from the effect."""
+    random = np.random.default_rng(8)
+    n, size = 600, 3000.0
+    t = (np.arange(n) + 0.5) / n
+    falls = 1.0 / (1.0 + (np.arange(n) / 4.0) ** 2)
+    modes = np.sqrt(2.0) * np.cos(np.pi * np.arange(n) * t[:, None]) * falls
+    force = np.sign(np.sin(23.0 * t))
+    response = np.cumsum(np.cumsum(force - force.mean()))
+    response /= np.std(response)
+    target = random.standard_normal(n) + size * (0.1 * modes @ random.standard_normal(n) - 0.5 * response)
+    seen = disturbed(np.column_stack([target, response]), modes, (1.0, 10.0, 100.0, 1000.0, 1e4))
+    without, *_ = log_evidence(seen, one([], [], []))
+    with_it, _, sizes = log_evidence(seen, one([1], [0], [False]))
+    assert sizes[0, 0] == pytest.approx(0.5 * size, rel=0.3)
+    assert with_it[0] - without[0] > 10.0
+
+
 def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
     """By the Schur complement and from scratch, of one size that cannot be negative and of a block of two."""
     random = np.random.default_rng(7)

@@ -49,7 +49,7 @@ class Disturbance:
 
     @classmethod
     def grid(
-        cls, n_candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4)
+        cls, n_candidates: int, sizes: tuple[float, ...] = (0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1e3, 1e4, 1e5)
     ) -> Disturbance:
         """Grid of all sizes with a uniform prior; some disturbance is as probable as one more of the terms.
 
@@ -213,7 +213,7 @@ def estimate_torque_spectrum(
     problem: Problem,
     residuals: FloatArray,
     *,
-    sizes_in_noise: Sequence[float] = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0),
+    sizes_in_noise: Sequence[float] = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4),
     corners_hz: Sequence[float] = (0.1, 0.3, 1.0, 3.0, 10.0),
 ) -> FloatArray:
     """Estimate the spectrum of the disturbance torque of each joint from residuals of inverse dynamics.

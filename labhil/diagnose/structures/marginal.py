@@ -163,12 +163,19 @@ def _projection_beside(products: FloatArray, baseline: int) -> FloatArray:
     return np.delete(projection, np.arange(1, 1 + baseline), axis=1)
 
 
-KAPPA_GRID = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
+KAPPA_GRID = np.array([0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1e3, 3e3, 1e4])
 """Prior RMS of a term's response in noise levels, each value equally probable. The grid covers effects
-below the noise up to a hundred times the noise."""
+below the noise up to millimetres beside an encoder of a tenth of a micrometre."""
 
-INITIAL_KAPPA = 3.0
-"""Prior RMS in noise levels with which a response is estimated before the nearest κ of the grid is chosen."""
+FIRST_KAPPAS = (3.0, float(KAPPA_GRID[-1]))
+"""Prior RMS in noise levels with which responses are estimated first; the likelier end counts.
+
+Beside a large disturbance the first holds a large response at zero, where its κ stays. Under the last,
+responses that are nearly equal are large and cancel.
+"""
+
+MAX_KAPPA_ESTIMATES = 5
+"""Largest number of estimates of κ from each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,6 +281,16 @@ class StructureSolution:
     inverse: FloatArray
     penalised: FloatArray
 
+    def likelier(self, other: StructureSolution) -> StructureSolution:
+        """Choose the likelier of two solutions for each structure."""
+        better = other.logs > self.logs
+        return StructureSolution(
+            np.where(better, other.logs, self.logs),
+            np.where(better[:, None], other.sizes, self.sizes),
+            np.where(better[:, None, None], other.inverse, self.inverse),
+            np.where(better, other.penalised, self.penalised),
+        )
+
 
 def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
     """Solve all structures at the size of the disturbance with index ``t``."""
@@ -288,13 +305,24 @@ def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
     gram, gradient = _submatrices(products, batch.columns), products[batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
     unit = _submatrices(grams.precision, batch.columns) * same
-    first = gram + unit / INITIAL_KAPPA**2
-    first_sizes = np.linalg.solve(_regularise(first), gradient[:, :, None])[:, :, 0]
-    squared = first_sizes * np.einsum(
-        "sij,sj->si", _submatrices(grams.raw, batch.columns) * same, first_sizes
-    )
-    squared = np.einsum("si,sij->sj", squared, same.astype(float))
-    kappa = _nearest_kappa(np.sqrt(np.maximum(squared, 0.0) / grams.samples))
+    low, high = (_estimate_kappa(grams, batch, gram, gradient, unit, kappa) for kappa in FIRST_KAPPAS)
+    solution = _solve_under_prior(grams, t, batch, gram, gradient, unit, low)
+    if np.array_equal(low, high):
+        return solution
+    return solution.likelier(_solve_under_prior(grams, t, batch, gram, gradient, unit, high))
+
+
+def _solve_under_prior(
+    grams: GramMatrices,
+    t: int,
+    batch: Batch,
+    gram: FloatArray,
+    gradient: FloatArray,
+    unit: FloatArray,
+    kappa: FloatArray,
+) -> StructureSolution:
+    """Solve all structures with the κ (S, k) of each response."""
+    total = grams.projected[t, 0, 0]
     prior = _regularise(unit / (kappa[:, :, None] * kappa[:, None, :]))
     system = _regularise(gram + prior)
     inverse, log_det = _inverse_and_log_det(system)
@@ -312,6 +340,28 @@ def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
         - 0.5 * grams.dof * np.log(penalised)
     )
     return StructureSolution(logs, sizes, inverse, penalised)
+
+
+def _estimate_kappa(
+    grams: GramMatrices,
+    batch: Batch,
+    gram: FloatArray,
+    gradient: FloatArray,
+    unit: FloatArray,
+    first: float,
+) -> FloatArray:
+    """The κ (S, k) of the grid that each response has under a prior of that κ (MacKay 1992)."""
+    same = (batch.block[:, :, None] == batch.block[:, None, :]).astype(float)
+    raw = _submatrices(grams.raw, batch.columns) * same
+    kappa = np.full(batch.columns.shape, first)
+    for _ in range(MAX_KAPPA_ESTIMATES):
+        prior = unit / (kappa[:, :, None] * kappa[:, None, :])
+        sizes = np.linalg.solve(_regularise(gram + prior), gradient[:, :, None])[:, :, 0]
+        squares = np.einsum("si,sij->sj", sizes * np.einsum("sij,sj->si", raw, sizes), same)
+        before, kappa = kappa, _nearest_kappa(np.sqrt(np.maximum(squares, 0.0) / grams.samples))
+        if np.array_equal(before, kappa):
+            break
+    return kappa
 
 
 def _inverse_and_log_det(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
