@@ -11,6 +11,7 @@ second. Threads that Python itself started are left alone, as is the main thread
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import platform
 import subprocess
@@ -20,6 +21,8 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from kill_trials import RUN
 from labhil.bus import latch
@@ -31,7 +34,7 @@ from labhil.recording.reader import read_recording
 from labhil.service.commands import COMMANDS
 from measure_safety import PATIENCE, Relay, twin_behind_a_relay
 from measured import tell
-from victims import Listener, endpoint_of, process, wait_until
+from victims import Listener, endpoint_of, family_of, process, wait_until
 
 SETTINGS = {"sample_rate": 1000.0, "samples_per_frame": 10.0}
 PROCESSES = {"run": "-m labhil run", "host": "labhil.service.host"}
@@ -41,8 +44,9 @@ GOES_ON = 10.0
 """s after which a run that still goes on has not noticed."""
 
 
-def poke(bus: Bus) -> None:
+def poke(bus: Bus, run: subprocess.Popen[str]) -> None:
     """Send each thread that listens something; all of it is refused, so that nothing is moved by it."""
+    speak_for_hosts(run)
     keys = [command_key("bench", name) for name in COMMANDS]
     keys += [schema_key("bench", stream) for stream in ("state", "command")]
     keys += [PUBLISHED, ARRIVED, *(command_key(RUN_ITSELF, name) for name in OF_A_RUN)]
@@ -51,6 +55,14 @@ def poke(bus: Bus) -> None:
     for key in (event_key("bench"), schema_key("bench", "odd"), setpoint_key("bench")):
         bus.session.put(key, b"false")
     time.sleep(0.1)
+
+
+def speak_for_hosts(run: subprocess.Popen[str]) -> None:
+    """Write an empty line where a host writes its own; a run ignores lines that are not JSON."""
+    for member in family_of(run.pid):
+        with contextlib.suppress(psutil.Error, OSError):
+            if PROCESSES["host"] in " ".join(member.cmdline()):
+                Path(f"/proc/{member.pid}/fd/1").write_bytes(b"\n")
 
 
 def strike(relay: Relay, folder: Path, which: str, name: str) -> dict[str, Any]:
@@ -78,7 +90,7 @@ def ended(relay: Relay, folder: Path, run: subprocess.Popen[str], bus: Bus, name
     began = time.monotonic()
     (folder / "strike").write_text(name)
     while not relay.safe and time.monotonic() < began + GOES_ON:
-        poke(bus)
+        poke(bus, run)
     safe = relay.safe_since - began if relay.safe else None
     if safe is None:
         sleeps = name in (folder / "threads").read_text().splitlines()

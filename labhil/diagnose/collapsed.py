@@ -2,7 +2,7 @@
 
 Where an effect is missing on which the whole motion depends (an offset of the beam's angle), the best fit of
 the baseline may be a ball that does not roll: the gain falls to its bound, and no addition improves such a
-baseline. ``diagnosis.py`` then repeats the search with these sizes bounded near their nominal values.
+baseline. ``search_with_sizes.py`` then repeats the search with these sizes bounded near their nominal values.
 """
 
 from __future__ import annotations

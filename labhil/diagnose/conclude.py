@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from labhil.diagnose.adequacy import MAX_RMS_IN_NOISE, exceeds_noise, residual_rms
+from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
@@ -64,6 +65,13 @@ class Conclusion:
         if self.data.model.metric is Metric.INVERSE_DYNAMICS:
             return 1.0, 1
         return self.after.excess, len(self.result.missing) + len(self.curves)
+
+    @property
+    def probabilities(self) -> dict[str, float]:
+        """Probability of each claim by the key of its term, that it or a rival beside it is right."""
+        claims = [(step.terms[0], step.evidence) for step in self.result.missing]
+        claims += [(curve.term, curve.evidence) for curve in self.curves]
+        return {term: claim_probability(evidence, *self.doubts) for term, evidence in claims}
 
     @property
     def on_shorter_windows(self) -> tuple[Score, Score] | None:
@@ -132,7 +140,8 @@ def conclude(
         progress: is called with a line of text at each stage.
 
     Returns:
-        The conclusion; without claims where the final model predicts worse than the baseline.
+        The conclusion; without claims where the final model predicts worse than the baseline, and where each
+        claim is less probable than not.
     """
     progress("scores, intervals and exclusion limits")
     scores = HeldOutScores.of(data, result)
@@ -141,10 +150,21 @@ def conclude(
     if data.model.metric is Metric.INVERSE_DYNAMICS and result.complete:
         curves = fit_joint_curves(data, result)
     conclusion = Conclusion(data, result, curves, more, scores.before, scores.after, scores.sigma)
-    if not curves and conclusion.predicts_worse:
-        baseline = result.without_claims
-        return conclude(data, baseline, residual_rms(data, baseline.final), progress)
-    return replace(conclusion, after=scores.score_of(*conclusion.accepted)) if curves else conclusion
+    if curves:
+        conclusion = replace(conclusion, after=scores.score_of(*conclusion.accepted))
+    elif conclusion.predicts_worse:
+        return _without_claims(conclusion, result.without_claims, progress)
+    probabilities = conclusion.probabilities
+    if probabilities and max(probabilities.values()) < 0.5:
+        return _without_claims(conclusion, result.with_doubtful(probabilities), progress)
+    return conclusion
+
+
+def _without_claims(
+    conclusion: Conclusion, baseline: SearchResult, progress: Callable[[str], None]
+) -> Conclusion:
+    """The conclusion of a result whose claims were withdrawn."""
+    return conclude(conclusion.data, baseline, residual_rms(conclusion.data, baseline.final), progress)
 
 
 def more_than_noise_remains(

@@ -1,7 +1,7 @@
 """The diagnosis: do model and recordings disagree, where, which terms are missing, does the fit improve?
 
 ``diagnose`` checks the data (``timing.py``), fits the baseline (``begin.py``), searches structures
-(``structures/stages.py``), concludes (``conclude.py``) and states the answer (``answer.py``).
+(``search_with_sizes.py``), concludes (``conclude.py``) and states the answer (``answer.py``).
 """
 
 from __future__ import annotations
@@ -19,31 +19,27 @@ from labhil.diagnose.accepted import Accepted, accepted_error
 from labhil.diagnose.adequacy import leaves_only_noise, residual_rms
 from labhil.diagnose.answer import Change, Diagnosis, Undecided
 from labhil.diagnose.augmented import augmented_search
-from labhil.diagnose.begin import fit_baseline, fit_baseline_and_noise, prepare_data
-from labhil.diagnose.collapsed import are_near_nominal, bound_near_nominal, find_collapsed
+from labhil.diagnose.begin import fit_baseline_and_noise, prepare_data
 from labhil.diagnose.conclude import Conclusion, conclude
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.evidence import effective_samples
+from labhil.diagnose.exclusions import exclusions
 from labhil.diagnose.final_table import final_table, refit_to_held_out
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.intake import Fault, assess_usability, is_driven, why_at_rest
 from labhil.diagnose.joint_curves import sort_by_heldout_gain
-from labhil.diagnose.judge import COMBINED_ALPHA, Data, is_strongly_favoured
-from labhil.diagnose.load import explain_by_load
-from labhil.diagnose.minor import drop_minor_terms
-from labhil.diagnose.refit import refit_on_windows
+from labhil.diagnose.judge import COMBINED_ALPHA, Data
 from labhil.diagnose.remainder import find_remainder
 from labhil.diagnose.search_result import SearchResult
-from labhil.diagnose.structures.stages import search_structures
+from labhil.diagnose.search_with_sizes import search_with_sizes
 from labhil.diagnose.timing import detect_all_faults
 from labhil.ending import EndedEarly, accept
 from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
-from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.physics.model import Metric, Model, Record, terms_named
+from labhil.physics.model import Model, Record, terms_named
 from labhil.physics.terms import unkeyed
 
 VERDICT_ALPHA = 5e-4
@@ -102,7 +98,9 @@ def diagnose(
         accept()  # the result is there, and stating it takes no time
         answer = _answer_without_search(data, base, *refusal, faults, heldout_is_test, began)
         return replace(answer, complete=not ended_early)
-    search = partial(_search, terms=terms, reference=reference, accepted=accepted, progress=progress)
+    search = partial(
+        search_with_sizes, terms=terms, reference=reference, accepted=accepted, progress=progress
+    )
     conclusion = _conclude(data, search(data, base), search, progress)
     answer = _answer(data, conclusion, accepted, reference)
     return replace(
@@ -127,7 +125,7 @@ def _answer(
     accept()  # stating the result takes no time
     # what a curve may stand for is not excluded by the terms beside it
     absent = absent_effects(conclusion.curves[-1].fit if conclusion.curves else result.final)
-    excluded, unseen = statements.exclusions(absent, result.possible)
+    excluded, unseen = exclusions(absent, result.possible)
     final, scale = final_table(conclusion, accepted, absent, held_out_fit)
     changed = _changes(final, reference, accepted)
     verdict = _verdict(conclusion, changed)
@@ -150,6 +148,7 @@ def _answer(
         ),
         rivals=tuple(statements.rival_term(model, rival, result, *doubts) for rival in result.rivals),
         undecided=(
+            *statements.doubtful_terms(result),
             *statements.minor_terms(result),
             *statements.open_terms(result),
             *unseen,
@@ -225,96 +224,6 @@ def _conclude(
     return conclude(data, result, residual_rms(data, result.final), progress)
 
 
-def _search(
-    data: Data,
-    base: Fitted,
-    *,
-    terms: Sequence[str],
-    reference: Mapping[str, float] | None,
-    accepted: Accepted | None,
-    progress: Callable[[str], None],
-) -> SearchResult:
-    """Search with all sizes free and, if the user's model states sizes, again with these held."""
-    result = search_structures(data, base, progress)
-    try:
-        if not result.complete:
-            return result
-        result = _with_credible_sizes(data, result, progress)
-        result = explain_by_load(data, result, accepted)
-        sizes = _sizes(data.model, reference) if reference is not None and not result.errors else frozenset()
-        if sizes:
-            progress("the same with the sizes of the given model held")
-            held = replace(data, held=sizes)
-            held_result = search_structures(held, fit_baseline(held, terms), progress)
-            result = (
-                _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
-            )
-        return _with_settled_fit(drop_minor_terms(data, result))
-    except EndedEarly:
-        accept()
-        return replace(result, complete=False)
-
-
-def _with_settled_fit(result: SearchResult) -> SearchResult:
-    """The result with its final fit in the lowest minimum around.
-
-    The fits of a search end once structures can be compared: in a narrow valley of the cost, such as that of
-    both constants of the Stribeck law, that is several standard errors from its bottom.
-    """
-    if result.final.problem.model.metric is Metric.INVERSE_DYNAMICS:
-        return result  # its fit is linear
-    return result.with_better_final(settle_fit(result.final))
-
-
-def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:
-    """Search again with bounded sizes where sizes of the rig collapsed in the baseline.
-
-    A nominal value may be wrong, so that the second result counts only if the search data very strongly
-    favour it. Where the first result restores the sizes there is no second search.
-    """
-    collapsed = find_collapsed(data, result.baseline)
-    if not collapsed:
-        return result
-    if result.missing and are_near_nominal(collapsed, result.final):
-        return replace(result, collapsed=collapsed)
-    near = replace(data, model=bound_near_nominal(data.model, collapsed))
-    baseline = fit_baseline(near, result.baseline.terms)
-    # without the bounds, on the same windows
-    short = fit_baseline(data, result.baseline.terms)
-    if not is_strongly_favoured(short, baseline):
-        return result
-    progress(f"the same with {', '.join(size.key for size in collapsed)} near nominal")
-    result = replace(result, collapsed=collapsed)
-    credible = search_structures(near, baseline, progress)
-    if not credible.complete:
-        return replace(result, complete=False)
-    if not credible.missing or not is_strongly_favoured(
-        credible.final, _refit_like(near, result.final, credible.final)
-    ):
-        return result
-    return replace(credible, collapsed=collapsed)
-
-
-def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
-    """Refit on the windows of another fit, ``like``."""
-    data_like = replace(data, model=fitted.problem.model, window=like.window)
-    return refit_on_windows(data_like, fitted)
-
-
-def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
-    """Keys of the rig's own sizes that the user's model states."""
-    return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
-
-
-def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
-    """Choose between the searches with free and with held sizes, by BIC on the search data.
-
-    Free sizes may absorb missing physics: a load at the flange changes many inertias. With held sizes missing
-    physics may stand for a changed size, so that this result needs very strong evidence.
-    """
-    return held if is_strongly_favoured(held.final, free.final) else free
-
-
 def _baseline_p_value(conclusion: Conclusion, verdict: str, alpha: float = VERDICT_ALPHA) -> float:
     """p value that the baseline suffices: that of the first addition, a term or a curve.
 
@@ -340,7 +249,7 @@ def _verdict(conclusion: Conclusion, changed: Sequence[Change]) -> str:
         return "missing_physics"
     if conclusion.excess_remains and not conclusion.result.complete:
         return "not_decidable"  # a term that was not tried may explain it
-    if conclusion.excess_remains or conclusion.result.collapsed:
+    if conclusion.excess_remains or conclusion.result.collapsed or conclusion.result.doubtful:
         return "unexplained_mismatch"
     return "parameter_change" if changed else "no_mismatch"
 

@@ -94,6 +94,7 @@ class SearchResult:
         open: terms that are about as likely as not.
         disturbed: whether the evidence favours a lasting disturbance beside the likeliest structure.
         alternatives: the likeliest structure and all others that were refitted.
+        doubtful: probability of terms that were to be named, by key, where each is less probable than not.
     """
 
     baseline: Fitted
@@ -110,11 +111,16 @@ class SearchResult:
     open: tuple[str, ...] = ()
     disturbed: bool = False
     alternatives: tuple[Alternative, ...] = ()
+    doubtful: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def without_claims(self) -> SearchResult:
         """The same search without named terms."""
         return replace(self, final=self.baseline, missing=(), rivals=())
+
+    def with_doubtful(self, probabilities: Mapping[str, float]) -> SearchResult:
+        """The same search with neither named terms nor a curve, as each is less probable than not."""
+        return replace(self.without_claims, curve=None, doubtful=probabilities)
 
     def with_steps(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
         """Keep some of the named terms and their rivals.
@@ -163,9 +169,9 @@ class SearchResult:
 
     @property
     def possible(self) -> frozenset[str]:
-        """Keys of terms that may be present though not named: rivals, open and minor ones."""
+        """Keys of terms that may be present though not named: rivals, open, minor and doubtful ones."""
         rivals = (rival.term for rival in self.rivals)
-        return frozenset((*rivals, *self.open, *(minor.term for minor in self.minor)))
+        return frozenset((*rivals, *self.open, *self.doubtful, *(minor.term for minor in self.minor)))
 
     def step(self, term: str) -> Step:
         """The step that added a term.

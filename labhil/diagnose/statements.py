@@ -1,22 +1,19 @@
-"""Entries of the answer, with their sentences: terms, curves, rivals, location and exclusion limits.
+"""Entries of the answer, with their sentences: terms, curves, rivals, location and what is undecided.
 
 ``diagnosis.py`` assembles them; the data classes are in ``answer.py``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy import stats
 
 from labhil.diagnose import locate
-from labhil.diagnose.answer import Curve, Excluded, Missing, RivalTerm, Undecided
+from labhil.diagnose.answer import Curve, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
-from labhil.diagnose.collapsed import COMPLETE_FIT_NOISE
 from labhil.diagnose.conclude import DOUBTFUL_EXCESS
-from labhil.diagnose.discrepancy import AbsentEffect, AbsentEffects
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.minor import MIN_EXPLAINED_SHARE
 from labhil.diagnose.search_result import Rival, SearchResult, Step
@@ -171,9 +168,19 @@ def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
     return tuple(Undecided(*term, (), reason) for term in terms)
 
 
+def doubtful_terms(result: SearchResult) -> tuple[Undecided, ...]:
+    """Entries of terms that were to be named, but are less probable than not."""
+    return tuple(
+        Undecided(
+            *unkeyed(term), (), f"the best explanation found, but less probable than not ({100.0 * p:.0f} %)"
+        )
+        for term, p in result.doubtful.items()
+    )
+
+
 def open_terms(result: SearchResult) -> tuple[Undecided, ...]:
     """Entries of terms that are about as likely as not, and neither named nor rivals."""
-    listed = {*result.final.terms, *(rival.term for rival in result.rivals)}
+    listed = {*result.final.terms, *result.doubtful, *(rival.term for rival in result.rivals)}
     reason = "these data speak neither for nor against"
     return tuple(Undecided(*unkeyed(term), (), reason) for term in result.open if term not in listed)
 
@@ -316,85 +323,3 @@ def _channel(before: Score, after: Score) -> tuple[str, int | None]:
     gains = [(b.mse - a.mse) / a.noise_floor**2 for b, a in zip(before.channels, after.channels, strict=True)]
     most = before.channels[int(np.argmax(gains))]
     return most.channel, most.joint
-
-
-def exclusions(
-    absent: AbsentEffects, possible: Collection[str]
-) -> tuple[tuple[Excluded, ...], tuple[Undecided, ...]]:
-    """Compute the largest size of every absent term that the data could hide (99 %).
-
-    Args:
-        absent: the terms that the final model lacks.
-        possible: keys of terms that may be present, which get no entry.
-
-    Returns:
-        The limits, and the terms that the data could hide at any size.
-    """
-    at_bound, motion = _sizes_at_bound(absent.fitted), _output_variation(absent.fitted)
-    reason = (
-        f"nothing can be excluded beside a model whose {at_bound[0]} is at its bound"
-        if at_bound
-        else "these data would not show it, however large: what the model has already makes up for it"
-    )
-    limits, unseen = list[Excluded](), dict[tuple[str, int | None], Undecided]()
-    for effect, largest in _largest_hidden(absent):
-        term, parameter = effect.term, effect.parameter
-        if term.key in possible:
-            continue
-        if at_bound or _is_beyond_linear(effect, largest, motion):
-            unseen[term.name, term.joint] = Undecided(term.name, term.joint, (), reason)
-        else:
-            limits.append(Excluded(term.name, term.joint, largest, parameter.unit, 0.99, parameter.recording))
-    return tuple(limits), tuple(unseen.values())
-
-
-def _largest_hidden(absent: AbsentEffects) -> Iterator[tuple[AbsentEffect, float]]:
-    """Largest size of every absent term: magnitude of its linearised estimate plus its 99 % error, SI units.
-
-    Residuals are correlated within a window, so that the error is the larger of that from noise and that
-    from differences between windows (cluster-robust errors: Liang and Zeger, Biometrika 73, 1986).
-    """
-    problem, residuals, slopes = absent.fitted.problem, absent.fitted.solution.residuals, absent.slopes
-    basis, _ = np.linalg.qr(slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300))
-    for effect in absent.effects:
-        column = effect.response - basis @ (basis.T @ effect.response)
-        power = float(column @ column)
-        if power <= 1e-12:  # a small size has no effect below a threshold
-            continue
-        value = -float(column @ residuals) / power
-        contributions = column * (residuals + value * column)
-        noise = absent.fitted.noise / np.sqrt(power)
-        error = max(noise, float(np.linalg.norm(problem.per_window(contributions))) / power)
-        yield effect, float((abs(value) + stats.norm.ppf(0.995) * error) * effect.parameter.scale)
-
-
-def _output_variation(fitted: Fitted) -> float:
-    """Norm of the outputs about their mean, in units of the noise."""
-    outputs = fitted.problem.record.outputs[fitted.problem.windows.rows] / fitted.problem.sigma
-    return float(np.linalg.norm(outputs - outputs.mean(axis=0)))
-
-
-def _is_beyond_linear(effect: AbsentEffect, size: float, motion: float) -> bool:
-    """Whether a size is above its bound, or its response larger than all variation of the outputs.
-
-    Responses are no longer linear there, so that a limit would exclude nothing.
-    """
-    parameter = effect.parameter
-    if size > max(abs(parameter.lower), abs(parameter.upper)):
-        return True
-    return bool(np.linalg.norm(effect.response) * size / parameter.scale > motion)
-
-
-def _sizes_at_bound(fitted: Fitted, min_noise: float = COMPLETE_FIT_NOISE) -> list[str]:
-    """Keys of the rig's own sizes at a bound, of a fit that leaves more than noise.
-
-    Responses mean nothing beside them: an input without effect may have any dead zone. In a fit to the noise
-    a size at its bound is one that the data do not show, such as the inductance of a motor.
-    """
-    problem = fitted.problem
-    if fitted.noise < min_noise:
-        return []
-    sizes = [
-        problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_positive_constant(j)
-    ]
-    return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]

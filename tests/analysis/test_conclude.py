@@ -1,4 +1,4 @@
-"""The conclusion of a search: a model that predicts worse than the baseline is no answer."""
+"""The conclusion of a search: which claims stand."""
 
 from __future__ import annotations
 
@@ -14,36 +14,58 @@ from one_input_rigs import replay
 
 from labhil.diagnose.adequacy import residual_rms
 from labhil.diagnose.begin import fit_baseline, prepare_data
-from labhil.diagnose.conclude import conclude
+from labhil.diagnose.conclude import Conclusion, conclude
 from labhil.diagnose.evidence import Evidence
+from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.identify.fitted import fit_terms
+from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import split
 from labhil.physics.model import index_of
 
 
-@pytest.mark.parametrize("spoilt", [False, True])
-def test_claims_that_predict_worse_on_every_length_are_withdrawn(spoilt: bool) -> None:
+def with_dry_friction(*further: str, **values: float) -> tuple[Data, Fitted, Fitted]:
+    """An axis with dry friction and more, without and with dry friction in the model."""
     t = np.arange(3000) * 0.01
     force = 60.0 * np.sin(1.9 * t) + 40.0 * np.sin(5.3 * t)
-    friction = {"coulomb_friction.level": 8.0}
-    made = replay("axis", force, ("viscous_friction", "coulomb_friction"), friction, seed=3)
+    terms = ("viscous_friction", "coulomb_friction")
+    sizes = {"coulomb_friction.level": 8.0, **{key.replace("__", "."): v for key, v in values.items()}}
+    made = replay("axis", force, (*terms, *further), sizes, seed=3)
     searched, held_out = split(made.record, 0.3, made.model.horizon)
     data = prepare_data(made.model, searched, held_out)
     base = fit_baseline(data, ["viscous_friction"])
     final = fit_terms(
-        data.model, data.search, ["viscous_friction", "coulomb_friction"], data.window, data.sigma,
-        start=base.theta, starts=[{}],
+        data.model, data.search, terms, data.window, data.sigma, start=base.theta, starts=[{}]
     )  # fmt: skip
+    return data, base, final
+
+
+def concluded(data: Data, base: Fitted, final: Fitted, delta_bic: float) -> Conclusion:
+    step = Step(("coulomb_friction",), Evidence(delta_bic, 1e-9, 20.0), 1e-9, 0.99)
+    result = SearchResult(base, final, (step,), (), 1e-9, 20)
+    return conclude(data, result, residual_rms(data, final), lambda text: None)
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_claims_that_predict_worse_on_every_length_are_withdrawn(spoilt: bool) -> None:
+    data, base, final = with_dry_friction()
     if spoilt:  # a fit that went astray after it was compared
         theta = final.theta.copy()
         theta[index_of(data.model.parameters)["coulomb_friction.level"]] = 60.0
         final = replace(final, theta=theta)
-    step = Step(("coulomb_friction",), Evidence(-99.0, 1e-9, 20.0), 1e-9, 0.99)
-    result = SearchResult(base, final, (step,), (), 1e-9, 20)
-    conclusion = conclude(data, result, residual_rms(data, final), lambda text: None)
+    conclusion = concluded(data, base, final, -99.0)
     named = [claim.terms[0] for claim in conclusion.result.missing]
     assert named == ([] if spoilt else ["coulomb_friction"])
     assert conclusion.result.final is (base if spoilt else final)
     assert conclusion.excess_remains == spoilt
     assert conclusion.after.rmse <= conclusion.before.rmse
+
+
+@pytest.mark.parametrize(("delta_bic", "credible"), [(-4000.0, True), (-20.0, False)])
+def test_a_claim_less_probable_than_not_is_doubtful(delta_bic: float, credible: bool) -> None:
+    """Beside a spring that no term stands for, weak evidence names nothing, and strong evidence does."""
+    conclusion = concluded(*with_dry_friction("spring_force", spring_force__stiffness=50.0), delta_bic)
+    assert conclusion.after.excess > 3.0
+    assert [step.terms[0] for step in conclusion.result.missing] == ["coulomb_friction"] * credible
+    assert list(conclusion.result.doubtful) == ["coulomb_friction"] * (not credible)
+    assert all(0.0 < probability < 0.5 for probability in conclusion.result.doubtful.values())
+    assert conclusion.excess_remains

@@ -8,12 +8,12 @@ import numpy as np
 
 from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.discrepancy import absent_effects
-from labhil.diagnose.statements import exclusions
+from labhil.diagnose.exclusions import exclusions
 from labhil.identify.fitted import fit_terms
 from labhil.physics.model import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
-from labhil_benchmarks.statistics.cases import driven, levels
+from labhil_benchmarks.statistics.cases import driven, held_ball, levels
 
 DRY = ("viscous_friction", "coulomb_friction")
 CHANNELS = (("speed", "rad/s"), ("current", "A"))
@@ -42,3 +42,16 @@ def test_model_errors_hide_larger_effects_than_noise_of_the_same_size():
     offset = "constant_force"
     assert left[offset] > 2.0 * noisy[offset]
     assert limits(clean)[offset] < 0.3 * noisy[offset]
+
+
+def test_a_limit_above_all_that_was_measured_excludes_nothing():
+    """Beside a missing dry friction an error of the sensor's gain could be several times the gain itself."""
+    random = np.random.default_rng(4)
+    record = held_ball(DRY, {"coulomb_friction.level": 0.09}, 4e-4 * random.standard_normal(2000), 1.0)
+    model = model_for(default_rig("ball_beam"), record)
+    data = prepare_data(model, record, record)
+    fitted = fit_terms(model, record, DRY[:1], data.window, data.sigma, start=data.begin)
+    stated, unseen = exclusions(absent_effects(fitted), ())
+    largest = {"m": float(np.ptp(record.outputs)), "1": 1.0}
+    assert all(item.largest_hidden <= largest.get(item.unit, np.inf) for item in stated)
+    assert {item.term for item in unseen} == {"sensor_gain"}

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from labhil.diagnose.discrepancy import absent_effects
+from labhil.diagnose.exclusions import exclusions
 from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import FittedCurve
-from labhil.diagnose.statements import exclusions
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import estimate_spectral_noise
 from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta

@@ -1,0 +1,127 @@
+"""The search of a diagnosis, and again where sizes of the rig itself are in doubt.
+
+Sizes may have collapsed in the baseline, or the user's own model states them. ``structures/stages.py``
+searches once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.begin import fit_baseline
+from labhil.diagnose.collapsed import are_near_nominal, bound_near_nominal, find_collapsed
+from labhil.diagnose.judge import Data, is_strongly_favoured
+from labhil.diagnose.load import explain_by_load
+from labhil.diagnose.minor import drop_minor_terms
+from labhil.diagnose.refit import refit_on_windows
+from labhil.diagnose.search_result import SearchResult
+from labhil.diagnose.structures.stages import search_structures
+from labhil.ending import EndedEarly, accept
+from labhil.identify.continuation import settle_fit
+from labhil.identify.fitted import Fitted
+from labhil.physics.model import Metric, Model
+
+
+def search_with_sizes(
+    data: Data,
+    base: Fitted,
+    *,
+    terms: Sequence[str],
+    reference: Mapping[str, float] | None,
+    accepted: Accepted | None,
+    progress: Callable[[str], None],
+) -> SearchResult:
+    """Search with all sizes free and, if the user's model states sizes, again with these held.
+
+    Args:
+        data: the data of the search.
+        base: fit of the baseline.
+        terms: keys of the baseline's terms.
+        reference: values of the user's own model by parameter key.
+        accepted: the accepted model that these values are from.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The likelier of both results, without minor terms and with its final fit settled; incomplete where
+        the user ended the search early.
+    """
+    result = search_structures(data, base, progress)
+    try:
+        if not result.complete:
+            return result
+        result = _with_credible_sizes(data, result, progress)
+        result = explain_by_load(data, result, accepted)
+        sizes = _sizes(data.model, reference) if reference is not None and not result.errors else frozenset()
+        if sizes:
+            progress("the same with the sizes of the given model held")
+            held = replace(data, held=sizes)
+            held_result = search_structures(held, fit_baseline(held, terms), progress)
+            result = (
+                _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
+            )
+        return _with_settled_fit(drop_minor_terms(data, result))
+    except EndedEarly:
+        accept()
+        return replace(result, complete=False)
+
+
+def _with_settled_fit(result: SearchResult) -> SearchResult:
+    """The result with its final fit in the lowest minimum around.
+
+    The fits of a search end once structures can be compared: in a narrow valley of the cost, such as that of
+    both constants of the Stribeck law, that is several standard errors from its bottom.
+    """
+    if result.final.problem.model.metric is Metric.INVERSE_DYNAMICS:
+        return result  # its fit is linear
+    return result.with_better_final(settle_fit(result.final))
+
+
+def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[str], None]) -> SearchResult:
+    """Search again with bounded sizes where sizes of the rig collapsed in the baseline.
+
+    A nominal value may be wrong, so that the second result counts only if the search data very strongly
+    favour it. Where the first result restores the sizes there is no second search.
+    """
+    collapsed = find_collapsed(data, result.baseline)
+    if not collapsed:
+        return result
+    if result.missing and are_near_nominal(collapsed, result.final):
+        return replace(result, collapsed=collapsed)
+    near = replace(data, model=bound_near_nominal(data.model, collapsed))
+    baseline = fit_baseline(near, result.baseline.terms)
+    # without the bounds, on the same windows
+    short = fit_baseline(data, result.baseline.terms)
+    if not is_strongly_favoured(short, baseline):
+        return result
+    progress(f"the same with {', '.join(size.key for size in collapsed)} near nominal")
+    result = replace(result, collapsed=collapsed)
+    credible = search_structures(near, baseline, progress)
+    if not credible.complete:
+        return replace(result, complete=False)
+    if not credible.missing or not is_strongly_favoured(
+        credible.final, _refit_like(near, result.final, credible.final)
+    ):
+        return result
+    return replace(credible, collapsed=collapsed)
+
+
+def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
+    """Refit on the windows of another fit, ``like``."""
+    data_like = replace(data, model=fitted.problem.model, window=like.window)
+    return refit_on_windows(data_like, fitted)
+
+
+def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
+    """Keys of the rig's own sizes that the user's model states."""
+    return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
+
+
+def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
+    """Choose between the searches with free and with held sizes, by BIC on the search data.
+
+    Free sizes may absorb missing physics: a load at the flange changes many inertias. With held sizes missing
+    physics may stand for a changed size, so that this result needs very strong evidence.
+    """
+    return held if is_strongly_favoured(held.final, free.final) else free
