@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
+from labhil.recording.memory_maps import sha256_of_file
 from labhil.rig import RigFile
 
 ROUNDING = 1e-12
@@ -122,7 +122,7 @@ def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ..
                 f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "
                 "put it beside the result"
             )
-        if hashlib.sha256(file.read_bytes()).hexdigest() != row["sha256"]:
+        if sha256_of_file(file) != row["sha256"]:
             raise UsageError(f"{file}: expected the recording that {path} was made from, found another")
         paths.append(file)
     return tuple(paths)

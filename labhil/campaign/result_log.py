@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.documents import parse_json
+from labhil.recording.memory_maps import sha256_of_file
 from labhil.version import __version__
 
 RESULT_LOG = "results.jsonl"
@@ -117,7 +117,6 @@ def verdict_of(result: Path) -> str | None:
 
 def _checksum(path: Path) -> str | None:
     try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_of_file(path)
     except OSError:
         return None

@@ -65,6 +65,12 @@ def sha256_of(data: FileBytes) -> str:
     return digest.hexdigest()
 
 
+def sha256_of_file(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits; raises OSError where it cannot be read."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def update_digest(digest: hashlib._Hash, data: FileBytes) -> None:
     """Feed a file's content to a digest, piece by piece."""
     for start in range(0, len(data), RELEASE_INTERVAL):

@@ -10,6 +10,7 @@ from typing import Any
 
 from labhil.documents import parse_json, read_document
 from labhil.errors import UsageError
+from labhil.recording.memory_maps import sha256_of_file
 
 NONCE_BYTES = 32
 
@@ -52,6 +53,6 @@ def sha256_of(path: Path) -> str:
         UsageError: the file cannot be read.
     """
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return sha256_of_file(path)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
