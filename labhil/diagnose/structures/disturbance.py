@@ -93,7 +93,7 @@ def compute_gram_matrices(
         strength = force_response(problem)
     else:
         strength = estimate_torque_spectrum(problem, lin.residuals)
-    weighted = [_weighted_products(problem, lin, states, columns, tau * strength) for tau in disturbance.size]
+    weighted = (_weighted_products(problem, lin, states, columns, tau * strength) for tau in disturbance.size)
     free = lin.by_states.shape[1] * len(problem.edges)
     remaining, dof = (max(rows - free, 10.0) for rows in (len(matrix), float(effective.sum())))
     affects = np.any(matrix.reshape(-1, len(problem.sigma), matrix.shape[1]) != 0.0, axis=0)

@@ -22,7 +22,7 @@ s (O'Hagan and Forster 2004, ch. 11). The structures themselves are enumerated i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -105,13 +105,15 @@ class GramMatrices:
 
 
 def build_gram_matrices(
-    weighted: Sequence[WeightedProducts],
+    weighted: Iterable[WeightedProducts],
     baseline: int,
     affects: BoolArray,
     samples: int,
     remaining: float,
     dof: float,
     log_prior: FloatArray,
+    *,
+    negligible: float = 50.0,
 ) -> GramMatrices:
     """Project the baseline out of inner products, once for all structures.
 
@@ -123,23 +125,30 @@ def build_gram_matrices(
         samples: rows of the columns.
         remaining: rows less the windows' states.
         dof: the independent ones among the remaining rows.
-        log_prior: (T,), log prior of the sizes of the disturbance.
+        log_prior: (T,), log prior of the sizes of the disturbance, in ascending order.
+        negligible: log odds against a size from which that and all larger ones are left out. They are those
+            of no added term: what terms explain needs no disturbance.
 
     Returns:
         Inner products of the target and the terms' responses, for each size, without a prior precision.
     """
     target_and_terms = np.r_[0, np.arange(1 + baseline, affects.shape[1])]
-    projected, logs, projections = [], [], []
+    projected: list[FloatArray] = []
+    by_output, raw, logs, alone = np.empty(0), np.empty(0), list[float](), list[float]()
     for at_size, weight in zip(weighted, log_prior, strict=True):
         products = at_size.products.sum(axis=0)
         inner = products[1 : 1 + baseline, 1 : 1 + baseline]
-        projections.append(_projection_beside(products, baseline))
-        projected.append(products[target_and_terms] @ projections[-1])
+        projection = _projection_beside(products, baseline)
+        if not projected:
+            by_output = np.einsum("ia,cij,jb->cab", projection, at_size.products, projection, optimize=True)
+            raw = products[np.ix_(target_and_terms, target_and_terms)]
+        projected.append(products[target_and_terms] @ projection)
         log_det = float(np.linalg.slogdet(inner + np.eye(baseline))[1])
         logs.append(weight + at_size.log_density - 0.5 * log_det)
-    plain = weighted[0].products
-    by_output = np.einsum("ia,cij,jb->cab", projections[0], plain, projections[0], optimize=True)
-    raw = plain.sum(axis=0)[np.ix_(target_and_terms, target_and_terms)]
+        total = max(float(projected[-1][0, 0]), 1e-300)
+        alone.append(logs[-1] - 0.5 * (dof - baseline) * np.log(total))
+        if alone[-1] < max(alone) - negligible:
+            break
     rows = (samples, remaining - baseline, dof - baseline)
     return GramMatrices(
         np.array(projected),
@@ -148,7 +157,7 @@ def build_gram_matrices(
         raw,
         np.zeros_like(raw),
         np.array(logs),
-        log_prior,
+        log_prior[: len(logs)],
         *rows,
     )
 
@@ -205,11 +214,10 @@ def log_evidence(grams: GramMatrices, batch: Batch) -> tuple[FloatArray, FloatAr
         evidence (S,) given that there is no disturbance; posterior means (S, k) of the parameters, in units
         of the responses, at the most probable size of the disturbance.
     """
-    solved = [_solve(grams, t, batch) for t in range(len(grams.log_weight))]
-    logs = np.array([solution.logs for solution in solved])
-    best = np.argmax(logs, axis=0)
-    sizes = np.array([solution.sizes for solution in solved])[best, np.arange(len(best))]
-    return logsumexp(logs, axis=0), logs[0] - grams.log_prior[0], sizes
+    solved = _solve(grams, batch)
+    best = np.argmax(solved.logs, axis=0)
+    sizes = solved.sizes[best, np.arange(len(best))]
+    return logsumexp(solved.logs, axis=0), solved.logs[0] - grams.log_prior[0], sizes
 
 
 def extended_evidence(
@@ -229,51 +237,36 @@ def extended_evidence(
         Log evidence (S, V) as of `log_evidence`, at the most probable κ of the new block; the same (S, V)
         given that there is no disturbance.
     """
-    precision = grams.precision[places[:, :, None], places[:, None, :]]
-    logs = np.array(
-        [
-            _extended_log_evidence(grams, t, batch, places, positive, precision)
-            for t in range(len(grams.projected))
-        ]
+    products, solved = grams.projected, _solve(grams, batch)
+    cross = products[:, batch.columns[:, :, None, None], places]
+    gradient = products[:, places, 0][:, None] + np.einsum("tskvw,tsk->tsvw", cross, solved.sizes)
+    reduction = np.einsum("tskl,tslvw->tskvw", solved.inverse, cross, optimize=True)
+    complement = _submatrices(products, places)[:, None] - np.einsum(
+        "tskvw,tskvu->tsvwu", cross, reduction, optimize=True
     )
+    scales = KAPPA_GRID[:, None, None, None, None, None] ** 2
+    prior = _regularise(_submatrices(grams.precision, places) / scales)
+    inverse, log_det = _inverse_and_log_det(_regularise(complement + prior))
+    sizes = np.asarray(-np.einsum("...wu,...u->...w", inverse, gradient))
+    squares = solved.penalised[..., None] + np.einsum("...w,...w->...", sizes, gradient)
+    penalised = np.asarray(np.maximum(squares, 1e-12 * products[:, 0, 0, None, None]), dtype=np.float64)
+    occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
+    signs = _log_sign_gain(sizes, inverse, penalised, positive, grams.dof)
+    gain = 0.5 * grams.dof * (np.log(solved.penalised)[..., None] - np.log(penalised))
+    best = np.max(occam + signs + gain, axis=0)
+    logs = solved.logs[..., None] + best - np.log(len(KAPPA_GRID))
     return logsumexp(logs, axis=0), logs[0] - grams.log_prior[0]
-
-
-def _extended_log_evidence(
-    grams: GramMatrices, t: int, batch: Batch, places: IntArray, positive: BoolArray, precision: FloatArray
-) -> FloatArray:
-    """Log evidence (S, V) of the extended structures at the size of the disturbance with index ``t``."""
-    products, solved = grams.projected[t], _solve(grams, t, batch)
-    cross = products[batch.columns[:, :, None, None], places]
-    gradient = products[places, 0] + np.einsum("skvw,sk->svw", cross, solved.sizes)
-    reduction = np.einsum("skl,slvw->skvw", solved.inverse, cross, optimize=True)
-    complement = products[places[:, :, None], places[:, None, :]] - np.einsum(
-        "skvw,skvu->svwu", cross, reduction, optimize=True
-    )
-    best = np.full(gradient.shape[:2], -np.inf)
-    for kappa in KAPPA_GRID:
-        prior = _regularise(precision / kappa**2)
-        system = _regularise(complement + prior)
-        inverse, log_det = _inverse_and_log_det(system)
-        sizes = np.asarray(-np.einsum("svwu,svu->svw", inverse, gradient))
-        squares = solved.penalised[:, None] + np.einsum("svw,svw->sv", sizes, gradient)
-        penalised = np.asarray(np.maximum(squares, 1e-12 * products[0, 0]), dtype=np.float64)
-        occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
-        signs = _log_sign_gain(sizes, inverse, penalised, positive, grams.dof)
-        gain = 0.5 * grams.dof * (np.log(solved.penalised)[:, None] - np.log(penalised))
-        best = np.maximum(best, occam + signs + gain)
-    return np.asarray(solved.logs[:, None] + best - np.log(len(KAPPA_GRID)))
 
 
 @dataclass(frozen=True, slots=True)
 class StructureSolution:
-    """Solution of S structures at one size of the disturbance.
+    """Solution of S structures at each of T sizes of the disturbance.
 
     Attributes:
-        logs: (S,), log evidence.
-        sizes: (S, k), posterior means.
-        inverse: (S, k, k), inverse of G + L.
-        penalised: (S,), penalised sum of squares yᵀy − gᵀ(G + L)⁻¹g.
+        logs: (T, S), log evidence.
+        sizes: (T, S, k), posterior means.
+        inverse: (T, S, k, k), inverse of G + L.
+        penalised: (T, S), penalised sum of squares yᵀy − gᵀ(G + L)⁻¹g.
     """
 
     logs: FloatArray
@@ -281,83 +274,56 @@ class StructureSolution:
     inverse: FloatArray
     penalised: FloatArray
 
-    def likelier(self, other: StructureSolution) -> StructureSolution:
-        """Choose the likelier of two solutions for each structure."""
-        better = other.logs > self.logs
-        return StructureSolution(
-            np.where(better, other.logs, self.logs),
-            np.where(better[:, None], other.sizes, self.sizes),
-            np.where(better[:, None, None], other.inverse, self.inverse),
-            np.where(better, other.penalised, self.penalised),
-        )
 
-
-def _solve(grams: GramMatrices, t: int, batch: Batch) -> StructureSolution:
-    """Solve all structures at the size of the disturbance with index ``t``."""
-    products, total = grams.projected[t], grams.projected[t, 0, 0]
+def _solve(grams: GramMatrices, batch: Batch) -> StructureSolution:
+    """Solve all structures at each size of the disturbance, under the likelier of two priors."""
+    totals = np.maximum(grams.projected[:, 0, 0], 1e-300)[:, None]
+    weight = grams.log_weight[:, None]
     count, k = batch.columns.shape
     if k == 0:
-        value = grams.log_weight[t] - 0.5 * grams.dof * np.log(total)
-        penalised = np.full(count, max(float(total), 1e-300))
+        logs = np.repeat(weight - 0.5 * grams.dof * np.log(totals), count, axis=1)
+        shape = logs.shape
         return StructureSolution(
-            np.full(count, value), np.empty((count, 0)), np.empty((count, 0, 0)), penalised
+            logs, np.empty((*shape, 0)), np.empty((*shape, 0, 0)), np.repeat(totals, count, axis=1)
         )
-    gram, gradient = _submatrices(products, batch.columns), products[batch.columns, 0]
+    gram, gradient = _submatrices(grams.projected, batch.columns), grams.projected[:, batch.columns, 0]
     same = batch.block[:, :, None] == batch.block[:, None, :]
     unit = _submatrices(grams.precision, batch.columns) * same
-    low, high = (_estimate_kappa(grams, batch, gram, gradient, unit, kappa) for kappa in FIRST_KAPPAS)
-    solution = _solve_under_prior(grams, t, batch, gram, gradient, unit, low)
-    if np.array_equal(low, high):
-        return solution
-    return solution.likelier(_solve_under_prior(grams, t, batch, gram, gradient, unit, high))
-
-
-def _solve_under_prior(
-    grams: GramMatrices,
-    t: int,
-    batch: Batch,
-    gram: FloatArray,
-    gradient: FloatArray,
-    unit: FloatArray,
-    kappa: FloatArray,
-) -> StructureSolution:
-    """Solve all structures with the κ (S, k) of each response."""
-    total = grams.projected[t, 0, 0]
-    prior = _regularise(unit / (kappa[:, :, None] * kappa[:, None, :]))
-    system = _regularise(gram + prior)
-    inverse, log_det = _inverse_and_log_det(system)
-    sizes = np.asarray(-np.einsum("sij,sj->si", inverse, gradient))
-    squares = total + np.einsum("si,si->s", sizes, gradient)
-    penalised = np.asarray(np.maximum(squares, 1e-12 * total), dtype=np.float64)
+    kappa = _estimate_kappas(grams, batch, gram, gradient, unit)
+    prior = _regularise(unit / (kappa[..., :, None] * kappa[..., None, :]))
+    inverse, log_det = _inverse_and_log_det(_regularise(gram + prior))
+    sizes = np.asarray(-np.einsum("...ij,...j->...i", inverse, gradient))
+    squares = totals + np.einsum("...i,...i->...", sizes, gradient)
+    penalised = np.asarray(np.maximum(squares, 1e-12 * totals), dtype=np.float64)
     occam = 0.5 * (_inverse_and_log_det(prior)[1] - log_det)
     signs = _log_sign_gain(sizes, inverse, penalised, batch.positive, grams.dof)
     blocks = batch.block.max(axis=1) + 1
-    logs = (
-        grams.log_weight[t]
-        + occam
-        + signs
-        - blocks * np.log(len(KAPPA_GRID))
-        - 0.5 * grams.dof * np.log(penalised)
+    logs = weight + occam + signs - blocks * np.log(len(KAPPA_GRID)) - 0.5 * grams.dof * np.log(penalised)
+    likelier = np.argmax(logs, axis=0)[None]
+    return StructureSolution(
+        np.take_along_axis(logs, likelier, axis=0)[0],
+        np.take_along_axis(sizes, likelier[..., None], axis=0)[0],
+        np.take_along_axis(inverse, likelier[..., None, None], axis=0)[0],
+        np.take_along_axis(penalised, likelier, axis=0)[0],
     )
-    return StructureSolution(logs, sizes, inverse, penalised)
 
 
-def _estimate_kappa(
-    grams: GramMatrices,
-    batch: Batch,
-    gram: FloatArray,
-    gradient: FloatArray,
-    unit: FloatArray,
-    first: float,
+def _estimate_kappas(
+    grams: GramMatrices, batch: Batch, gram: FloatArray, gradient: FloatArray, unit: FloatArray
 ) -> FloatArray:
-    """The κ (S, k) of the grid that each response has under a prior of that κ (MacKay 1992)."""
+    """The κ (F, T, S, k) of the grid that each response has under a prior of that κ (MacKay 1992).
+
+    ``FIRST_KAPPAS`` has the F values from which it is estimated.
+    """
     same = (batch.block[:, :, None] == batch.block[:, None, :]).astype(float)
     raw = _submatrices(grams.raw, batch.columns) * same
-    kappa = np.full(batch.columns.shape, first)
+    kappa = np.repeat(np.array(FIRST_KAPPAS), gradient.size).reshape(len(FIRST_KAPPAS), *gradient.shape)
     for _ in range(MAX_KAPPA_ESTIMATES):
-        prior = unit / (kappa[:, :, None] * kappa[:, None, :])
-        sizes = np.linalg.solve(_regularise(gram + prior), gradient[:, :, None])[:, :, 0]
-        squares = np.einsum("si,sij->sj", sizes * np.einsum("sij,sj->si", raw, sizes), same)
+        prior = unit / (kappa[..., :, None] * kappa[..., None, :])
+        sizes = np.linalg.solve(_regularise(gram + prior), gradient[..., None])[..., 0]
+        squares = np.einsum(
+            "ftsi,sij->ftsj", sizes * np.einsum("ftsi,sij->ftsj", sizes, raw), same, optimize=True
+        )
         before, kappa = kappa, _nearest_kappa(np.sqrt(np.maximum(squares, 0.0) / grams.samples))
         if np.array_equal(before, kappa):
             break
@@ -374,15 +340,18 @@ def _inverse_and_log_det(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _log_sign_gain(
     sizes: FloatArray, inverse: FloatArray, penalised: FloatArray, positive: BoolArray, dof: float
 ) -> FloatArray:
-    """Sum of log 2Φ(mean/deviation) over the parameters (…, k) that cannot be negative."""
-    variance = np.clip(np.einsum("...ii->...i", inverse), 1e-300, 1e150)
-    error = np.sqrt(variance * penalised[..., None] / dof)
-    return np.asarray(np.where(positive, np.log(2.0) + log_ndtr(sizes / error), 0.0).sum(axis=-1))
+    """Sum of log 2Φ(mean/deviation) over the parameters (…, S, k) that cannot be negative."""
+    gains = np.zeros(sizes.shape)
+    variance = np.clip(np.einsum("...ii->...i", inverse)[..., positive], 1e-300, 1e150)
+    rows = np.nonzero(positive)[0]
+    error = np.sqrt(variance * penalised[..., rows] / dof)
+    gains[..., positive] = np.log(2.0) + log_ndtr(sizes[..., positive] / error)
+    return np.asarray(gains.sum(axis=-1))
 
 
 def _submatrices(matrix: FloatArray, columns: IntArray) -> FloatArray:
-    """Submatrices (S, k, k) of a matrix with the columns of each structure."""
-    return np.asarray(matrix[columns[:, :, None], columns[:, None, :]])
+    """Submatrices (…, S, k, k) of matrices (…, m, m) with the columns (S, k) of each structure."""
+    return np.asarray(matrix[..., columns[:, :, None], columns[:, None, :]])
 
 
 def _regularise(matrices: FloatArray) -> FloatArray:
