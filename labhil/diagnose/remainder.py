@@ -106,7 +106,9 @@ def _statement(
     """One or two sentences; ``floors`` is None where only noise remains."""
     verb = "explains" if len(names) == 1 else "explain"
     text = f"Together {' and '.join(names)}" if len(names) > 1 else names[0].replace("a force", "A force", 1)
-    text = f"{text} {verb} {100.0 * explained:.0f} % of the error in {channel} beyond its noise"
+    # 100 % beside an error that remains would contradict itself
+    share = f"{100.0 * explained:.0f} %" if floors is None or explained < 0.995 else "over 99 %"
+    text = f"{text} {verb} {share} of the error in {channel} beyond its noise"
     if floors is None:
         return f"{text}; what remains is noise."
     text += f"; {_two_digits(floors)} noise floors remain"

@@ -74,5 +74,13 @@ def test_the_remaining_error_is_stated_with_its_size_and_regime(rig):
     assert "near reversals" in found.statement
 
 
+def test_not_all_is_explained_where_an_error_remains(rig):
+    record = recorded(rig, lambda along: 2e-4 * np.sin(40.0 * along["ball_position"]))
+    found = remainder(rig, record)
+    assert found.explained > 0.995
+    assert not found.is_noise
+    assert "explains over 99 % of the error" in found.statement
+
+
 def test_there_is_no_remainder_without_named_effects(rig):
     assert remainder(rig, recorded(rig, lambda along: 0.0), names=()) is None
