@@ -56,6 +56,7 @@ plugin = "KIND"
 address = "twin"
 rig = "KIND.toml"
 twin = { seed = 1 }
+reconnect = true
 """
 COMMANDS_EVERY = 0.02
 HOLDER = "soak"
