@@ -38,7 +38,6 @@ from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
 
-
 class InterruptibleGroup(TyperGroup):
     """The commands, of which one that Ctrl+C ends says so instead of ending in silence."""
 
@@ -66,7 +65,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; ends the process with 0 (done), 1 (the run failed), 2 (wrong use) or 130 (Ctrl+C)."""
+    """Run the command line; ends the process with 0 (done), 1 (failed), 2 (wrong use) or 130 (Ctrl+C)."""
     with forgiving_streams():
         try:
             _command()()

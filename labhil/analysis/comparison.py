@@ -20,6 +20,7 @@ from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.results import Source, finite
 from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.rig_option import given_name
 from labhil.analysis.saved_model import SavedModel
 from labhil.analysis.schema import ComparisonPart, validate
 from labhil.analysis.shared_parameters import ALPHA, shared_parameters
@@ -190,6 +191,7 @@ def _compare_on(
         duration=float(measured.t[-1] - measured.t[0]),
         role="test",
         start=float(measured.t[0]),
+        rig_file=given_name(rig_file),
     )
     return ComparedRecording(source, models[0][1], tuple(scores))
 

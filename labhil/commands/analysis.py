@@ -308,6 +308,7 @@ def linear(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     *,
     rig: RigOption = None,
+    simulator: SimulatorOption = None,
     models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
@@ -316,10 +317,11 @@ def linear(
 ) -> None:
     """Fit linear and black-box models, to compare physics with: ARX, OE, state space, NARX, …"""
     from labhil.analysis.dataset import load_dataset
+    from labhil.api.inputs import rig_file
     from labhil.identify.linear import linear_study, study_json, study_text
 
     refuse_unwritable(json_path)
-    dataset = load_dataset(recording, rig, test, holdout, run=run)
+    dataset = load_dataset(recording, rig_file(rig_or_simulator(rig, simulator)), test, holdout, run=run)
     tell(dataset.losses())
     dataset.refuse_holes()
     with status() as progress:
