@@ -13,6 +13,7 @@ from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
 from labhil.recording.memory_maps import sha256_of_file
 from labhil.rig import RigFile
+from labhil.unreadable import RESULT, reason_unreadable
 
 ROUNDING = 1e-12
 """Relative error of a time that was written as begin and duration, so that the last sample stays."""
@@ -63,7 +64,8 @@ def read_patch_source(path: Path) -> PatchSource:
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
-        raise ModelFileError(f"{path}: cannot be read as JSON: {error}") from error
+        reason = reason_unreadable(path, error, RESULT)
+        raise ModelFileError(f"{path}: cannot be read as JSON: {reason}") from error
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema not in (DIAGNOSIS, FIT):
         raise ModelFileError(f"{path}: schema: expected {DIAGNOSIS} or {FIT}, found {schema!r}")

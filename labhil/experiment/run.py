@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from labhil.atomic_file import make_folder
 from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
@@ -111,10 +112,7 @@ def run_experiment(
         raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
     reference = experiment.experiment.hook
     hook = None if reference is None else Hook(reference, experiment)
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
+    make_folder(out_dir, "the recording")
     with session_clock(), Interruption() as interrupted:
         path = recording_path(experiment, out_dir) if path is None else path
         return _Run(plan, hook, path, progress, interrupted, control, metadata).run()
