@@ -35,7 +35,7 @@ from labhil.experiment.attachments import attach_files, run_metadata
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, host_config, run_concurrently
 from labhil.experiment.experiment import TWIN, Experiment
-from labhil.experiment.hooks import Hook
+from labhil.experiment.hooks import Hook, load_hook
 from labhil.experiment.interruption import Interruption, emergency_stop_or, raise_emergency_stop, reason_of
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
@@ -110,8 +110,7 @@ def run_experiment(
     standing = read_latch()
     if standing is not None:
         raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
-    reference = experiment.experiment.hook
-    hook = None if reference is None else Hook(reference, experiment)
+    hook = load_hook(experiment)
     make_folder(out_dir, "the recording")
     with session_clock(), Interruption() as interrupted:
         path = recording_path(experiment, out_dir) if path is None else path
