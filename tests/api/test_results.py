@@ -192,6 +192,13 @@ def test_frames_are_made_or_what_to_install_is_said(fit, tmp_path):
         assert run.to_xarray()["ball_position_simulated"].dims == ("t",)
 
 
+def test_no_number_of_a_report_is_cut_however_narrow_it_is():
+    for name in ("fit", "diagnosis"):
+        text = lh.load(ROOT / "examples" / f"{name}.json").text(width=30)
+        assert "…" not in text
+    assert "[0.08927, 0.09056]" in lh.load(ROOT / "examples" / "fit.json").text(width=30)
+
+
 def test_what_is_no_result_is_not_loaded(tmp_path):
     for text, said in (
         ("[", "expected"),
