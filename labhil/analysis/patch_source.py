@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.dataset import Dataset, load_dataset
+from labhil.analysis.find_recording import find_recording
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
@@ -117,8 +118,7 @@ def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ..
     paths = []
     for row in rows:
         stated = Path(row["path"])
-        candidates = (stated, path.parent / stated, path.parent / stated.name)
-        file = next((candidate for candidate in candidates if candidate.is_file()), None)
+        file = find_recording(path, stated, row["sha256"])
         if file is None:
             raise UsageError(
                 f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "
