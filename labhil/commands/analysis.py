@@ -256,6 +256,7 @@ def verify(
     ] = 1e-3,
     span: SpanOption = None,
     max_samples: MaxSamplesOption = 100_000,
+    html: PageOption = None,
     json_path: ResultOption = None,
 ) -> None:
     """Verify an accepted model on a recording; the exit status is 1 when the recording contradicts the model.
@@ -265,7 +266,7 @@ def verify(
     """
     from labhil.api.verification import verify as verify_recording
 
-    refuse_unwritable(json_path)
+    refuse_unwritable(json_path, html)
     with status() as progress:
         result = verify_recording(
             recording,
@@ -280,6 +281,8 @@ def verify(
             warn=tell,
         )
     deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
+    if html is not None:
+        result.report(html)
     if result.contradicted:
         raise typer.Exit(1)
 
