@@ -314,7 +314,9 @@ class Experiment:
 
     def __repr__(self) -> str:
         devices = ", ".join(self._file.devices)
-        return f"<Experiment {self.name}: {len(self._file.steps)} steps, {self.duration:g} s, on {devices}>"
+        steps = len(self._file.steps)
+        counted = "1 step" if steps == 1 else f"{steps} steps"
+        return f"<Experiment {self.name}: {counted}, {self.duration:g} s, on {devices}>"
 
 
 @contextmanager
