@@ -288,6 +288,7 @@ def schema_page() -> str:
 def exit_codes() -> str:
     """What the status of a command means, and which error ends with which."""
     from labhil import errors
+    from labhil.console import INTERRUPTED
 
     named = inspect.getmembers(
         errors, lambda each: inspect.isclass(each) and issubclass(each, errors.LabhilError)
@@ -309,6 +310,11 @@ def exit_codes() -> str:
             "2",
             "Wrong use or bad input, with a message that says what was expected and what was found. A device "
             "that is not there, talks garbage, resets or falls silent counts as input.",
+        ),
+        (
+            str(INTERRUPTED),
+            "Ctrl+C came before a command had a result; it says so. `fit` and `diagnose` end with 0 and the "
+            "best so far once they have one, and a run that is stopped with 1.",
         ),
     ]
     return page(

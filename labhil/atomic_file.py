@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from labhil.errors import DiskFailedError, LabhilError, UsageError
@@ -21,6 +22,32 @@ def write_error(path: Path, error: OSError, what: str = "") -> LabhilError:
     if error.errno in DISK:
         return DiskFailedError(f"{message}; make room and try again, nothing half is left")
     return UsageError(message)
+
+
+def make_folder(folder: Path, purpose: str) -> None:
+    """Make a folder, where there is none, that files can be written into.
+
+    Args:
+        folder: The folder.
+        purpose: What it is for, for messages: "the recordings".
+
+    Raises:
+        UsageError: It cannot be made, or nothing can be written into it.
+        DiskFailedError: The disk is full or fails.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
+            pass
+    except FileExistsError as error:
+        raise UsageError(f"{folder}: expected a directory for {purpose}, found a file") from error
+    except OSError as error:
+        if error.errno in DISK:
+            raise write_error(folder, error) from error
+        raise UsageError(
+            f"{folder}: expected a directory for {purpose}, found that nothing can be written there "
+            f"({error.strerror}); give another one"
+        ) from error
 
 
 @contextmanager

@@ -9,9 +9,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from labhil.commands.acquisition import add_acquisition
@@ -31,12 +32,29 @@ from labhil.commands.serve import add_serve
 from labhil.commands.studies import add_studies
 from labhil.commands.trials import add_trials
 from labhil.commands.tui import add_tui
-from labhil.console import forgiving_streams
+from labhil.console import INTERRUPTED, forgiving_streams
 from labhil.errors import LabhilError, OptionError
 from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
+
+class InterruptibleGroup(TyperGroup):
+    """The commands, of which one that Ctrl+C ends says so instead of ending in silence."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            complain(
+                f"labhil {ctx.invoked_subcommand}: interrupted (Ctrl+C) before there was a result; run it "
+                "again to get one. A fit or a diagnosis gives the best so far once it says what it searches"
+            )
+            raise typer.Exit(INTERRUPTED) from None
+
+
 app = typer.Typer(
+    cls=InterruptibleGroup,
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
     no_args_is_help=True,
     add_completion=True,
@@ -47,7 +65,7 @@ app = typer.Typer(
 
 
 def main() -> None:
-    """Run the command line; ends the process with 0 (done), 1 (the run failed) or 2 (wrong use)."""
+    """Run the command line; ends the process with 0 (done), 1 (failed), 2 (wrong use) or 130 (Ctrl+C)."""
     with forgiving_streams():
         try:
             _command()()

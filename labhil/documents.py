@@ -48,7 +48,7 @@ def read_document(path: Path) -> str:
     try:
         return content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DocumentError(str(error)) from error
+        raise DocumentError(_no_text(error)) from error
 
 
 def parse_json(text: str | bytes, *, constant: Callable[[str], Any] | None = None) -> Any:
@@ -63,6 +63,10 @@ def parse_json(text: str | bytes, *, constant: Callable[[str], Any] | None = Non
     """
     try:
         data = json.loads(text, parse_constant=constant)
+    except json.JSONDecodeError as error:
+        raise DocumentError(_no_json(error)) from error
+    except UnicodeDecodeError as error:
+        raise DocumentError(_no_text(error)) from error
     except ValueError as error:
         raise DocumentError(str(error)) from error
     except RecursionError:
@@ -89,6 +93,19 @@ def is_finite_number(value: object) -> TypeGuard[float]:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return abs(value) <= sys.float_info.max
+
+
+def _no_text(error: UnicodeDecodeError) -> str:
+    return f"it is no text (UTF-8): byte {error.start} is 0x{error.object[error.start]:02x}"
+
+
+def _no_json(error: json.JSONDecodeError) -> str:
+    """Where a text stops being JSON, and what stands there."""
+    if not error.doc.strip():
+        return "it is no JSON: it is empty"
+    rest = error.doc[error.pos :].strip()
+    where = f"line {error.lineno}, column {error.colno}"
+    return f"it is no JSON: it ends at {where}" if not rest else f"it is no JSON: {where} is {rest[:20]!r}"
 
 
 def _too_deep() -> str:

@@ -182,6 +182,15 @@ class Twin(Protocol):
         ...
 
 
+@runtime_checkable
+class PartlyFittedTwin(Twin, Protocol):
+    """A twin that says before it starts which of its driver's signals it will not have."""
+
+    def unfitted(self, parameters: Mapping[str, float]) -> Mapping[str, str]:
+        """Return the signals that it lacks with these parameters, each with the setting that fits it."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class TwinOptions:
     """How to start a twin.

@@ -40,7 +40,7 @@ Example:
     ...     lh.read("nowhere.mcap")
     ... except lh.errors.RecordingError as error:
     ...     print(error)
-    nowhere.mcap: cannot be read: No such file or directory
+    nowhere.mcap: cannot be read: there is no such file
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from labhil.rig_sections import (
     Table,
 )
 from labhil.toml_text import toml_value
+from labhil.unreadable import RIG, reason_unreadable
 from labhil.validation_errors import fields_at, format_validation_error
 
 LARGEST_FILE = 32 << 20
@@ -163,7 +164,8 @@ def load_rig(path: Path) -> RigFile:
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:
-        raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {error}") from error
+        reason = reason_unreadable(path, error, RIG)
+        raise RigFileError(f"{path}: cannot be read as a rig file (TOML): {reason}") from error
     rig = parse_rig(_with_kind(text, path), path).model_copy(update={"text": text})
     files = {name: rig.known_file(name) for name, what in rig.kind.known.items() if what.table}
     return rig.model_copy(update={"files": {name: file.content for name, file in files.items() if file}})
@@ -278,7 +280,7 @@ def is_simulator(stated: str) -> bool:
 
 def default_rig(kind: str) -> RigFile:
     """A rig file that says nothing but its kind."""
-    return parse_rig(f'[rig]\nkind = "{kind_named(kind).name}"\n', Path(f"{kind}.toml"))
+    return parse_rig(f'[rig]\nkind = "{kind_named(kind).name}"\n', Path(f"rig {kind}"))
 
 
 def _check_names(section: str, given: Mapping[str, object], known: set[str]) -> None:

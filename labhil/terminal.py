@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 # Everything that Unicode calls a control (Cc), a format character (Cf: bidirectional overrides, zero-width
 # marks, tags), half a surrogate pair (Cs) or a line separator (Zl, Zp). Line feed and tab lay text out.
@@ -28,6 +29,9 @@ _UNPRINTABLE_IN_JSON = re.compile(f"[{_FORMAT}]")
 
 LONGEST_NAME = 120
 """Characters of a name that a message shows: a line of a terminal; longer ones are cut, with an ellipsis."""
+
+WIDEST_TABLE = 10_000
+"""Characters of a line that no table reaches."""
 
 
 def printable(text: object) -> str:
@@ -73,17 +77,26 @@ def complain(*texts: object) -> None:
 
 
 def terminal(**options: Any) -> Console:
-    """Return rich's console with all that it prints made printable; ``options`` are those of rich."""
+    """Return rich's console with all that it prints made printable; ``options`` are those of rich.
+
+    A table is as wide as its numbers need: a line that a terminal breaks is better than half a number.
+    """
     from rich.console import Console
     from rich.segment import Segment
+    from rich.table import Table
 
     class PrintableConsole(Console):
         """Escapes strings before they are laid out, and whatever else is printed after that."""
+
+        def print(self, *objects: Any, **styles: Any) -> None:
+            super().print(*objects, **{"crop": False, **styles})
 
         def render_str(self, text: str, **styles: Any) -> Any:
             return super().render_str(printable(text), **styles)
 
         def render(self, renderable: Any, options: Any = None) -> Any:
+            if isinstance(renderable, Table):
+                _keep_cells_whole(self, renderable)
             for segment in super().render(renderable, options):
                 if segment.control or not _UNPRINTABLE.search(segment.text):
                     yield segment
@@ -92,6 +105,14 @@ def terminal(**options: Any) -> Console:
 
     # [red] and :smile: in a name are part of the name
     return PrintableConsole(**{"markup": False, "emoji": False, **options})
+
+
+def _keep_cells_whole(console: Console, table: Table) -> None:
+    """Give the columns of a table the room that their words need, and that unbroken cells need as a whole."""
+    wide = console.options.update(width=WIDEST_TABLE)
+    for column in table.columns:
+        sizes = [console.measure(cell, options=wide) for cell in (column.header, *column.cells)]
+        column.min_width = max(size.maximum if column.no_wrap else size.minimum for size in sizes)
 
 
 @contextmanager

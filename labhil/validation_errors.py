@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +16,8 @@ from labhil.errors import suggestion
 
 def format_validation_error(error: ValidationError, path: Path, model: type[BaseModel]) -> str:
     """Format pydantic's errors, a line each: file, field, what was expected, what was found."""
-    return "\n".join(f"{path}: {_format_item(item, model)}" for item in error.errors(include_url=False))
+    lines = [_format_item(item, model) for item in _joined_branches(error.errors(include_url=False))]
+    return "\n".join(f"{path}: {line}" for line in lines)
 
 
 def reason_of(error: Exception, path: Path, model: type[BaseModel]) -> str:
@@ -21,8 +25,21 @@ def reason_of(error: Exception, path: Path, model: type[BaseModel]) -> str:
     return format_validation_error(error, path, model) if isinstance(error, ValidationError) else str(error)
 
 
-# pydantic names the branch of a union that it tried; that is no place in a file
-PYDANTIC_BRANCHES = {"str", "int", "float", "list[float]", "constrained-int"}
+PYDANTIC_BRANCH = re.compile(
+    r"(str|int|float|bool|constrained-\w+|(list|tuple|dict|literal|function\S*)\[.*\])"
+)
+"""The branch of a union that pydantic tried, which it names like a place in a file."""
+
+PLAIN_WORDS = {
+    "boolean": "true or false",
+    "dictionary": "a table",
+    "integer": "a whole number",
+    "list": "a list",
+    "number": "a number",
+    "string": "a text",
+    "tuple": "a list",
+}
+"""What a person calls the types that pydantic names."""
 
 
 def expectation(message: str) -> str:
@@ -31,11 +48,16 @@ def expectation(message: str) -> str:
     Example:
         >>> expectation("Input should be greater than 0")
         'expected a value greater than 0'
+        >>> expectation("Input should be a valid number, unable to parse string as a number")
+        'expected a number'
     """
     message = message.removeprefix("Value error, ")
     expected = message.removeprefix("Input should be ")
     if expected == message:
         return message
+    kind = re.match(r"a valid (\w+)", expected)
+    if kind is not None and kind[1] in PLAIN_WORDS:
+        return f"expected {PLAIN_WORDS[kind[1]]}"
     is_range = expected.startswith(("greater", "less", "in "))
     return f"expected {'a value ' if is_range else ''}{expected}"
 
@@ -48,8 +70,26 @@ def unknown_key(key: str, message: str) -> PydanticCustomError:
     return PydanticCustomError(UNKNOWN_KEY, "{message}", {"key": key, "message": message})
 
 
+def _places(item: Mapping[str, Any]) -> tuple[str, ...]:
+    """The keys that lead to a place in a file."""
+    return tuple(str(part) for part in item["loc"] if not PYDANTIC_BRANCH.fullmatch(str(part)))
+
+
+def _joined_branches(items: Sequence[Any]) -> Iterator[dict[str, Any]]:
+    """One item for each value of which pydantic says that no branch of a union takes it."""
+    for _, group in groupby(items, key=lambda item: (_places(item), repr(item["input"]))):
+        first, *others = group
+        messages = dict.fromkeys(expectation(str(item["msg"])) for item in (first, *others))
+        is_type = all(message.startswith("expected ") for message in messages)
+        if not others or not is_type:
+            yield from (first, *others)
+            continue
+        choices = " or ".join(message.removeprefix("expected ") for message in messages)
+        yield {**first, "msg": f"Input should be {choices}"}
+
+
 def _format_item(item: Any, model: type[BaseModel]) -> str:
-    places = [str(part) for part in item["loc"] if str(part) not in PYDANTIC_BRANCHES]
+    places = _places(item)
     field = ".".join(places) or "file"
     if item["type"] == "extra_forbidden":
         known = fields_at(model, item["loc"][:-1])

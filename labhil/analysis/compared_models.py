@@ -18,6 +18,7 @@ from labhil.analysis.schema import (
     json_of,
 )
 from labhil.errors import ModelFileError, UsageError
+from labhil.unreadable import RESULT, reason_unreadable
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,9 +164,8 @@ def _read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise ModelFileError(
-            f"{path}: expected the JSON of a result, cannot be read: {error.strerror}"
-        ) from error
+        reason = reason_unreadable(path, error, RESULT)
+        raise ModelFileError(f"{path}: expected the JSON of a result, cannot be read: {reason}") from error
 
 
 def _unique_names(origins: Sequence[str]) -> list[str]:

@@ -16,12 +16,15 @@ import numpy as np
 from labhil.analysis.compared_models import Candidate, RecordingSpan, read_candidates
 from labhil.analysis.comparison_statements import next_steps, statement
 from labhil.analysis.dataset import RecordingLike, naming, read_all
+from labhil.analysis.find_recording import find_recording
 from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.results import Source, finite
 from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.rig_option import given_name
 from labhil.analysis.saved_model import SavedModel
 from labhil.analysis.schema import ComparisonPart, validate
+from labhil.analysis.schema import Source as StatedSource
 from labhil.analysis.shared_parameters import ALPHA, shared_parameters
 from labhil.analysis.simulate import model_on
 from labhil.errors import OptionError, RecordingError, UsageError
@@ -128,10 +131,16 @@ def _choose_recordings(
             "default."
         )
     return (
-        [Path(recording_span.source.path) for recording_span in spans],
+        [_path_now(first, recording_span.source) for recording_span in spans],
         [_span(recording_span) for recording_span in spans],
         notes,
     )
+
+
+def _path_now(candidate: Candidate, source: StatedSource) -> Path:
+    """The path of a recording of a result, or the stated one where there is none."""
+    stated = Path(source.path)
+    return find_recording(Path(str(candidate.saved)), stated, source.sha256) or stated
 
 
 def _span_keys(candidate: Candidate) -> list[tuple[str, float, float]]:
@@ -149,8 +158,8 @@ def _read_recordings(
     missing = [path for path in selected if isinstance(path, Path) and not path.is_file()]
     if missing and not explicit:
         raise RecordingError(
-            f"{missing[0]}: expected the recording that {first.name} was judged on, found no such file; "
-            "--recording names where it is now, or another"
+            f"{missing[0]}: expected the recording that {first.name} was judged on, found none there nor "
+            f"beside {first.saved}; --recording names where it is now, or another"
         )
     recordings = read_all(selected, run)
     if not recordings:
@@ -190,6 +199,7 @@ def _compare_on(
         duration=float(measured.t[-1] - measured.t[0]),
         role="test",
         start=float(measured.t[0]),
+        rig_file=given_name(rig_file),
     )
     return ComparedRecording(source, models[0][1], tuple(scores))
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+
+from labhil.analysis.rig_option import rig_option
 from labhil.analysis.schema import ComparedModel, ComparisonPart
 from labhil.physics.terms import enumerated, keyed
 
@@ -45,7 +48,7 @@ def _error_phrase(model: ComparedModel) -> str:
 
 def _model_file(model: ComparedModel) -> str:
     """The file of a model, or a placeholder where the result was never saved."""
-    return model.path if model.path.endswith(".json") else "MODEL.json"
+    return shlex.quote(model.path) if model.path.endswith(".json") else "MODEL.json"
 
 
 def _ratio_phrase(model: ComparedModel) -> str:
@@ -60,12 +63,12 @@ def _p_phrase(model: ComparedModel) -> str:
 def next_steps(comparison: ComparisonPart) -> list[str]:
     """Return the next steps, the most useful first."""
     best, steps = comparison.best_model, list[str]()
-    path = comparison.recordings[0].path
+    path, rig = shlex.quote(comparison.recordings[0].path), rig_option(comparison.recordings[0])
     preferred = next(model for model in comparison.models if model.name == comparison.preferred)
     if best.adequacy != "explained":
         steps.append(
-            f"No model explains the data to the noise: `labhil diagnose {path} --model {_model_file(best)}` "
-            "names what the best one lacks."
+            "No model explains the data to the noise:"
+            f" `labhil diagnose {path} --model {_model_file(best)}{rig}` names what the best one lacks."
         )
     if comparison.verdict == "alike":
         steps.append(
@@ -76,11 +79,13 @@ def next_steps(comparison: ComparisonPart) -> list[str]:
     fitted = [model.name for model in comparison.models if model.fitted_to_it]
     if fitted:
         steps.append(
-            "Compare on a recording that none of them was fitted to: `labhil compare … --recording NEW.mcap`."
+            "Compare on a recording that none of them was fitted to:"
+            f" `labhil compare … --recording NEW.mcap{rig}`."
         )
     elif best.adequacy == "explained":
         steps.append(
-            f"Hold the next recording against it: `labhil verify NEW.mcap --model {_model_file(preferred)}`."
+            "Hold the next recording against it:"
+            f" `labhil verify NEW.mcap --model {_model_file(preferred)}{rig}`."
         )
     disagreeing = [keyed(row.name, row.joint) for row in comparison.parameters if row.agree is False]
     if disagreeing:

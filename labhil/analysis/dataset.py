@@ -12,6 +12,7 @@ from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.motion_check import constant
 from labhil.analysis.results import Source
 from labhil.analysis.rig_choice import common_rig
+from labhil.analysis.rig_option import given_name
 from labhil.analysis.stretch import MAX_SAMPLES, check_max_samples, stretch_note
 from labhil.cores import linear_algebra_in_one_thread
 from labhil.diagnose.fault import Fault
@@ -54,6 +55,7 @@ class Dataset:
         measured: The training recordings as they were measured, held-out parts included.
         recordings: Each recording with its record and its role, "test" or "" for training.
         held_out: Whether the test data were not used for training.
+        rig_name: The rig file, or simulator, that was given by name; None for the one in the recordings.
     """
 
     rig: RigFile
@@ -64,6 +66,7 @@ class Dataset:
     measured: Record
     recordings: tuple[tuple[Recording, Record, str], ...]
     held_out: bool = True
+    rig_name: str | None = None
 
     def sources(self, training_role: str) -> list[Source]:
         """Describe the recordings for a result; ``training_role`` is the role of the training recordings."""
@@ -82,6 +85,7 @@ class Dataset:
                     role=role or training_role,
                     start=float(record.t[0]),
                     recording=numbers[role] if several else None,
+                    rig_file=self.rig_name,
                 )
             )
         return sources
@@ -184,7 +188,7 @@ def load_dataset(
     loaded = [recording.of_device(device) for recording in read_all((*paths, *test_paths), run)]
     training, testing = loaded[: len(paths)], loaded[len(paths) :]
     _refuse_duplicates(training)
-    rig = common_rig(training, rig_file)
+    rig, rig_name = common_rig(training, rig_file), given_name(rig_file)
     records, measured = measured_of(training, rig, span, most=max_samples)
     model = model_for(rig, measured, per_recording)
     train_entries = tuple(
@@ -193,12 +197,14 @@ def load_dataset(
     if not test_paths and holdout == 0.0:
         with naming(training):
             train = model.prepare(replace_outliers(measured))
-        return Dataset(rig, model, train, train, False, measured, train_entries, held_out=False)
+        return Dataset(
+            rig, model, train, train, False, measured, train_entries, held_out=False, rig_name=rig_name
+        )
     if not test_paths:
         with naming(training):
             train, test = _split_held_out(model, measured, training, holdout)
             _refuse_horizon(rig, test)
-        return Dataset(rig, model, train, test, False, measured, train_entries)
+        return Dataset(rig, model, train, test, False, measured, train_entries, rig_name=rig_name)
     test_records, measured_test = measured_of(testing, rig, like=measured, of=training[0], most=max_samples)
     if len(test_records) > 1 and len(records) == 1:
         model = several(model, (), 1)
@@ -210,7 +216,8 @@ def load_dataset(
     with naming(testing):
         test = model.prepare(replace_outliers(measured_test))
         _refuse_horizon(rig, test)
-    return Dataset(rig, model, train, test, True, measured, (*train_entries, *test_entries))
+    entries = (*train_entries, *test_entries)
+    return Dataset(rig, model, train, test, True, measured, entries, rig_name=rig_name)
 
 
 def _device_notes(recording: Recording, rig: RigFile) -> list[str]:

@@ -23,4 +23,6 @@ def ending_early(seconds: float | None = None) -> Iterator[Deadline]:
         try:
             yield deadline
         except EndedEarly as early:
-            raise RunStoppedError(f"ended early ({early}), before there was a result") from early
+            raise RunStoppedError(
+                f"ended early ({early}), before there was a result; run it again and give it more time"
+            ) from early

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from labhil.analysis.rig_option import rig_option
 from labhil.physics.terms import enumerated, keyed, listed
 from labhil.simulators.names import NO_PORT
 
@@ -26,7 +28,12 @@ def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
 def _path(diagnosis: DiagnosisPart) -> str:
     """Path of the first recording; "REC.mcap" for one of arrays that was never saved."""
     path = diagnosis.recordings[0].path if diagnosis.recordings else ""
-    return path if Path(path).suffix else "REC.mcap"
+    return shlex.quote(path) if Path(path).suffix else "REC.mcap"
+
+
+def _rig(diagnosis: DiagnosisPart) -> str:
+    """The option that gives the rig file again, where the recordings' own was not used."""
+    return rig_option(diagnosis.recordings[0]) if diagnosis.recordings else ""
 
 
 def _baseline(diagnosis: DiagnosisPart) -> str:
@@ -68,7 +75,7 @@ def _steps_after_missing_physics(diagnosis: DiagnosisPart) -> Steps:
         yield from _simulator_step(diagnosis)
         yield (
             f"More than noise remains: `labhil fit {_path(diagnosis)} --terms"
-            f" {','.join(listed(diagnosis.final.terms))}` shows where in time."
+            f" {','.join(listed(diagnosis.final.terms))}{_rig(diagnosis)}` shows where in time."
         )
     yield from _validation_step(diagnosis)
 
@@ -108,13 +115,11 @@ def _simulator_step(diagnosis: DiagnosisPart) -> Steps:
 
 def _validation_step(diagnosis: DiagnosisPart) -> Steps:
     improvement = diagnosis.improvement
+    command = f"`labhil verify NEW.mcap --model DIAGNOSIS.json{_rig(diagnosis)}`"
     if improvement is not None and improvement.data == "test":
-        yield "Hold the next recording against it: `labhil verify NEW.mcap --model DIAGNOSIS.json`."
+        yield f"Hold the next recording against it: {command}."
     else:
-        yield (
-            "Judge it on a recording of its own, with other amplitudes and frequencies:"
-            " `labhil verify NEW.mcap --model DIAGNOSIS.json`."
-        )
+        yield f"Judge it on a recording of its own, with other amplitudes and frequencies: {command}."
 
 
 def _steps_after_parameter_change(diagnosis: DiagnosisPart) -> Steps:
@@ -145,7 +150,8 @@ def _steps_after_unexplained_mismatch(diagnosis: DiagnosisPart) -> Steps:
         "Record what else may drive the rig (a load, a temperature, a supply) as a further channel, or"
         " repeat the run: what comes back at the same place is physics, what does not is a disturbance."
     )
-    yield f"`labhil linear {_path(diagnosis)}` tells how well any model without physics predicts these data."
+    command = f"`labhil linear {_path(diagnosis)}{_rig(diagnosis)}`"
+    yield f"{command} tells how well any model without physics predicts these data."
 
 
 def _steps_after_data_fault(diagnosis: DiagnosisPart) -> Steps:
@@ -153,7 +159,7 @@ def _steps_after_data_fault(diagnosis: DiagnosisPart) -> Steps:
         "Mend the data first, as each fault says, or take a good stretch with `--span FROM TO`; nothing was"
         " searched."
     )
-    yield f"Then: `labhil diagnose {_path(diagnosis)} --baseline {_baseline(diagnosis)}`."
+    yield f"Then: `labhil diagnose {_path(diagnosis)} --baseline {_baseline(diagnosis)}{_rig(diagnosis)}`."
 
 
 def _steps_after_not_decidable(diagnosis: DiagnosisPart) -> Steps:

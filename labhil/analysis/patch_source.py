@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from labhil.analysis.dataset import Dataset, load_dataset
+from labhil.analysis.find_recording import find_recording
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
 from labhil.recording.memory_maps import sha256_of_file
 from labhil.rig import RigFile
+from labhil.unreadable import RESULT, reason_unreadable
 
 ROUNDING = 1e-12
 """Relative error of a time that was written as begin and duration, so that the last sample stays."""
@@ -63,7 +65,8 @@ def read_patch_source(path: Path) -> PatchSource:
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
-        raise ModelFileError(f"{path}: cannot be read as JSON: {error}") from error
+        reason = reason_unreadable(path, error, RESULT)
+        raise ModelFileError(f"{path}: cannot be read as JSON: {reason}") from error
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema not in (DIAGNOSIS, FIT):
         raise ModelFileError(f"{path}: schema: expected {DIAGNOSIS} or {FIT}, found {schema!r}")
@@ -115,8 +118,7 @@ def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ..
     paths = []
     for row in rows:
         stated = Path(row["path"])
-        candidates = (stated, path.parent / stated, path.parent / stated.name)
-        file = next((candidate for candidate in candidates if candidate.is_file()), None)
+        file = find_recording(path, stated, row["sha256"])
         if file is None:
             raise UsageError(
                 f"{path}: names the recording {stated}, which is not there; the repaired file is run on it: "

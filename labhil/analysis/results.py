@@ -32,6 +32,7 @@ class Source:
         role: "search", "train" or "test".
         start: Begin of that part, s.
         recording: Its number among several of its role.
+        rig_file: The rig file, or simulator, that was given by name; None for the one in the recording.
     """
 
     path: str
@@ -42,6 +43,7 @@ class Source:
     role: str
     start: float = 0.0
     recording: int | None = None
+    rig_file: str | None = None
 
 
 OF_SEVERAL = ("recording", "times_in", "per_recording")

@@ -73,6 +73,11 @@ def rig_of(recording: Recording, rig_file: Path | RigFile | None) -> RigFile:
                 f"{recording.path}: expected one rig file, found several that differ, as in files that were "
                 "merged; say which one holds with --rig RIG.toml"
             )
+        if rig_attachment_name() in recording.attachments:
+            raise RecordingError(
+                f"{recording.path}: its rig file names a simulator of its author's, which is not loaded from "
+                "there; give it with --rig RIG.toml or --simulator FILE"
+            )
         damage = f" ({recording.damage})" if recording.damage else ""
         raise RecordingError(
             f"{recording.path}: carries no rig file{damage}; give one with --rig RIG.toml (that of a "

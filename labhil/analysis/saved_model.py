@@ -14,6 +14,7 @@ from labhil.documents import is_finite_number, parse_json, read_document
 from labhil.errors import ModelFileError
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
+from labhil.unreadable import RESULT, reason_unreadable
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,8 @@ def _read_model_fields(path: Reference) -> Mapping[str, Any]:
     try:
         data = path.data if isinstance(path, SavedModel) else parse_json(read_document(path))
     except (OSError, ValueError) as error:
-        raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {error}") from error
+        reason = reason_unreadable(Path(str(path)), error, RESULT)
+        raise ModelFileError(f"{path}: cannot be read as a model (JSON of `labhil fit`): {reason}") from error
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema not in ("labhil.fit/1", "labhil.diagnosis/1"):
         raise ModelFileError(

@@ -15,6 +15,7 @@ from labhil.analysis.dataset import RecordingLike
 from labhil.analysis.measured import measured_of, refuse_holes
 from labhil.analysis.results import Source, finite, score_json
 from labhil.analysis.rig_choice import rig_of
+from labhil.analysis.rig_option import given_name
 from labhil.analysis.saved_curves import with_saved_curves
 from labhil.analysis.saved_model import Reference, accepted_of
 from labhil.analysis.schema import VerificationPart, validate
@@ -99,7 +100,14 @@ def verify_study(
         model, model.prepare(replace_outliers(record)), accepted, alpha=alpha, progress=progress
     )
     source = Source(
-        str(path), recording.sha256, model.kind, len(record), _duration(record), "test", float(record.t[0])
+        str(path),
+        recording.sha256,
+        model.kind,
+        len(record),
+        _duration(record),
+        "test",
+        float(record.t[0]),
+        rig_file=given_name(rig_file),
     )
     seconds = time.perf_counter() - start_time
     data = verification_json(verification, source, model_file, seconds)

@@ -17,6 +17,7 @@ from labhil.experiment.bench import Bench
 from labhil.experiment.device_sections import DeviceSection, TwinSection, WithDevices
 from labhil.experiment.experiment import Experiment as ExperimentFile
 from labhil.experiment.experiment import load_experiment
+from labhil.experiment.hooks import load_hook
 from labhil.experiment.plan import Plan, device_plan, make_plan
 from labhil.experiment.points import is_campaign, points_of
 from labhil.rig import RigFile
@@ -180,9 +181,13 @@ class Experiment:
     def plan(self) -> str:
         """Return a description of the run, as ``labhil run --dry-run`` prints it, without using a device.
 
+        The file of a hook is run, to find the function in it, and the function is not called.
+
         Raises:
-            UsageError: It cannot be run: a driver or a signal does not exist, or a step exceeds a limit.
+            UsageError: It cannot be run: a driver, a signal or the hook does not exist, or a step exceeds a
+                limit.
         """
+        load_hook(self._file)
         if not self.is_campaign:
             return self._planned.describe()
         points = points_of(self._file)
@@ -309,7 +314,9 @@ class Experiment:
 
     def __repr__(self) -> str:
         devices = ", ".join(self._file.devices)
-        return f"<Experiment {self.name}: {len(self._file.steps)} steps, {self.duration:g} s, on {devices}>"
+        steps = len(self._file.steps)
+        counted = "1 step" if steps == 1 else f"{steps} steps"
+        return f"<Experiment {self.name}: {counted}, {self.duration:g} s, on {devices}>"
 
 
 @contextmanager

@@ -12,6 +12,7 @@ from labhil.api.inputs import PathLike, path_of
 from labhil.api.verification import Verification
 from labhil.bounds import read_file
 from labhil.errors import ModelFileError
+from labhil.unreadable import RESULT, reason_unreadable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -47,9 +48,8 @@ def load(path: PathLike) -> Fit | Diagnosis | Verification | Comparison:
     try:
         content = read_file(file)
     except OSError as error:
-        raise ModelFileError(
-            f"{file}: expected the JSON of a result, cannot be read: {error.strerror}"
-        ) from error
+        reason = reason_unreadable(file, error, RESULT)
+        raise ModelFileError(f"{file}: expected the JSON of a result, cannot be read: {reason}") from error
     data = json_of(content, str(file))
     schema = data.get("schema") if isinstance(data, dict) else None
     kind = KINDS.get(str(schema))

@@ -256,6 +256,7 @@ def verify(
     ] = 1e-3,
     span: SpanOption = None,
     max_samples: MaxSamplesOption = 100_000,
+    html: PageOption = None,
     json_path: ResultOption = None,
 ) -> None:
     """Verify an accepted model on a recording; the exit status is 1 when the recording contradicts the model.
@@ -265,7 +266,7 @@ def verify(
     """
     from labhil.api.verification import verify as verify_recording
 
-    refuse_unwritable(json_path)
+    refuse_unwritable(json_path, html)
     with status() as progress:
         result = verify_recording(
             recording,
@@ -280,6 +281,8 @@ def verify(
             warn=tell,
         )
     deliver(result.to_dict(), json_path, lambda: result.show(results_console()))
+    if html is not None:
+        result.report(html)
     if result.contradicted:
         raise typer.Exit(1)
 
@@ -308,6 +311,7 @@ def linear(
     recording: Annotated[Path, typer.Argument(help="A recording (.mcap).")],
     *,
     rig: RigOption = None,
+    simulator: SimulatorOption = None,
     models: Annotated[str | None, typer.Option(help="Which: a,b,… (default: all).")] = None,
     test: Annotated[Path | None, typer.Option(help="A separate recording to judge on.")] = None,
     holdout: Annotated[float, typer.Option(help="Share held out at the end; not used with --test.")] = 0.3,
@@ -316,10 +320,11 @@ def linear(
 ) -> None:
     """Fit linear and black-box models, to compare physics with: ARX, OE, state space, NARX, …"""
     from labhil.analysis.dataset import load_dataset
+    from labhil.api.inputs import rig_file
     from labhil.identify.linear import linear_study, study_json, study_text
 
     refuse_unwritable(json_path)
-    dataset = load_dataset(recording, rig, test, holdout, run=run)
+    dataset = load_dataset(recording, rig_file(rig_or_simulator(rig, simulator)), test, holdout, run=run)
     tell(dataset.losses())
     dataset.refuse_holes()
     with status() as progress:

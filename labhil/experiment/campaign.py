@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from labhil.atomic_file import atomic_file
+from labhil.atomic_file import atomic_file, make_folder
 from labhil.documents import parse_json, read_document
 from labhil.errors import EmergencyStopError, LabhilError, RecordingError, RunStoppedError, UsageError
 from labhil.experiment.experiment import Experiment
@@ -27,6 +27,7 @@ from labhil.experiment.result import Progress, RunResult, free_path
 from labhil.experiment.run import run_experiment
 from labhil.recording.contents import status_from_metadata
 from labhil.recording.metadata import read_metadata
+from labhil.unreadable import CAMPAIGN, reason_unreadable
 from labhil.validation_errors import format_validation_error
 
 Status = Literal["planned", "running", "done", "failed"]
@@ -131,10 +132,7 @@ def run_campaign(
     points = points_of(experiment)
     for point in points:
         make_plan(point.experiment)
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out_dir}: expected a directory for the recordings, found {error}") from error
+    make_folder(out_dir, "the recordings")
     path = campaign_path(experiment, out_dir)
     with _lock(path):
         file = _load_or_begin(experiment, points, path, anew=anew)
@@ -177,7 +175,8 @@ def load_campaign(path: Path) -> CampaignFile:
     try:
         data = parse_json(read_document(path))
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path}: cannot be read as a campaign file (JSON): {error}") from error
+        reason = reason_unreadable(path, error, CAMPAIGN)
+        raise UsageError(f"{path}: cannot be read as a campaign file (JSON): {reason}") from error
     try:
         return CampaignFile.model_validate(data)
     except ValidationError as error:

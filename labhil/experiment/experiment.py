@@ -38,6 +38,7 @@ from labhil.experiment.excitation.tones import PhaseRule, Sweep
 from labhil.experiment.overlap import refuse_conditions_beside_others, refuse_overlaps
 from labhil.experiment.sweep import MAX_RUNS, SweepSection
 from labhil.toml_text import to_toml
+from labhil.unreadable import EXPERIMENT, reason_unreadable
 from labhil.validation_errors import unknown_key
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -292,7 +293,8 @@ def load_experiment(path: Path) -> Experiment:
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:
-        raise ExperimentFileError(f"{path}: cannot be read as an experiment file (TOML): {error}") from error
+        reason = reason_unreadable(path, error, EXPERIMENT)
+        raise ExperimentFileError(f"{path}: cannot be read as an experiment file (TOML): {reason}") from error
     return parse_experiment(text, path)
 
 

@@ -112,6 +112,16 @@ class Hook:
         return f"the hook {self._reference} {context.moment} the steps"
 
 
+def load_hook(experiment: Experiment) -> Hook | None:
+    """Return the hook of an experiment; None where it names none.
+
+    Raises:
+        ExperimentFileError: There is no such function.
+    """
+    reference = experiment.experiment.hook
+    return None if reference is None else Hook(reference, experiment)
+
+
 def _load_function(reference: str, folder: Path) -> Callable[[RunContext], object]:
     module_name, _, name = reference.rpartition(":")
     if module_name.endswith(".py"):

@@ -12,6 +12,7 @@ from labhil.documents import DocumentError, read_document
 from labhil.errors import ExperimentFileError, UsageError
 from labhil.experiment.device_sections import DeviceSection, Section, WithDevices, parse_devices
 from labhil.kinds import kind_named
+from labhil.unreadable import LAB, reason_unreadable
 
 MIN_ROLL = 1.0
 """Shortest recording of a lab, s."""
@@ -69,7 +70,8 @@ def load_lab(path: Path) -> Lab:
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:
-        raise ExperimentFileError(f"{path}: cannot be read as a lab file (TOML): {error}") from error
+        reason = reason_unreadable(path, error, LAB)
+        raise ExperimentFileError(f"{path}: cannot be read as a lab file (TOML): {reason}") from error
     lab = parse_devices(text, path, Lab)
     _check_analyses(lab.lab.analyse, ANALYSES, f"{path}: lab.analyse")
     for kind, policy in lab.policies.items():

@@ -13,10 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from labhil.atomic_file import make_folder
 from labhil.bus.publish import publish_event
 from labhil.bus.register import register
 from labhil.bus.session import Bus
-from labhil.errors import BusError, LabhilError, RecordingFailedError, RunStoppedError, UsageError
+from labhil.errors import BusError, LabhilError, RecordingFailedError, RunStoppedError
 from labhil.experiment.attachments import attach_rigs
 from labhil.experiment.devices import end_hosts, host_config
 from labhil.experiment.experiment import TWIN, RecordSection
@@ -203,8 +204,5 @@ def make_recordings_folder(lab: Lab, folder: Path | None) -> Path:
         UsageError: It cannot be made.
     """
     folder = folder if folder is not None else lab.path.parent / lab.lab.folder
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: expected a directory for recordings, found {error}") from error
+    make_folder(folder, "recordings")
     return folder

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from labhil.driver import DriverSpec
+from labhil.driver import DriverSpec, PartlyFittedTwin
 from labhil.errors import ExperimentFileError, UnknownNameError
 from labhil.experiment.condition import Condition
 from labhil.experiment.continuity import refuse_jumps
@@ -167,17 +167,19 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
         raise ExperimentFileError(
             f"{place}.stabilise.on: {UnknownNameError('signal', step.stabilise.on, names)}"
         )
-    _check_conditions(place, step, device.spec)
+    if step.stabilise is not None:
+        _refuse_unfitted(f"{place}.stabilise.on", (step.stabilise.on,), device)
+    _check_conditions(place, step, device)
     rate, command = device.spec.stream.rate, commands[step.signal]
     values = _values(place, timed, command, rate)
     safe = _safe_values(device.spec, command, values)
     previous = np.vstack([safe, values[:-1]])
     lowest, highest = float(values.min()), float(values.max())
     fastest = float(np.max(np.abs(values - previous))) * rate
-    _check_range(place, command, lowest, highest, device.spec)
     limit = device.rig.limits.get(step.signal) or device.rig.limits.get(_vector_of(step.signal))
     extremes = (lowest, highest, fastest)
     warnings = () if limit is None else _check_limit(place, step.signal, command.unit, extremes, limit)
+    _check_range(place, command, lowest, highest, device.spec)
     excursion = _longest_excursion(values, safe) / rate
     if excursion > device.spec.longest_output:
         warnings += (
@@ -187,29 +189,44 @@ def _step_plan(path: Path, timed: TimedStep, device: DevicePlan) -> StepPlan:
     return StepPlan(timed, command.unit, *extremes, spectrum_of(values, rate), warnings)
 
 
-def _check_conditions(place: str, step: Step, spec: DriverSpec) -> None:
+def _check_conditions(place: str, step: Step, device: DevicePlan) -> None:
     """Refuse conditions on unknown signals, and conditions that would interrupt a path."""
     for key, condition in (("when", step.when), ("until", step.until)):
         if condition is None:
             continue
-        _check_signals(f"{place}.{key}", condition, spec)
-        if spec.waypoint_rate:
+        _check_signals(f"{place}.{key}", condition, device)
+        if device.spec.waypoint_rate:
             raise ExperimentFileError(
-                f"{place}.{key}: {spec.name} follows paths, which cannot be interrupted"
+                f"{place}.{key}: {device.spec.name} follows paths, which cannot be interrupted"
             )
 
 
-def _check_signals(place: str, condition: Condition, spec: DriverSpec) -> None:
+def _check_signals(place: str, condition: Condition, device: DevicePlan) -> None:
     try:
-        condition.bind(spec.stream.columns())
+        condition.bind(device.spec.stream.columns())
     except UnknownNameError as error:
         raise ExperimentFileError(f"{place}: {error}") from error
+    _refuse_unfitted(place, condition.names, device)
+
+
+def _refuse_unfitted(place: str, names: Iterable[str], device: DevicePlan) -> None:
+    """Raise ExperimentFileError for a signal that a simulated device, as it is described, does not have."""
+    if device.section.address != TWIN:
+        return
+    twin = load_twin(device.section.plugin)
+    unfitted = twin.unfitted(device.section.twin.set) if isinstance(twin, PartlyFittedTwin) else {}
+    for name in names:
+        if name in unfitted:
+            raise ExperimentFileError(
+                f"{place}: expected a signal that {device.name} has, found {name}, which is not fitted to "
+                f"the simulated device: set `{unfitted[name]}`, which is 0, in devices.{device.name}.twin.set"
+            )
 
 
 def _refuse_unknown_signals(experiment: Experiment, devices: tuple[DevicePlan, ...]) -> None:
     for number, check in enumerate(experiment.checks or ()):
         (device,) = [candidate for candidate in devices if check.device in (None, candidate.name)]
-        _check_signals(f"{experiment.path}: checks.{number}.condition", check.condition, device.spec)
+        _check_signals(f"{experiment.path}: checks.{number}.condition", check.condition, device)
 
 
 def _drivable_signals(spec: DriverSpec) -> Iterator[Signal]:

@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from labhil.atomic_file import make_folder
 from labhil.bus.authentication import Refusals
 from labhil.bus.latch import read_latch
 from labhil.bus.publish import publish_event
@@ -34,7 +35,7 @@ from labhil.experiment.attachments import attach_files, run_metadata
 from labhil.experiment.control import RunControl, RunState
 from labhil.experiment.devices import Devices, host_config, run_concurrently
 from labhil.experiment.experiment import TWIN, Experiment
-from labhil.experiment.hooks import Hook
+from labhil.experiment.hooks import Hook, load_hook
 from labhil.experiment.interruption import Interruption, emergency_stop_or, raise_emergency_stop, reason_of
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
@@ -109,12 +110,8 @@ def run_experiment(
     standing = read_latch()
     if standing is not None:
         raise CommandRefusedError(f"{standing.describe()}; release it with `labhil estop --release`")
-    reference = experiment.experiment.hook
-    hook = None if reference is None else Hook(reference, experiment)
-    try:
-        out_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{out_dir}: expected a directory for the recording, found {error}") from error
+    hook = load_hook(experiment)
+    make_folder(out_dir, "the recording")
     with session_clock(), Interruption() as interrupted:
         path = recording_path(experiment, out_dir) if path is None else path
         return _Run(plan, hook, path, progress, interrupted, control, metadata).run()

@@ -9,6 +9,7 @@ import numpy as np
 
 from labhil.atomic_file import atomic_file, write_error
 from labhil.errors import RecordingError, UsageError, suggestion
+from labhil.extras import require
 from labhil.recording.formats.bag_writer import write_bag
 from labhil.recording.formats.matlab import write_mat
 from labhil.recording.formats.parquet import write_parquet
@@ -38,6 +39,9 @@ WRITERS: Mapping[str, Callable[[Stream, FloatArray, FloatArray, Path], None]] = 
     ".mat": write_mat,
     ".xlsx": write_workbook,
 }
+
+PACKAGES = {".parquet": "pyarrow", ".xlsx": "openpyxl"}
+"""Packages that writers need."""
 
 
 def choose_stream(recording: Recording, name: str | None = None) -> StreamData:
@@ -111,6 +115,8 @@ def export(recording: Recording, out: Path, stream: str | None = None) -> Path:
         raise UsageError(
             f"{out}: expected an extension {', '.join(WRITERS)} or {BAG}, found {suffix or 'none'!r}"
         )
+    if suffix in PACKAGES:
+        require(PACKAGES[suffix], f"{out}: writing such a file")
     return _write_atomically(WRITERS[suffix], choose_stream(recording, stream), out)
 
 

@@ -16,6 +16,7 @@ from mcap.summary import Summary
 from labhil.errors import RecordingError
 from labhil.recording.bounded_file import BoundedFile
 from labhil.recording.rig_attachments import attached_rig, rig_attachment_name
+from labhil.unreadable import RECORDING, reason_unreadable
 
 Record = TypeVar("Record", Attachment, Metadata)
 
@@ -78,5 +79,9 @@ def _read_end(
             reader = SeekingReader(cast(IO[bytes], BoundedFile(file)), record_size_limit=MAX_RECORD_SIZE)
             summary = reader.get_summary()
             return summary, [] if summary is None else list(records(reader))
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read: {reason_unreadable(path, error, RECORDING)}"
+        ) from error
     except Exception as error:  # struct, mcap and the text decoder each raise their own
         raise RecordingError(f"{path}: expected a finished recording, found: {error}") from error

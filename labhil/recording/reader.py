@@ -26,6 +26,7 @@ from labhil.recording.samples import Samples
 from labhil.recording.stamps import with_device_time
 from labhil.signals import Batch, IntArray, Stream
 from labhil.terminal import printable_name
+from labhil.unreadable import RECORDING, beginning_of, reason_unreadable
 
 MAX_SPEED = 1e6
 """Largest speed of a simulation, seconds of its world per second of the host."""
@@ -113,12 +114,14 @@ def _bytes_of(path: Path) -> FileBytes:
     except OSError as error:
         part = Path(f"{path}.part")
         beside = f"; there is an unfinished recording {part}" if part.exists() else ""
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}{beside}") from error
+        raise RecordingError(
+            f"{path}: cannot be read: {reason_unreadable(path, error, RECORDING)}{beside}"
+        ) from error
     if not data:
         raise RecordingError(f"{path}: expected an MCAP recording, found an empty file")
     if not is_mcap(data):
         raise RecordingError(
-            f"{path}: expected an MCAP recording, found a file that begins with {data[:8]!r}; "
+            f"{path}: expected an MCAP recording, found a file that begins with {beginning_of(data[:8])}; "
             "tables become recordings with `labhil import`"
         )
     return data

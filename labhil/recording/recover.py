@@ -26,6 +26,7 @@ from labhil.recording.reorder import OrderedMessages, reorder
 from labhil.recording.salvage import Loss, Salvage, salvage
 from labhil.recording.stream_recovery import StreamRecovery, Tally, format_stream
 from labhil.recording.writer import CHUNK_SIZE
+from labhil.unreadable import RECORDING, beginning_of, reason_unreadable
 from labhil.version import __version__
 
 METADATA = "recover"
@@ -190,8 +191,8 @@ def recover(source: Path, out: Path, *, keep_doubtful: bool = False) -> Recovery
     salvaged = salvage(data, keep_doubtful=keep_doubtful)
     if not is_mcap(data) and not salvaged.chunks:
         raise RecordingError(
-            f"{source}: expected an MCAP recording, found a file that begins with {data[:8]!r} and holds no "
-            "whole chunk of one; nothing was written"
+            f"{source}: expected an MCAP recording, found a file that begins with {beginning_of(data[:8])} "
+            "and holds no whole chunk of one; nothing was written"
         )
     messages: Sequence[Message] = salvaged.messages
     nameless = sum(number not in salvaged.channels for number in salvaged.messages.channels)
@@ -212,7 +213,8 @@ def _bytes_of(source: Path) -> FileBytes:
     try:
         data = bytes_of(source)
     except OSError as error:
-        raise RecordingError(f"{source}: cannot be read: {error.strerror}") from error
+        reason = reason_unreadable(source, error, RECORDING)
+        raise RecordingError(f"{source}: cannot be read: {reason}") from error
     if not data:
         raise RecordingError(f"{source}: expected an MCAP recording, found an empty file")
     return data

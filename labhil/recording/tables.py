@@ -38,6 +38,7 @@ from labhil.recording.writer import RecordingWriter, media_type
 from labhil.rig import RigFile
 from labhil.rig_sections import Channel, Column
 from labhil.signals import Batch, Direction, FloatArray, IntArray, Signal, Stream
+from labhil.unreadable import FileKind, reason_unreadable
 
 TIME_COLUMNS = ("t", "time", "timestamp")
 MAX_TIME = 9e9
@@ -252,7 +253,8 @@ def _read_content(path: Path) -> tuple[bytes, str]:
             return content, hashlib.sha256(content).hexdigest()
         inside = sorted(inner for inner in path.iterdir() if inner.is_file())
     except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror}") from error
+        table = FileKind("tables", path.suffix.lower())
+        raise TableError(f"{path}: cannot be read: {reason_unreadable(path, error, table)}") from error
     return b"", _digest(path, inside)
 
 

@@ -277,4 +277,4 @@ def _create_draft(part: Path) -> BinaryIO:
         part.parent.mkdir(parents=True, exist_ok=True)
         return part.open("xb")
     except OSError as error:
-        raise RecordingFailedError(f"{part}: the recording could not be created: {error}") from error
+        raise RecordingFailedError(f"{part}: the recording could not be created: {error.strerror}") from error

@@ -10,6 +10,8 @@ import math
 
 NOTHING = "–"
 SMALLEST_P = 1e-99
+SIGNIFICANCE = 0.01
+"""Probability below which a report says that a test refutes what it assumes."""
 
 THOUSANDS = (1e4, 1e7)
 """Sizes that are written out, with spaces between thousands."""

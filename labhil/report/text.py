@@ -26,7 +26,14 @@ from labhil.diagnose.fault import FaultKind
 from labhil.physics.terms import keyed, listed
 from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.faults import fault_lines
-from labhil.report.formatting import NOTHING, format_number, format_p_relation, format_quantity, square_unit
+from labhil.report.formatting import (
+    NOTHING,
+    SIGNIFICANCE,
+    format_number,
+    format_p_relation,
+    format_quantity,
+    square_unit,
+)
 from labhil.report.parameter_columns import COLUMNS
 from labhil.report.tables import titled_table
 
@@ -57,11 +64,19 @@ def _fit_parts(fit: FitPart) -> Iterator[RenderableType]:
 def _fit_summary(fit: FitPart) -> str:
     """Tests of the residuals, and how the fit was made."""
     ending = "." if fit.converged else "; stopped before it had settled."
+    tests = fit.residuals
     return (
-        f"Residuals: white with p {format_p_relation(fit.residuals.ljung_box_p)} (Ljung-Box); uncorrelated "
-        f"with the input with p {format_p_relation(fit.residuals.input_crosscorrelation_p)}.\n"
+        f"Residuals: {_test_phrase('white', 'not white', tests.ljung_box_p)} (Ljung-Box); with the input "
+        f"{_test_phrase('uncorrelated', 'correlated', tests.input_crosscorrelation_p)}.\n"
         f"{_criterion(fit)}, {fit.evaluations} simulations; RMSE there {_remaining_rmse(fit)}{ending}"
     )
+
+
+def _test_phrase(held: str, refuted: str, probability: float | None) -> str:
+    """Say what a test of the residuals has found: what was assumed, or the opposite where it is refuted."""
+    if probability is None:
+        return f"not tested whether {held}"
+    return f"{refuted if probability < SIGNIFICANCE else held}, p {format_p_relation(probability)}"
 
 
 def recording_numbers(sources: Sequence[Source]) -> list[str]:

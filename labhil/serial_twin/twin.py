@@ -32,6 +32,7 @@ class SerialTwin:
         settable: Its parameters.
         make: Builds and compiles the plant.
         tables: Readers of files that replace some of its parameters, by name.
+        sensors: Signals that may not be fitted, each with the parameter that is 0 then.
     """
 
     name: str
@@ -41,6 +42,7 @@ class SerialTwin:
     settable: Settable
     make: Callable[[TwinSettings], SimulatedRig]
     tables: Mapping[str, Callable[[Path], FloatArray]] = field(default_factory=dict)
+    sensors: Mapping[str, str] = field(default_factory=dict)
 
     def terms(self) -> Mapping[str, str]:
         """Return the effects that the plant can have, each with one line about it."""
@@ -49,6 +51,11 @@ class SerialTwin:
     def parameters(self) -> Mapping[str, float]:
         """Return the parameters that ``--set`` takes, with their defaults (SI; ``clock_drift`` in ppm)."""
         return self.settable.parameters()
+
+    def unfitted(self, parameters: Mapping[str, float]) -> Mapping[str, str]:
+        """Return the signals that it lacks with these parameters, each with the setting that fits it."""
+        stated = {**self.parameters(), **parameters}
+        return {signal: name for signal, name in self.sensors.items() if not stated[name]}
 
     def serve(self, options: TwinOptions, ready: ReadyCallback) -> None:
         """Run until SIGINT, SIGTERM or, where standard input is a pipe, its end.

@@ -140,7 +140,7 @@ class Simulator:
     @property
     def rig_file(self) -> RigFile:
         """A rig file with the kind alone."""
-        return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"{self.name}.toml"))
+        return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"rig {self.name}"))
 
     @property
     def force_unit(self) -> str:

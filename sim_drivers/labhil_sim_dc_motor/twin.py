@@ -47,4 +47,5 @@ TWIN = SerialTwin(
     effects={name: effect.about for name, effect in MOTOR.effects.items()},
     settable=settable_world(MOTOR, ("viscous_friction", "coulomb_friction"), DEVICE, check),
     make=make,
+    sensors={"angle": "encoder", "winding_temperature": "temperature_sensor"},
 )

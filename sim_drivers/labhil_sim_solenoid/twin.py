@@ -55,4 +55,5 @@ TWIN = SerialTwin(
     settable=settable_world(SOLENOID, ("viscous_friction", "coulomb_friction"), DEVICE, check),
     make=make,
     tables={"force_map": force_map},
+    sensors={"magnetic_force": "load_cell"},
 )

@@ -192,6 +192,36 @@ def test_frames_are_made_or_what_to_install_is_said(fit, tmp_path):
         assert run.to_xarray()["ball_position_simulated"].dims == ("t",)
 
 
+@pytest.mark.parametrize(
+    ("p", "said"),
+    [
+        (1e-120, "not white, p <1e-99 (Ljung-Box)"),
+        (0.5, "Residuals: white, p = 0.5"),
+        (None, "not tested whether white"),
+    ],
+)
+def test_residuals_that_are_refuted_to_be_white_are_not_called_white(p, said):
+    data = json.loads((ROOT / "examples" / "fit.json").read_text(encoding="utf-8"))
+    data["residuals"]["ljung_box_p"] = p
+    assert said in lh.Fit(data).text()
+
+
+def test_an_experiment_of_one_step_says_so():
+    step = {"device": "bench", "signal": "voltage", "excitation": "hold", "level": 1.0, "duration": 2.0}
+    devices = {"bench": {"plugin": "dc_motor", "address": "twin"}}
+    assert repr(lh.Experiment("levels", devices=devices, steps=[step])).startswith(
+        "<Experiment levels: 1 step, 2 s"
+    )
+    assert "2 steps" in repr(lh.Experiment("levels", devices=devices, steps=[step, step]))
+
+
+def test_no_number_of_a_report_is_cut_however_narrow_it_is():
+    for name in ("fit", "diagnosis"):
+        text = lh.load(ROOT / "examples" / f"{name}.json").text(width=30)
+        assert "…" not in text
+    assert "[0.08927, 0.09056]" in lh.load(ROOT / "examples" / "fit.json").text(width=30)
+
+
 def test_what_is_no_result_is_not_loaded(tmp_path):
     for text, said in (
         ("[", "expected"),

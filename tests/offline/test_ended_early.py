@@ -17,7 +17,7 @@ import pytest
 
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.study import diagnose_study, fit_study
-from labhil.console import STDOUT, deliver
+from labhil.console import INTERRUPTED, STDOUT, deliver
 from labhil.ending import Deadline, EndedEarly, checkpoint
 from labhil.identify.fit import Options
 
@@ -120,6 +120,16 @@ def test_ctrl_c_ends_a_fit_with_a_marked_result(tmp_path: Path, how: signal.Sign
         assert process.wait(60.0) == 0
     assert shown.startswith(f"ENDED EARLY ({how.name})")
     assert json.loads(path.read_text())["complete"] is False
+
+
+def test_ctrl_c_before_there_is_a_result_says_so(labhil: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_arguments: Any, **_options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("labhil.api.fit.fit", interrupted)
+    done = labhil("fit", RECORDING)
+    assert done.status == INTERRUPTED
+    assert "labhil fit: interrupted (Ctrl+C) before there was a result; run it again" in done.err
 
 
 def shown(

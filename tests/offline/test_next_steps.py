@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 
 import labhil as lh
+from labhil.analysis.dataset import load_dataset
 from labhil.analysis.next_steps import FORCE_CURVE
 from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, UndecidedEffect, Verdict
 from labhil.identify.extended import UNMODELLED_FORCE
@@ -112,6 +113,34 @@ def test_more_than_noise_is_said_to_remain_where_more_remains(example, is_noise)
     )
     steps = example.model_copy(update={"remainder": rest}).next_steps
     assert any("More than noise remains" in step for step in steps) is not is_noise
+
+
+@pytest.mark.parametrize(
+    ("given", "option"),
+    [
+        ("bench.toml", "--rig bench.toml"),
+        ("my rig.toml", "--rig 'my rig.toml'"),
+        ("bench.py:pendulum", "--simulator bench.py:pendulum"),
+    ],
+)
+@pytest.mark.parametrize("verdict", get_args(Verdict))
+def test_what_was_given_for_a_recording_without_a_rig_file_is_advised_again(example, verdict, given, option):
+    rest = Remainder(explained=0.9, noise_floors=3.0, channel="ball_position", statement="as said")
+    of_a_file = tuple(item.model_copy(update={"rig_file": given}) for item in example.recordings)
+    found = example.model_copy(update={"verdict": verdict, "recordings": of_a_file, "remainder": rest})
+    advised = [line for line in commands(found.next_steps) if ".mcap" in line]
+    assert advised or verdict == "not_decidable"
+    assert all(line.endswith(f" {option}") for line in advised)
+
+
+def test_a_result_holds_the_rig_file_that_was_given(shipped, tmp_path):
+    rig = tmp_path / "bench.toml"
+    recording = shipped / "ball_beam_identify.mcap"
+    rig.write_text(lh.read(recording).file.rig.text, encoding="utf-8")
+    given = load_dataset(recording, rig, span=(0.0, 10.0))
+    assert [source.rig_file for source in given.sources("train")] == [str(rig)]
+    own = load_dataset(recording, span=(0.0, 10.0))
+    assert [source.rig_file for source in own.sources("train")] == [None]
 
 
 def test_a_recording_of_arrays_is_named_by_a_placeholder_in_commands(example):

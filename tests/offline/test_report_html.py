@@ -407,3 +407,10 @@ def test_numbers_are_written_as_people_write_them():
     assert format_interval((None, 2.0), "N") == f"– to 2{space}N"
     assert (format_percent(0.99995321), format_percent(1.0)) == (f"99.9953{space}%", f"100.00{space}%")
     assert (format_probability(1.0), format_probability(0.5)) == (f">{space}99{space}%", f"50{space}%")
+
+
+def test_verify_writes_its_page(labhil: Any, shipped: Path, tmp_path: Path) -> None:
+    fit = shipped.parent / "examples" / "fit.json"
+    done = labhil("verify", shipped / "ball_beam_test.mcap", "--model", fit, "--html", "v.html")
+    assert done.status == 0, done.err
+    assert "<html" in (tmp_path / "v.html").read_text(encoding="utf-8")

@@ -213,9 +213,9 @@ def test_what_is_no_recording_is_refused_in_words(tmp_path, content, found):
 
 
 def test_a_missing_file_and_a_folder_are_refused_in_words(tmp_path):
-    with pytest.raises(RecordingError, match="No such file"):
+    with pytest.raises(RecordingError, match="there is no such file"):
         read_recording(tmp_path / "none.mcap")
-    with pytest.raises(RecordingError, match="Is a directory"):
+    with pytest.raises(RecordingError, match="it is a folder; give the recordings in it"):
         read_recording(tmp_path)
 
 

@@ -275,9 +275,9 @@ def test_nothing_is_overwritten_and_an_unwritable_place_is_named(whole, tmp_path
         recover(tmp_path / "a.mcap", tmp_path / "c.mcap")
     with pytest.raises(RecordingFailedError, match="could not be written"):
         recover(tmp_path / "a.mcap", tmp_path / "none" / "d.mcap")
-    with pytest.raises(RecordingError, match="No such file"):
+    with pytest.raises(RecordingError, match="there is no such file"):
         recover(tmp_path / "none.mcap", tmp_path / "d.mcap")
-    with pytest.raises(RecordingError, match="Is a directory"):
+    with pytest.raises(RecordingError, match="it is a folder; give the recordings in it"):
         recover(tmp_path, tmp_path / "d.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == whole
     assert {(tmp_path / name).read_bytes() for name in ("b.mcap", "c.mcap.saving")} == {b"precious"}

@@ -336,7 +336,7 @@ def test_files_of_other_kinds_are_named(tmp_path, content, found):
 
 
 def test_a_missing_file_is_named():
-    with pytest.raises(TableError, match=r"nowhere\.csv: cannot be read: No such file"):
+    with pytest.raises(TableError, match=r"nowhere\.csv: cannot be read: there is no such file"):
         import_table(Path("nowhere.csv"), rig())
 
 

@@ -29,8 +29,8 @@ duration = 5.0
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('"multisine"', "[]", r"steps\.0\.excitation: expected a valid string"),
-        ('"multisine"', "{ a = 1 }", r"steps\.0\.excitation: expected a valid string"),
+        ('"multisine"', "[]", r"steps\.0\.excitation: expected a text"),
+        ('"multisine"', "{ a = 1 }", r"steps\.0\.excitation: expected a text"),
         ("0.2, 0.3", "0.2, 1e308", r"steps\.0: the excitation cannot be calculated"),
         ("5.0", "1e308", r"steps\.0: the excitation cannot be calculated: expected at most"),
         ("5.0", "1e12", r"steps\.0: the excitation cannot be calculated: expected at most"),

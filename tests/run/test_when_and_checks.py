@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import labhil as lh
 from labhil.bus import latch
 from labhil.errors import ConditionError, EmergencyStopError, ExperimentFileError, HookError, RunStoppedError
 from labhil.experiment.control import RunState
@@ -368,6 +369,46 @@ def test_a_run_can_be_aborted_while_its_hook_is_at_work(tmp_path: Path) -> None:
     thread.join(PATIENCE)
     assert isinstance(results[0].error, RunStoppedError)
     assert results[0].reason == "that takes too long"
+
+
+def test_a_hook_that_is_not_there_is_refused_by_a_dry_run_too(tmp_path: Path) -> None:
+    (tmp_path / "lab.py").write_text("")
+    path = tmp_path / "patient.toml"
+    path.write_text(text(hook='hook = "lab.py:none"'))
+    with pytest.raises(ExperimentFileError, match=r"experiment\.hook: .*lab\.py: has no 'none'"):
+        lh.Experiment.load(path).plan()
+
+
+HOT = 'when = "winding_temperature < 100"\nwait = 5.0'
+
+
+@pytest.mark.parametrize(
+    ("stated", "place"),
+    [
+        (text(when=HOT), "steps.1.when"),
+        (text(checks=check("before", "winding_temperature < 100")), "checks.0.condition"),
+        (text(when='stabilise = { on = "winding_temperature", kp = 1.0 }'), "steps.1.stabilise.on"),
+    ],
+)
+def test_a_condition_on_a_sensor_that_the_simulated_device_lacks_is_refused_by_a_plan(
+    stated: str, place: str
+) -> None:
+    with pytest.raises(ExperimentFileError, match=f"{place}: .*set `temperature_sensor`, which is 0"):
+        make_plan(parse_experiment(stated, Path("patient.toml")))
+    fitted = stated.replace("seed = 3", "seed = 3, set = { temperature_sensor = 1 }")
+    make_plan(parse_experiment(fitted, Path("patient.toml")))
+    board = stated.replace('"twin"', '"/dev/ttyACM0"')
+    make_plan(parse_experiment(board, Path("patient.toml")))
+
+
+def test_a_step_beyond_both_is_answered_with_the_limit_of_the_rig_file(tmp_path: Path) -> None:
+    (tmp_path / "motor.toml").write_text(
+        '[rig]\nkind = "dc_motor"\n[limits]\nvoltage = { min = -6.0, max = 6.0 }\n'
+    )
+    stated = text().replace('address = "twin"', 'address = "twin"\nrig = "motor.toml"')
+    beyond = parse_experiment(stated.replace("level = 5.0", "level = 50.0"), tmp_path / "patient.toml")
+    with pytest.raises(ExperimentFileError, match=r"its limits are -6 to 6 V"):
+        make_plan(beyond)
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def json_of(text: bytes, origin: str) -> Any:
     try:
         if len(text) > LARGEST:
             raise DocumentError(f"expected at most {LARGEST} bytes, found {len(text)}")
-        return parse_json(text.decode("utf-8"), constant=lambda name: None)
+        return parse_json(text, constant=lambda name: None)
     except ValueError as error:
         raise ModelFileError(
             f"{origin}: expected a recording (MCAP) or the JSON of `labhil fit` or `labhil diagnose`: {error}"

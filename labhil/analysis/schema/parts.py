@@ -38,6 +38,7 @@ class Source(Part):
     role: str = ""
     start: Number = 0.0
     recording: int | None = None
+    rig_file: str | None = None
 
 
 class Parameter(Part):

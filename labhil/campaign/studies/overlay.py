@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from labhil.analysis.find_recording import find_recording
 from labhil.campaign.studies.process import read_further_lines, read_request, write_line
 from labhil.errors import LabhilError, ModelFileError
 from labhil.signals import FloatArray
@@ -38,10 +39,10 @@ def recording_of(result: Path, stated: str) -> Path:
     Raises:
         ModelFileError: it is in neither place.
     """
-    paths = [path for path in (Path(stated), result.parent / Path(stated).name) if path.is_file()]
-    if not paths:
+    path = find_recording(result, Path(stated))
+    if path is None:
         raise ModelFileError(f"{result}: expected its recording {stated}, found none there nor beside it")
-    return paths[0]
+    return path
 
 
 def simulate_without(result: Fit | Diagnosis, recording: Path, without: tuple[str, ...]) -> dict[str, Any]:

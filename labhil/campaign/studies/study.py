@@ -186,24 +186,11 @@ def _compare(task: Task) -> dict[str, Any]:
     from labhil.api.comparison import compare
 
     first = task.recordings[0]
-    recordings = task.tests or _relocated_recordings(first) or None
-    comparison = compare(*task.recordings, recording=recordings, progress=report_progress, warn=_warn)
+    comparison = compare(*task.recordings, recording=task.tests or None, progress=report_progress, warn=_warn)
     stem = first.name.removesuffix(".json").removesuffix(".fit").removesuffix(".diagnosis")
     path = free_name(first.parent, stem, "comparison.json")
     write_json_file(comparison.to_dict(), path)
     return {"done": str(path), "verdict": comparison.statement}
-
-
-def _relocated_recordings(result: Path) -> tuple[Path, ...]:
-    """Paths of a result's validation recordings, where these moved beside it; empty if all are in place."""
-    from labhil.analysis.schema import json_of, result_of
-    from labhil.campaign.studies.overlay import recording_of
-
-    sources = result_of(json_of(result.read_bytes(), result.name), result.name).recordings
-    validation = [source for source in sources if source.role == "test"] or sources
-    if all(Path(source.path).is_file() for source in validation):
-        return ()
-    return tuple(recording_of(result, source.path) for source in validation)
 
 
 def main() -> int:

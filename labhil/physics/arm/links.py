@@ -21,6 +21,7 @@ from labhil.errors import RigFileError
 from labhil.kinds import JOINTS
 from labhil.physics.arm.rigid_body import PER_LINK, regressor, torques
 from labhil.signals import FloatArray
+from labhil.unreadable import LINKS, reason_unreadable
 from labhil.validation_errors import format_validation_error
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -157,7 +158,8 @@ def load_links(path: Path) -> Links:
     try:
         text = read_document(path)
     except (OSError, DocumentError) as error:
-        raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {error}") from error
+        reason = reason_unreadable(path, error, LINKS)
+        raise RigFileError(f"{path}: cannot be read as a table of links (TOML): {reason}") from error
     return links_of(text, str(path))
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from labhil.analysis.schema import ChannelErrors, FitPart, Identifiability, Parameter, Score
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.formatting import (
+    SIGNIFICANCE,
     format_count,
     format_multiple,
     format_p_value,
@@ -33,7 +34,6 @@ from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 from labhil.signals import FloatArray
 
 NORMAL_99 = 2.576
-ALPHA = 0.01
 PANELS_IN_ROW = 3
 MOST_PANELS = 36
 MOST_CORRELATED = 60
@@ -256,7 +256,7 @@ def _residuals(fit: FitPart) -> PageSection | None:
 def _answer(p: float | None) -> str:
     if p is None:
         return "not known"
-    return "nothing speaks against it" if p >= ALPHA else "no"
+    return "nothing speaks against it" if p >= SIGNIFICANCE else "no"
 
 
 def _correlations(fit: FitPart, album: Album) -> PageSection | None:

@@ -25,6 +25,7 @@ from labhil.report.html.page import Page
 from labhil.report.html.picture import Album
 from labhil.report.html.recording import recording_page
 from labhil.report.html.verification import verification_page
+from labhil.unreadable import RECORDING, RESULT, reason_unreadable
 
 
 def report_page(path: Path, run: int | None = None) -> Page:
@@ -65,6 +66,8 @@ def _bytes_of(path: Path) -> bytes:
     try:
         return read_file(path)
     except OSError as error:
+        kind = RECORDING if path.suffix == RECORDING.suffix else RESULT
+        reason = reason_unreadable(path, error, kind)
         raise ModelFileError(
-            f"{path}: expected a recording (MCAP) or the JSON of a result, cannot be read: {error.strerror}"
+            f"{path}: expected a recording (MCAP) or the JSON of a result, cannot be read: {reason}"
         ) from error
