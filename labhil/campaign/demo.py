@@ -19,6 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from labhil.api.diagnosis import Diagnosis, diagnose
+from labhil.campaign.stepped_run import run_stepwise
 from labhil.campaign.trials.seal import sha256_of
 from labhil.errors import DeviceSilentError, LimitTrippedError, RunError, WatchdogError
 from labhil.experiment.control import RunState
@@ -29,8 +30,8 @@ from labhil.terminal import terminal
 
 COMPILE = "from labhil.physics.rigs import compile_kernels; compile_kernels()"
 
-SPEEDS = (5.0, 2.5, 1.25, 0.625)
-"""Speeds of the twin relative to real time, one for each attempt. The slowest attempt takes 1.6 minutes."""
+SPEEDS = (5.0, 2.5, 1.25)
+"""Speeds of the twin relative to real time, one for each attempt. The slowest takes 48 s for a minute."""
 SIGNS_OF_A_BUSY_MACHINE = (LimitTrippedError, WatchdogError, DeviceSilentError)
 """What ends a run of a twin whose controller, host or twin gets no time; nothing else can trip its limits."""
 
@@ -92,8 +93,8 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
             say("compiling the model")
             compiling.wait()
 
-        identify = _record("identify", out, physics, 1, say, wait_for_compiling)
-        test = _record("test", out, physics, 2, say, wait_for_compiling)
+        recorder = Recorder(out, physics, say, wait_for_compiling)
+        identify, test = recorder.record("identify", 1), recorder.record("test", 2)
         wait_for_compiling()
     hashes = {path: sha256_of(answer_path(path, "bench", are_several=False)) for path in (identify, test)}
     console.print(f"Recorded {identify} and {test}.")
@@ -111,59 +112,57 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     )
 
 
-def _record(
-    role: str,
-    out: Path,
-    physics: ConcealedPhysics,
-    noise_seed: int,
-    say: Say,
-    before_retry: Callable[[], None],
-) -> Path:
-    """Run one of the shipped experiments on a simulated rig, more slowly where the machine is too busy.
+@dataclass(slots=True)
+class Recorder:
+    """Runs the shipped experiments on a simulated rig, more slowly where the machine is too busy.
 
     A busy machine may be too late to hold the ball, or to command it at all. At half the speed it has twice
-    the time for each sample.
+    the time for each sample; a machine that is too busy for that, too, is given a twin whose clock waits.
 
-    Args:
-        role: "identify" or "test".
-        out: Folder of the recording.
+    Attributes:
+        out: Folder of the recordings.
         physics: What the twin conceals.
-        noise_seed: Seed of the twin's noise.
         say: Is called with a line of text at each stage.
         before_retry: Is called before each attempt but the first.
-
-    Returns:
-        Its path.
-
-    Raises:
-        RunError: Every attempt failed, or one failed for another reason than a busy machine.
+        speeds: Speeds relative to real time that have not failed.
     """
-    for speed, next_speed in zip(SPEEDS, (*SPEEDS[1:], None), strict=True):
-        experiment = _experiment(role, physics, noise_seed, speed)
-        result = run_experiment(experiment, out, _progress_printer(role, say))
-        if result.path is not None and result.exit_status == 0:
-            return result.path
-        if not isinstance(result.error, SIGNS_OF_A_BUSY_MACHINE):
-            raise RunError(f"the {role} recording failed: {_failure_of(result)}")
-        if next_speed is not None:
-            before_retry()
-            say(
-                f"this machine was too busy to hold the ball ({result.error}); once more, at "
-                f"{next_speed:g} instead of {speed:g} times real time"
-            )
-    raise RunError(_advice(role, result))
 
+    out: Path
+    physics: ConcealedPhysics
+    say: Say
+    before_retry: Callable[[], None]
+    speeds: tuple[float, ...] = SPEEDS
 
-def _advice(role: str, result: RunResult) -> str:
-    """Return what was tried and what to do, after the last attempt."""
-    tried = ", ".join(f"{speed:g}" for speed in SPEEDS[:-1])
-    return (
-        f"the {role} recording failed at {tried} and {SPEEDS[-1]:g} times real time, each time because this "
-        f"machine was too busy to hold the ball (last: {_failure_of(result)}). End what keeps its processors "
-        "busy (`uptime` shows the load, `top` the processes) and give the command again. What does without "
-        "a simulated device works on a busy machine, too: docs/tutorials/diagnose.md diagnoses recordings "
-        "that come with the project"
-    )
+    def record(self, role: str, noise_seed: int) -> Path:
+        """Record "identify" or "test", and return the path.
+
+        Raises:
+            RunError: It failed for another reason than a busy machine.
+        """
+        while self.speeds:
+            speed = self.speeds[0]
+            experiment = _experiment(role, self.physics, noise_seed, speed)
+            result = run_experiment(experiment, self.out, _progress_printer(role, self.say))
+            if result.path is not None and result.exit_status == 0:
+                return result.path
+            if not isinstance(result.error, SIGNS_OF_A_BUSY_MACHINE):
+                raise RunError(f"the {role} recording failed: {_failure_of(result)}")
+            self.speeds = self.speeds[1:]
+            self.before_retry()
+            self.say(f"this machine was too busy to hold the ball ({result.error}); {self._next(speed)}")
+        self.say(f"recording to {role}: step by step")
+        return run_stepwise(_experiment(role, self.physics, noise_seed, 1.0), self.out)
+
+    def _next(self, speed: float) -> str:
+        """Return what follows an attempt that failed at a speed."""
+        if self.speeds:
+            return f"once more, at {self.speeds[0]:g} instead of {speed:g} times real time"
+        tried = ", ".join(f"{each:g}" for each in SPEEDS)
+        return (
+            f"tried at {tried} times real time. Now the bench is simulated step by step, so that its clock "
+            "waits: without wire, driver, bus and host. To see these, too, end what keeps the processors "
+            "busy (`uptime` shows the load, `top` the processes) and give the command again"
+        )
 
 
 def _failure_of(result: RunResult) -> str:

@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 
+import labhil
 from labhil.campaign import demo
 from labhil.errors import ConditionError, DeviceSilentError, LabhilError, RunError, WatchdogError
 from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment
 from labhil.experiment.result import Progress, RunResult
+from labhil.recording.contents import recording_status
+from labhil.recording.reader import read_recording
 
 BUSY = WatchdogError("bench: watchdog: commands stopped for 0.22 s")
 
@@ -29,40 +32,62 @@ class Runs:
         return RunResult(out / "run.mcap", status, 60.0, (), "the end", error)
 
 
-def record(runs: Runs, monkeypatch: pytest.MonkeyPatch) -> tuple[list[str], Path | str]:
-    """The lines that a recording says, and its path or the message of its error."""
+def recorder(runs: Runs, said: list[str], out: Path, monkeypatch: pytest.MonkeyPatch) -> demo.Recorder:
     monkeypatch.setattr(demo, "run_experiment", runs)
-    said: list[str] = []
-    try:
-        path = demo._record(
-            "identify", Path("out"), demo.draw_physics(1), 1, said.append, lambda: said.append("waited")
-        )
-    except RunError as error:
-        return said, str(error)
-    return said, path
+    return demo.Recorder(out, demo.draw_physics(7), said.append, lambda: said.append("waited"))
 
 
-def test_each_attempt_on_a_busy_machine_takes_twice_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = Runs(BUSY, DeviceSilentError("bench: silent"), None)
-    said, path = record(runs, monkeypatch)
-    assert path == Path("out/run.mcap")
-    assert runs.speeds == [5.0, 2.5, 1.25]
-    assert [line for line in said if line == "waited"] == ["waited", "waited"]
+def test_each_attempt_on_a_busy_machine_takes_twice_the_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, said = Runs(BUSY, DeviceSilentError("bench: silent"), None, None), list[str]()
+    recording = recorder(runs, said, tmp_path, monkeypatch)
+    assert recording.record("identify", 1) == tmp_path / "run.mcap"
+    assert said.count("waited") == 2
     assert "once more, at 1.25 instead of 2.5 times real time" in said[-1]
+    recording.record("test", 2)
+    assert runs.speeds == [5.0, 2.5, 1.25, 1.25], "what failed once is not tried again"
 
 
-def test_a_line_promises_another_attempt_only_where_one_follows(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = Runs(*[BUSY] * len(demo.SPEEDS))
-    said, message = record(runs, monkeypatch)
+def test_a_machine_that_is_too_busy_for_all_gets_a_bench_whose_clock_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs, said = Runs(*[BUSY] * len(demo.SPEEDS)), list[str]()
+    recording = recorder(runs, said, tmp_path, monkeypatch)
+    paths = [recording.record(role, seed) for role, seed in (("identify", 1), ("test", 2))]
     assert runs.speeds == list(demo.SPEEDS)
     assert sum("once more" in line for line in said) == len(demo.SPEEDS) - 1
-    assert "failed at 5, 2.5, 1.25 and 0.625 times real time" in str(message)
-    assert "uptime" in str(message)
+    assert any("tried at 5, 2.5, 1.25 times real time" in line and "uptime" in line for line in said)
+    for path in paths:
+        recorded = read_recording(path)
+        (stream,) = recorded.streams
+        assert (len(stream), stream.lost, recording_status(recorded)) == (6000, 0, "done")
+        assert recorded.rig is not None
+        assert recorded.metadata["simulation"]["clock"] == "waits for the controller"
+        assert b"spring_force" not in recorded.attachments["experiment.toml"]
 
 
-def test_another_fault_is_not_blamed_on_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = Runs(ConditionError("no"))
-    assert record(runs, monkeypatch) == ([], "the identify recording failed: no")
+def test_another_fault_is_not_blamed_on_the_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    recording = recorder(Runs(ConditionError("no")), said, tmp_path, monkeypatch)
+    with pytest.raises(RunError, match="the identify recording failed: no"):
+        recording.record("identify", 1)
+    assert said == []
+
+
+@pytest.mark.extended
+def test_a_fit_of_a_stepped_run_finds_what_the_twin_is_made_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    physics = demo.draw_physics(7)
+    recording = recorder(Runs(), [], tmp_path, monkeypatch)
+    recording.speeds = ()
+    paths = [recording.record(role, seed) for role, seed in (("identify", 1), ("test", 2))]
+    fit = labhil.fit(paths[0], test=paths[1], terms=list(physics.terms))
+    assert fit.verdict == "explained"
+    for name, value in physics.parameters.items():
+        low, high = fit.parameters[name].ci99
+        assert low - 0.05 * value < value < high + 0.05 * value, name
 
 
 def test_a_share_is_named_only_while_the_run_goes_on() -> None:
