@@ -1,8 +1,8 @@
-"""The next steps after a diagnosis, by its verdict."""
+"""The next steps after a diagnosis, a fit or a verification, by its verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ from labhil.physics.terms import enumerated, keyed, listed
 from labhil.simulators.names import NO_PORT
 
 if TYPE_CHECKING:
-    from labhil.analysis.schema import DiagnosisPart, MissingEffect
+    from labhil.analysis.schema import DiagnosisPart, FitPart, MissingEffect, Source, VerificationPart
 
 FORCE_CURVE = "unmodelled_force"
 """The name of an effect that has a curve and no law."""
@@ -23,9 +23,68 @@ def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
     return tuple(_STEPS[diagnosis.verdict](diagnosis))
 
 
+def steps_after_fit(fit: FitPart) -> tuple[str, ...]:
+    """Return the next steps after a fit, the most useful first: a sentence or two each."""
+    return tuple(_steps_after_fit(fit))
+
+
+def _steps_after_fit(fit: FitPart) -> Steps:
+    recording, terms = _path_of(fit.recordings), ",".join(listed(fit.terms)) or "none"
+    if not fit.converged:
+        yield "The search stopped before it had settled: give it more time, the values may change."
+    if fit.verdict not in (None, "explained"):
+        yield (
+            "The model leaves more than noise: "
+            f"`labhil diagnose {recording} --baseline {terms}` looks for what is missing."
+        )
+    elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
+        yield (
+            "The plant itself is disturbed, or physics is missing: "
+            f"`labhil diagnose {recording} --baseline {terms}` tests which."
+        )
+    if fit.identifiability.would_help:
+        yield f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}."
+    if fit.verdict in (None, "explained"):
+        yield (
+            "Hold the next recording against it: `labhil verify NEW.mcap --model FIT.json`."
+            if any(source.role == "test" for source in fit.recordings)
+            else "Judge it on a recording of its own, with other amplitudes and frequencies: "
+            f"`labhil fit {recording} --terms {terms} --test NEW.mcap`."
+        )
+
+
+def steps_after_verification(verification: VerificationPart) -> tuple[str, ...]:
+    """Return the next steps after a verification, the most useful first: a sentence or two each."""
+    return tuple(_steps_after_verification(verification))
+
+
+def _steps_after_verification(verification: VerificationPart) -> Steps:
+    recording = _path_of(verification.recordings)
+    if verification.faults:
+        yield "Mend the faults of the data and record again: they may be all that is wrong."
+    diagnosis = f"`labhil diagnose {recording} --model {verification.model}`"
+    changed = [keyed(row.name, row.joint) for row in verification.parameters if row.changed]
+    if changed:
+        yield (
+            f"Look for what changed {enumerated(changed)} of the rig since the model was accepted; "
+            f"`labhil fit {recording} --terms {','.join(listed(verification.terms)) or 'none'}` takes the "
+            "values anew."
+        )
+    if not verification.consistent:
+        yield f"{diagnosis} names what the model lacks, or which of its values changed."
+    elif verification.adequacy != "explained":
+        yield f"The recording is no worse than those before it, but more than noise remains: {diagnosis}."
+    else:
+        yield f"Hold the next recording against it: `labhil verify NEW.mcap --model {verification.model}`."
+
+
 def _path(diagnosis: DiagnosisPart) -> str:
+    return _path_of(diagnosis.recordings)
+
+
+def _path_of(sources: Sequence[Source]) -> str:
     """Path of the first recording; "REC.mcap" for one of arrays that was never saved."""
-    path = diagnosis.recordings[0].path if diagnosis.recordings else ""
+    path = sources[0].path if sources else ""
     return path if Path(path).suffix else "REC.mcap"
 
 
