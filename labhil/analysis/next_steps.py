@@ -1,9 +1,9 @@
-"""The next steps after a diagnosis, by its verdict."""
+"""The next steps after a diagnosis, a fit or a verification, by its verdict."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from labhil.physics.terms import enumerated, keyed, listed
 from labhil.simulators.names import NO_PORT
 
 if TYPE_CHECKING:
-    from labhil.analysis.schema import DiagnosisPart, MissingEffect
+    from labhil.analysis.schema import DiagnosisPart, FitPart, MissingEffect, Source, VerificationPart
 
 FORCE_CURVE = "unmodelled_force"
 """The name of an effect that has a curve and no law."""
@@ -25,15 +25,81 @@ def next_steps(diagnosis: DiagnosisPart) -> tuple[str, ...]:
     return tuple(_STEPS[diagnosis.verdict](diagnosis))
 
 
+def steps_after_fit(fit: FitPart) -> tuple[str, ...]:
+    """Return the next steps after a fit, the most useful first: a sentence or two each."""
+    return tuple(_steps_after_fit(fit))
+
+
+def _steps_after_fit(fit: FitPart) -> Steps:
+    recording, rig = _path_of(fit.recordings), _rig_of(fit.recordings)
+    terms = ",".join(listed(fit.terms)) or "none"
+    if not fit.converged:
+        yield "The search stopped before it had settled: give it more time, the values may change."
+    if fit.verdict not in (None, "explained"):
+        yield (
+            "The model leaves more than noise: "
+            f"`labhil diagnose {recording}{rig} --baseline {terms}` looks for what is missing."
+        )
+    elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
+        yield (
+            "The plant itself is disturbed, or physics is missing: "
+            f"`labhil diagnose {recording}{rig} --baseline {terms}` tests which."
+        )
+    if fit.identifiability.would_help:
+        yield f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}."
+    if fit.verdict in (None, "explained"):
+        yield (
+            f"Hold the next recording against it: `labhil verify NEW.mcap{rig} --model FIT.json`."
+            if any(source.role == "test" for source in fit.recordings)
+            else "Judge it on a recording of its own, with other amplitudes and frequencies: "
+            f"`labhil fit {recording}{rig} --terms {terms} --test NEW.mcap`."
+        )
+
+
+def steps_after_verification(verification: VerificationPart) -> tuple[str, ...]:
+    """Return the next steps after a verification, the most useful first: a sentence or two each."""
+    return tuple(_steps_after_verification(verification))
+
+
+def _steps_after_verification(verification: VerificationPart) -> Steps:
+    recording, rig = _path_of(verification.recordings), _rig_of(verification.recordings)
+    if verification.faults:
+        yield "Mend the faults of the data and record again: they may be all that is wrong."
+    diagnosis = f"`labhil diagnose {recording}{rig} --model {verification.model}`"
+    terms = ",".join(listed(verification.terms)) or "none"
+    changed = [keyed(row.name, row.joint) for row in verification.parameters if row.changed]
+    if changed:
+        yield (
+            f"Look for what changed {enumerated(changed)} of the rig since the model was accepted; "
+            f"`labhil fit {recording}{rig} --terms {terms}` takes the "
+            "values anew."
+        )
+    if not verification.consistent:
+        yield f"{diagnosis} names what the model lacks, or which of its values changed."
+    elif verification.adequacy != "explained":
+        yield f"The recording is no worse than those before it, but more than noise remains: {diagnosis}."
+    else:
+        command = f"`labhil verify NEW.mcap{rig} --model {verification.model}`"
+        yield f"Hold the next recording against it: {command}."
+
+
 def _path(diagnosis: DiagnosisPart) -> str:
+    return _path_of(diagnosis.recordings)
+
+
+def _path_of(sources: Sequence[Source]) -> str:
     """Path of the first recording; "REC.mcap" for one of arrays that was never saved."""
-    path = diagnosis.recordings[0].path if diagnosis.recordings else ""
+    path = sources[0].path if sources else ""
     return shlex.quote(path) if Path(path).suffix else "REC.mcap"
 
 
 def _rig(diagnosis: DiagnosisPart) -> str:
+    return _rig_of(diagnosis.recordings)
+
+
+def _rig_of(sources: Sequence[Source]) -> str:
     """The option that gives the rig file again, where the recordings' own was not used."""
-    return rig_option(diagnosis.recordings[0]) if diagnosis.recordings else ""
+    return rig_option(sources[0]) if sources else ""
 
 
 def _baseline(diagnosis: DiagnosisPart) -> str:

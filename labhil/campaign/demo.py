@@ -19,14 +19,21 @@ from rich.console import Console
 from rich.table import Table
 
 from labhil.api.diagnosis import Diagnosis, diagnose
+from labhil.campaign.stepped_run import run_stepwise
 from labhil.campaign.trials.seal import sha256_of
-from labhil.errors import LimitTrippedError, RunError, WatchdogError
+from labhil.errors import DeviceSilentError, LimitTrippedError, RunError, WatchdogError
+from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment, load_experiment
 from labhil.experiment.run import Progress, RunResult, answer_path, run_experiment
 from labhil.report.figure import save
 from labhil.terminal import terminal
 
 COMPILE = "from labhil.physics.rigs import compile_kernels; compile_kernels()"
+
+SPEEDS = (5.0, 2.5, 1.25)
+"""Speeds of the twin relative to real time, one for each attempt. The slowest takes 48 s for a minute."""
+SIGNS_OF_A_BUSY_MACHINE = (LimitTrippedError, WatchdogError, DeviceSilentError)
+"""What ends a run of a twin whose controller, host or twin gets no time; nothing else can trip its limits."""
 
 Say = Callable[[str], None]
 Range = tuple[float, float]
@@ -80,10 +87,15 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     physics = draw_physics(seed)
     # compiling in this process would delay the controller; a child process fills the cache meanwhile
     with subprocess.Popen([sys.executable, "-P", "-c", COMPILE]) as compiling:
-        identify = _record("identify", out, physics, 1, say)
-        test = _record("test", out, physics, 2, say)
-        say("compiling the model")
-        compiling.wait()
+
+        def wait_for_compiling() -> None:
+            # where the machine is busy already, a further attempt must not compete with this
+            say("compiling the model")
+            compiling.wait()
+
+        recorder = Recorder(out, physics, say, wait_for_compiling)
+        identify, test = recorder.record("identify", 1), recorder.record("test", 2)
+        wait_for_compiling()
     hashes = {path: sha256_of(answer_path(path, "bench", are_several=False)) for path in (identify, test)}
     console.print(f"Recorded {identify} and {test}.")
     console.print(f"What the twin conceals is sealed: SHA-256 {hashes[identify][:16]}…\n")
@@ -100,23 +112,57 @@ def run_demo(out: Path, seed: int | None, say: Say) -> None:
     )
 
 
-def _record(
-    role: str, out: Path, physics: ConcealedPhysics, noise_seed: int, say: Say, max_speed: float = 5.0
-) -> Path:
-    """Run one of the shipped experiments on a simulated rig, and return the path of the recording.
+@dataclass(slots=True)
+class Recorder:
+    """Runs the shipped experiments on a simulated rig, more slowly where the machine is too busy.
 
-    ``max_speed`` is relative to real time. A busy machine may be too late to hold the ball, or to command it
-    at all; the second attempt at half the speed gives it twice the time.
+    A busy machine may be too late to hold the ball, or to command it at all. At half the speed it has twice
+    the time for each sample; a machine that is too busy for that, too, is given a twin whose clock waits.
+
+    Attributes:
+        out: Folder of the recordings.
+        physics: What the twin conceals.
+        say: Is called with a line of text at each stage.
+        before_retry: Is called before each attempt but the first.
+        speeds: Speeds relative to real time that have not failed.
     """
-    for speed in (max_speed, 0.5 * max_speed):
-        experiment = _experiment(role, physics, noise_seed, speed)
-        result = run_experiment(experiment, out, _progress_printer(role, say))
-        if result.path is not None and result.exit_status == 0:
-            return result.path
-        if not isinstance(result.error, (LimitTrippedError, WatchdogError)):
-            break
-        say(f"this machine was too busy to hold the ball ({result.error}); once more at half the speed")
-    raise RunError(f"the {role} recording failed: {_failure_of(result)}")
+
+    out: Path
+    physics: ConcealedPhysics
+    say: Say
+    before_retry: Callable[[], None]
+    speeds: tuple[float, ...] = SPEEDS
+
+    def record(self, role: str, noise_seed: int) -> Path:
+        """Record "identify" or "test", and return the path.
+
+        Raises:
+            RunError: It failed for another reason than a busy machine.
+        """
+        while self.speeds:
+            speed = self.speeds[0]
+            experiment = _experiment(role, self.physics, noise_seed, speed)
+            result = run_experiment(experiment, self.out, _progress_printer(role, self.say))
+            if result.path is not None and result.exit_status == 0:
+                return result.path
+            if not isinstance(result.error, SIGNS_OF_A_BUSY_MACHINE):
+                raise RunError(f"the {role} recording failed: {_failure_of(result)}")
+            self.speeds = self.speeds[1:]
+            self.before_retry()
+            self.say(f"this machine was too busy to hold the ball ({result.error}); {self._next(speed)}")
+        self.say(f"recording to {role}: step by step")
+        return run_stepwise(_experiment(role, self.physics, noise_seed, 1.0), self.out)
+
+    def _next(self, speed: float) -> str:
+        """Return what follows an attempt that failed at a speed."""
+        if self.speeds:
+            return f"once more, at {self.speeds[0]:g} instead of {speed:g} times real time"
+        tried = ", ".join(f"{each:g}" for each in SPEEDS)
+        return (
+            f"tried at {tried} times real time. Now the bench is simulated step by step, so that its clock "
+            "waits: without wire, driver, bus and host. To see these, too, end what keeps the processors "
+            "busy (`uptime` shows the load, `top` the processes) and give the command again"
+        )
 
 
 def _failure_of(result: RunResult) -> str:
@@ -135,12 +181,13 @@ def _experiment(role: str, physics: ConcealedPhysics, noise_seed: int, speed: fl
 
 
 def _progress_printer(role: str, say: Say) -> Callable[[Progress], None]:
-    """Return a callback that prints a line for each tenth of a run."""
+    """Return a callback that prints a line for each state of a run, and for each tenth while it runs."""
     last = [""]
 
     def print_progress(progress: Progress) -> None:
-        tenth = int(10 * progress.elapsed / progress.duration) if progress.duration else 0
-        line = f"recording to {role}: {progress.state.value}, {10 * tenth} %"
+        line = f"recording to {role}: {progress.state.value}"
+        if progress.state is RunState.RUNNING and progress.duration:
+            line += f", {10 * int(10 * progress.elapsed / progress.duration)} %"
         if line != last[0]:
             last[0] = line
             say(line)

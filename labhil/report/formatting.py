@@ -7,6 +7,7 @@ the end of the file.
 from __future__ import annotations
 
 import math
+import re
 
 NOTHING = "–"
 SMALLEST_P = 1e-99
@@ -40,8 +41,18 @@ def format_quantity(value: float | None, unit: str = "", digits: int = 4) -> str
         rounded = round(float(f"{value:.{digits}g}"))
         return _with_unit(format_count(rounded).replace("-", "−"), unit)
     mantissa, _, exponent = f"{value:.{digits}g}".partition("e")
-    power = f"·10{str(int(exponent)).translate(SUPERSCRIPTS)}" if exponent else ""
+    power = f"·10{_power(exponent)}" if exponent else ""
     return _with_unit(mantissa.replace("-", "−") + power, unit)
+
+
+def format_powers(sentence: str) -> str:
+    """Write the powers of ten of a sentence as the tables of a page do: ``1.8·10⁻⁵`` for ``1.8e-05``."""
+    sentence = re.sub(r"< ?1e(-\d+)", lambda found: f"<\N{NO-BREAK SPACE}10{_power(found[1])}", sentence)
+    return re.sub(r"(?<=\d)e([+-]\d+)", lambda found: f"·10{_power(found[1])}", sentence)
+
+
+def _power(exponent: str) -> str:
+    return str(int(exponent)).translate(SUPERSCRIPTS)
 
 
 def _with_unit(number: str, unit: str) -> str:

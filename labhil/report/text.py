@@ -41,7 +41,7 @@ EXCLUDED_HEADING = "Not there, or smaller than this (99 %)"
 
 
 def fit_text(fit: FitPart) -> RenderableType:
-    """Return a fit as text and tables: verdict, faults, parameters, scores, residuals."""
+    """Return a fit as text and tables: verdict, faults, parameters, scores, residuals, next steps."""
     return Group(*_fit_parts(fit))
 
 
@@ -59,6 +59,7 @@ def _fit_parts(fit: FitPart) -> Iterator[RenderableType]:
     if len(fit.by_window) > 1:
         yield window_table(fit)
     yield Text(_fit_summary(fit))
+    yield from next_steps_lines(fit.next_steps)
 
 
 def _fit_summary(fit: FitPart) -> str:
@@ -209,8 +210,6 @@ def _fit_notes(fit: FitPart) -> list[str]:
             f"The data determine {fit.identifiability.rank} of {fit.identifiability.of} parameters; "
             f"of the others only these combinations: {known}."
         )
-        if fit.identifiability.would_help:
-            notes.append(f"It would help to know or to record: {', '.join(fit.identifiability.would_help)}.")
     channels = tuple(f.statement.split()[0] for f in fit.faults if f.kind == FaultKind.UNDERSAMPLED)
     notes += [note for note in fit.sampling if not note.startswith(channels)]
     if fit.verdict not in (None, "explained"):
@@ -218,7 +217,7 @@ def _fit_notes(fit: FitPart) -> list[str]:
     elif fit.by_window and fit.window is not None and fit.window < fit.by_window[-1].window:
         notes.append(
             f"Longer windows than {fit.window:.3g} s do not fit to the noise: the plant itself is disturbed, "
-            "or physics is missing. `labhil diagnose` tests which."
+            "or physics is missing."
         )
     return notes
 
@@ -232,8 +231,7 @@ def _assumption(fit: FitPart) -> str:
         assumption = "Intervals are those of one fit, so they do not show the bias by the misfit"
     return (
         f"{assumption}; they assume that the remaining misfit is independent of these parameters. No "
-        "parameter is starred, because the model leaves more than noise. `labhil diagnose` looks for what is "
-        "missing."
+        "parameter is starred, because the model leaves more than noise."
     )
 
 

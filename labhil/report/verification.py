@@ -12,10 +12,11 @@ from labhil.analysis.schema import VerificationPart
 from labhil.physics.terms import keyed
 from labhil.report.formatting import format_number, format_p, format_p_relation
 from labhil.report.tables import titled_table
+from labhil.report.text import next_steps_lines
 
 
 def verification_text(verification: VerificationPart) -> RenderableType:
-    """Return the verdict, the tests of each output, the refitted values, and the worst windows."""
+    """Return verdict, tests of each output, refitted values, worst windows and next steps."""
     return Group(*_pieces(verification))
 
 
@@ -38,6 +39,7 @@ def _pieces(verification: VerificationPart) -> Iterator[RenderableType]:
         yield value_table(verification)
     if verification.score.horizon is not None:
         yield window_table(verification)
+    yield from next_steps_lines(verification.next_steps)
 
 
 def channel_table(verification: VerificationPart) -> Table:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
+from rich.console import Console
 
 import labhil as lh
 from labhil.analysis.dataset import load_dataset
 from labhil.analysis.next_steps import FORCE_CURVE
+from labhil.analysis.schema import FitPart, Score, VerificationPart
 from labhil.analysis.schema.diagnosis import DiagnosisPart, Remainder, Rival, UndecidedEffect, Verdict
 from labhil.identify.extended import UNMODELLED_FORCE
+from labhil.report.html.fit import fit_page
+from labhil.report.html.picture import Album
+from labhil.report.html.verification import verification_page
+from labhil.report.text import fit_text
+from labhil.report.verification import verification_text
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "diagnosis.json"
 
@@ -147,3 +155,56 @@ def test_a_recording_of_arrays_is_named_by_a_placeholder_in_commands(example):
     unsaved = example.recordings[0].model_copy(update={"path": "arrays"})
     found = example.model_copy(update={"recordings": (unsaved,), "verdict": "unexplained_mismatch"})
     assert any(line.startswith("labhil linear REC.mcap") for line in commands(found.next_steps))
+
+
+def check_commands(labhil: Any, steps: tuple[str, ...]) -> None:
+    for line in commands(steps):
+        _, command, *rest = line.split()
+        known = labhil(command, "--help")
+        assert known.status == 0, line
+        assert all(option in known.out for option in rest if option.startswith("--")), line
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        ({"verdict": "unexplained"}, "looks for what is missing"),
+        ({"verdict": "explained"}, "Judge it on a recording of its own"),
+        ({"converged": False}, "give it more time"),
+    ],
+)
+def test_a_fit_says_what_to_do_next_on_page_and_screen(labhil, change, step):
+    text = (Path(__file__).parents[2] / "examples" / "fit.json").read_text(encoding="utf-8")
+    fit = FitPart.model_validate_json(text)
+    search = tuple(source for source in fit.recordings if source.role != "test")
+    fit = fit.model_copy(update={"recordings": search, **change})
+    assert any(step in each for each in fit.next_steps)
+    check_commands(labhil, fit.next_steps)
+    page = fit_page(fit, "", Album()).html()
+    console = Console(width=1000, file=io.StringIO())
+    console.print(fit_text(fit))
+    for said in (page, console.file.getvalue()):
+        assert said.count("What to do next") >= 1
+        assert step in said
+
+
+@pytest.mark.parametrize(
+    ("change", "step"),
+    [
+        ({}, "Hold the next recording against it"),
+        ({"adequacy": "unexplained"}, "more than noise remains"),
+        ({"verdict": "contradicted"}, "names what the model lacks"),
+    ],
+)
+def test_a_verification_says_what_to_do_next_on_page_and_screen(labhil, change, step):
+    result = VerificationPart(
+        recordings=(), model="fit.json", rig="axis", terms=("viscous_friction",), verdict="consistent",
+        alpha=0.01, p_value=0.4, score=Score.model_construct(horizon=None, per_channel=()), channels=(),
+        values_p=0.3,
+    ).model_copy(update=change)  # fmt: skip
+    assert any(step in each for each in result.next_steps)
+    check_commands(labhil, result.next_steps)
+    assert step in verification_page(result, "").html()
+    console = Console(width=1000, file=io.StringIO())
+    console.print(verification_text(result))
+    assert step in console.file.getvalue()

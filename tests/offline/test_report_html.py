@@ -26,7 +26,13 @@ from labhil.diagnose.collapsed import Collapsed
 from labhil.identify.statistics import estimates_from_errors
 from labhil.physics.terms import Parameter
 from labhil.recording.writer import RecordingWriter
-from labhil.report.formatting import format_interval, format_percent, format_probability, format_quantity
+from labhil.report.formatting import (
+    format_interval,
+    format_percent,
+    format_powers,
+    format_probability,
+    format_quantity,
+)
 from labhil.report.html.diagnosis import diagnosis_page
 from labhil.report.html.element import tag
 from labhil.report.html.fit import fit_page
@@ -314,6 +320,8 @@ def test_the_page_of_a_shipped_recording(labhil, shipped, tmp_path):
         "two_sine",
         "ball_radius",
         "all steps are",
+        "The recording is complete, and its run ended in order; no sample was lost.",
+        "What to do next",
     ):
         assert said in page.text, said
     assert len([1 for tag, _ in page.tags if tag == "svg"]) == 6
@@ -328,6 +336,7 @@ def test_gaps_names_and_files_of_a_recording_are_shown_and_escaped(labhil, tmp_p
     assert labhil("report", path, "-o", "r.html").status == 0
     page = outlined((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert "Gaps of /bench/state" in page.text
+    assert "made from imported data; 3 samples were lost in 1 gap." in page.text
     assert page.text.count(EVIL) >= 8
 
 
@@ -339,6 +348,18 @@ def write_recording(path: Path, stream: Stream, seq: Any) -> None:
     writer.attach(EVIL, "text/plain", EVIL.encode())
     writer.event("bench", int(t_ns[0]), {"kind": EVIL, "message": EVIL})
     writer.finish()
+
+
+def test_a_recording_without_an_end_says_so_and_how_to_save_it(labhil, tmp_path):
+    signal = Signal("angle", "rad", Direction.OUTPUT)
+    path = tmp_path / "whole.mcap"
+    write_recording(path, Stream("state", (signal,), 100.0), np.arange(500))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-300])
+    assert labhil("report", cut, "-o", "r.html").status == 0
+    page = outlined((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "The recording has no end" in page.text or "The recording is damaged" in page.text
+    assert "labhil recover" in page.text
 
 
 def test_an_envelope_keeps_every_extreme_and_breaks_at_gaps():
@@ -395,6 +416,11 @@ def test_paths_that_cannot_be_are_told(labhil, shipped, tmp_path):
     recording = shipped / "ball_beam_test.mcap"
     assert "nowhere" in labhil("report", recording, "-o", "nowhere/page.html").refused()
     assert "found a folder" in labhil("report", recording, "-o", tmp_path).refused()
+
+
+def test_powers_of_ten_in_a_sentence_look_like_those_in_a_table():
+    assert format_powers("more than noise (p = 1.8e-05).") == "more than noise (p = 1.8·10⁻⁵)."
+    assert format_powers("(p < 1e-99), 3 times, stage-2") == "(p <\N{NO-BREAK SPACE}10⁻⁹⁹), 3 times, stage-2"
 
 
 def test_numbers_are_written_as_people_write_them():

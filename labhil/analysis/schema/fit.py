@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from labhil.analysis.next_steps import steps_after_fit
 from labhil.analysis.schema.parts import (
     EstimatedCurve,
     Fault,
@@ -101,6 +102,11 @@ class FitPart(StudyPart):
         scores = [self.train] if self.test is None else [self.train, self.test]
         r2 = [row.r2 for score in scores for row in score.scored if row.r2 is not None]
         return fit_verdict(self.verdict, self.residual_over_noise, min(r2, default=None))
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """The next steps, the most useful first: a sentence or two each."""
+        return steps_after_fit(self)
 
     @property
     def judged_rows(self) -> Sequence[Parameter]:

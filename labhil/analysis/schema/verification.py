@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from labhil.analysis.next_steps import steps_after_verification
 from labhil.analysis.schema.parts import Fault, Number, Part, Score, Source
 from labhil.analysis.verdicts import fit_verdict
 
@@ -84,3 +85,8 @@ class VerificationPart(Part):
         """A line on whether the accepted values explain the recording."""
         r2 = [row.r2 for row in self.score.scored if row.r2 is not None]
         return fit_verdict(self.adequacy, self.residual_over_noise, min(r2, default=None))
+
+    @property
+    def next_steps(self) -> tuple[str, ...]:
+        """The next steps, the most useful first: a sentence or two each."""
+        return steps_after_verification(self)

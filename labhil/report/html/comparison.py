@@ -6,11 +6,18 @@ from collections.abc import Sequence
 
 from labhil.analysis.schema import ComparedChannel, ComparedModel, ComparisonPart, SharedParameter
 from labhil.report.comparison import comparison_basis
-from labhil.report.formatting import NOTHING, format_interval, format_p_value, format_percent, format_quantity
+from labhil.report.formatting import (
+    NOTHING,
+    format_interval,
+    format_p_value,
+    format_percent,
+    format_powers,
+    format_quantity,
+)
 from labhil.report.html.element import Content, Markup, join, tag
-from labhil.report.html.model import name_code, names, recordings_table, warning
+from labhil.report.html.model import name_code, names, next_steps_section, recordings_table, warning
 from labhil.report.html.page import Page, PageSection, drop_empty, section
-from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
+from labhil.report.html.table import facts, numbers, table, text, tiles
 
 AGREE = {True: "agree", False: "disagree", None: "not known"}
 
@@ -37,10 +44,7 @@ def comparison_page(comparison: ComparisonPart, foot: str, pictures: Sequence[Ma
         tone="no_mismatch" if best.adequacy == "explained" else "missing_physics",
         lead=_lead(comparison),
         sections=drop_empty(
-            section(
-                "What to do next",
-                bullets(map(with_code, comparison.next_steps)) if comparison.next_steps else None,
-            ),
+            next_steps_section(comparison.next_steps),
             section("Measurement and models", *pictures),
             section("How well each predicts", _models(comparison), _terms(comparison)),
             _parameters(comparison),
@@ -58,7 +62,7 @@ def _lead(comparison: ComparisonPart) -> tuple[Content, ...]:
         ("Largest error", format_quantity(worst.rmse_over_noise, digits=3), f"noise levels, {worst.name}"),
         ("Model to take", comparison.preferred, "the simplest of those that are as good as the best"),
     ]
-    statement = tag("p", comparison.statement, class_="lead")
+    statement = tag("p", format_powers(comparison.statement), class_="lead")
     return (statement, *map(warning, comparison.notes), tiles(entries))
 
 

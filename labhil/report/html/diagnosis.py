@@ -33,13 +33,14 @@ from labhil.report.html.model import (
     intervals_picture,
     name_code,
     names,
+    next_steps_section,
     parameters_table,
     recordings_table,
     warning,
 )
 from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.picture import Album
-from labhil.report.html.table import bullets, facts, numbers, table, text, tiles, with_code
+from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 
 P_VALUES = {
     "bootstrap": "It was counted in a bootstrap",
@@ -69,7 +70,7 @@ def diagnosis_page(
         tone=diagnosis.verdict,
         lead=_lead(diagnosis),
         sections=drop_empty(
-            section("What to do next", bullets(map(with_code, diagnosis.next_steps))),
+            next_steps_section(diagnosis.next_steps),
             section("Faults of the data", *(tag("p", fault.statement) for fault in diagnosis.faults)),
             section(
                 "Sizes that a fit took to absurd values",

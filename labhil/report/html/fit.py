@@ -24,6 +24,7 @@ from labhil.report.html.model import (
     channel_name,
     intervals_picture,
     names,
+    next_steps_section,
     parameters_table,
     recordings_table,
     warning,
@@ -55,6 +56,7 @@ def fit_page(fit: FitPart, foot: str, album: Album, pictures: Sequence[Markup] =
         tone="plain",
         lead=_lead(fit),
         sections=drop_empty(
+            next_steps_section(fit.next_steps),
             _parameters(fit, album),
             _identifiability(fit.identifiability),
             _scores(fit, pictures),
@@ -115,8 +117,7 @@ def _misfit_warning(fit: FitPart) -> Markup | None:
         return None
     return warning(
         "The model leaves more than noise. Intervals hold how far the estimates move with the length of the "
-        "windows, not what all lengths have in common; no parameter is called significant. labhil diagnose "
-        "looks for what is missing."
+        "windows, not what all lengths have in common; no parameter is called significant."
     )
 
 

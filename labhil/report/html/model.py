@@ -1,4 +1,4 @@
-"""Parts that pages of fits and diagnoses share: recordings, parameters, names of terms."""
+"""Parts that pages share: next steps, recordings, parameters, names of terms."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from labhil.analysis.schema import ChannelErrors, ChannelImprovement, Parameter,
 from labhil.physics.terms import keyed, listed
 from labhil.report.formatting import NOTHING, format_count, format_percent, format_quantity
 from labhil.report.html.element import Content, Markup, join, tag
+from labhil.report.html.page import PageSection, section
 from labhil.report.html.picture import Album
-from labhil.report.html.table import numbers, table, text
+from labhil.report.html.table import bullets, numbers, table, text, with_code
 from labhil.report.intervals_plot import drawable, intervals_figure
 from labhil.report.parameter_columns import COLUMNS
 
@@ -28,6 +29,11 @@ def recordings_table(sources: Sequence[Source]) -> Markup:
         for source in sources
     ]
     return table("Recordings that this result comes from", columns, rows)
+
+
+def next_steps_section(steps: Sequence[str]) -> PageSection | None:
+    """Make the section of what to do next; None for no steps."""
+    return section("What to do next", bullets(map(with_code, steps)) if steps else None)
 
 
 def parameters_table(rows: Sequence[Parameter], caption: str, *, reference: bool = False) -> Markup | None:

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from labhil.recording.conclusion import is_flawless, steps_with, verdict_on
 from labhil.recording.recording import Event, Recording, StreamData
 from labhil.report.formatting import format_count, format_multiple, format_quantity
 from labhil.report.html.element import Content, Markup, tag
-from labhil.report.html.model import warning
+from labhil.report.html.model import next_steps_section, warning
 from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.picture import Album
 from labhil.report.html.signals import signal_picture, timing_picture
@@ -35,10 +36,11 @@ def recording_page(recording: Recording, foot: str, album: Album) -> Page:
     return Page(
         kind=_kind(recording),
         title=f"Recording {recording.path.name}",
-        headline=recording.path.name,
-        tone="plain",
+        headline=verdict_on(recording),
+        tone="no_mismatch" if is_flawless(recording) else "data_fault",
         lead=_lead(recording),
         sections=drop_empty(
+            next_steps_section(steps_with(recording)),
             section("Streams", _streams(recording), *_clock_faults(recording), *_gaps(recording)),
             *(_signals(data, album) for data in recording.streams),
             _events(recording),
@@ -50,7 +52,8 @@ def recording_page(recording: Recording, foot: str, album: Album) -> Page:
 
 
 def _kind(recording: Recording) -> str:
-    return "Recording" if recording.rig is None else f"Recording · {recording.rig.kind.name}"
+    name = recording.path.name
+    return f"Recording {name}" if recording.rig is None else f"Recording {name} · {recording.rig.kind.name}"
 
 
 def _lead(recording: Recording) -> tuple[Content, ...]:

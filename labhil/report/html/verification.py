@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from labhil.analysis.schema import ChannelVerdict, ValueChange, VerificationPart
 from labhil.report.formatting import format_multiple, format_p_value, format_quantity
 from labhil.report.html.element import Content, Markup, tag
-from labhil.report.html.model import name_code, names, recordings_table, warning
+from labhil.report.html.model import name_code, names, next_steps_section, recordings_table, warning
 from labhil.report.html.page import Page, PageSection, drop_empty, section
 from labhil.report.html.table import bullets, facts, numbers, table, text, tiles
 
@@ -29,6 +29,7 @@ def verification_page(verification: VerificationPart, foot: str) -> Page:
         tone="no_mismatch" if verification.consistent else "missing_physics",
         lead=_lead(verification),
         sections=drop_empty(
+            next_steps_section(verification.next_steps),
             section("What contradicts", bullets(verification.reasons) if verification.reasons else None),
             _channels(verification),
             _values(verification.parameters, verification),
