@@ -21,6 +21,7 @@ from labhil.campaign.studies.catalogue import MODULE, Catalogue
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
 from labhil.tui.formatting import format_duration
+from labhil.tui.top_bar import WithBar
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 """Time limits to choose from, s; None for none."""
@@ -34,7 +35,7 @@ class CatalogueLine(Message):
     line: dict[str, Any]
 
 
-class AnalysisDialog(ModalScreen[Task | None]):
+class AnalysisDialog(ModalScreen[Task | None], WithBar):
     """Choose terms or baseline, test recording, estimator and time before a fit or a diagnosis.
 
     Args:

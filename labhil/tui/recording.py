@@ -11,7 +11,6 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
-from textual.screen import Screen
 from textual.widgets import Static
 
 from labhil.errors import LabhilError
@@ -24,17 +23,17 @@ from labhil.tui.footer import KeyFooter
 from labhil.tui.formatting import format_duration, format_frequency, outcome_label
 from labhil.tui.plot import Chart
 from labhil.tui.recording_library import run_outcome
+from labhil.tui.top_bar import WithBar
 
 MOST_EVENTS = 40
 ROUTINE = "status"
 
 
-class RecordingScreen(Screen[None]):
+class RecordingScreen(WithBar):
     """Show the channels of a recording, which is read in a thread."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
-        Binding("f12", "app.stop_all", "STOP ALL", id="recording.stop", tooltip="Emergency stop"),
     ]
 
     def __init__(self, path: Path) -> None:
