@@ -188,15 +188,26 @@ def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Describe an experiment file; ``packaged`` ones come with labhil."""
+    """Describe an experiment file.
+
+    Attributes:
+        path: The file.
+        name: Name of the experiment; that of the file where it cannot be read.
+        packaged: Whether it comes with labhil.
+        readable: Whether the file is TOML.
+    """
 
     path: Path
     name: str
     packaged: bool
+    readable: bool = True
 
 
 def list_experiments(folder: Path) -> list[ExperimentFile]:
-    """Return the experiments in a folder, then those that come with labhil."""
+    """Return the experiments in a folder, then those that come with labhil.
+
+    A file that cannot be read is listed too: it may be an experiment with an error in it.
+    """
     examples = Path(str(files("labhil.experiment") / "examples"))
     local = [(path, False) for path in sorted(folder.glob("*.toml"))]
     packaged = [(path, True) for path in sorted(examples.glob("*.toml"))]
@@ -204,7 +215,10 @@ def list_experiments(folder: Path) -> list[ExperimentFile]:
     for path, is_packaged in [*local, *packaged]:
         try:
             data = parse_toml(read_document(path))
+        except FileNotFoundError:
+            continue  # gone between listing and looking
         except (OSError, ValueError):
+            experiment_files.append(ExperimentFile(path, path.name, is_packaged, readable=False))
             continue
         section = data.get("experiment")
         if isinstance(section, dict):
