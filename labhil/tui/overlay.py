@@ -23,6 +23,7 @@ from labhil.campaign.studies.process import Helper
 from labhil.signals import FloatArray
 from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.footer import KeyFooter
+from labhil.tui.lists import LabSelection
 from labhil.tui.plot import Chart, Plot
 from labhil.tui.themes import CURVES
 from labhil.tui.top_bar import WithBar
@@ -63,7 +64,7 @@ class Overlay(WithBar):
         yield Static(Text(f" {self._heading} … simulating", style="bold"), id="overlay-title")
         with Container(id="overlay-split"):
             with Vertical(id="overlay-side"):
-                yield SelectionList[str](id="overlay-terms")
+                yield LabSelection(id="overlay-terms")
                 yield Static(id="overlay-errors")
             yield VerticalScroll(id="overlay-charts", can_focus=False)
         yield KeyFooter()
