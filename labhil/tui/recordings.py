@@ -14,30 +14,18 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
-from labhil.report.formatting import format_count
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
-from labhil.tui.formatting import format_duration, format_size, outcome_label
+from labhil.tui.formatting import format_size
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.panes import Pane
 from labhil.tui.recording import RecordingScreen
+from labhil.tui.recording_columns import COLUMNS, cells, fit_columns, row_of
 from labhil.tui.recording_library import LibraryEntry, list_models
 
-COLUMNS = (
-    ("mark", "", 1),
-    ("name", "recording", 24),
-    ("status", "ended", 11),
-    ("rig", "rig", 9),
-    ("duration", "duration", 8),
-    ("samples", "samples", 7),
-    ("gaps", "gaps", 4),
-    ("size", "size", 7),
-    ("when", "written", 12),
-    ("reason", "reason", None),
-)
-NARROW, WIDE = 24, 40
-"""Columns for a recording's name."""
+SIDES = 2
+"""Blanks on both sides of the table."""
 
 EMPTY = """[b]No recordings in this folder yet.[/b]
 
@@ -67,7 +55,8 @@ class RecordingsPane(Vertical, Pane):
         self._folder = folder
         self._entries: list[LibraryEntry] = []
         self._marks: dict[Path, str] = {}
-        self._name_width = NARROW
+        self._widths: dict[str, int] = {}
+        self._room = 0
         self._detail = Text()
 
     def compose(self) -> ComposeResult:
@@ -80,20 +69,12 @@ class RecordingsPane(Vertical, Pane):
 
     def on_mount(self) -> None:
         """Make the columns."""
-        table = self.query_one(DataTable)
-        for key, label, width in COLUMNS:
-            table.add_column(label, key=key, width=width)
         self.show_entries([])
 
     def on_resize(self, event: Resize) -> None:
-        """Adapt the column of names to the width."""
-        width = WIDE if event.size.width >= 110 else NARROW
-        if width != self._name_width:
-            self._name_width = width
-            table = self.query_one(DataTable)
-            next(column for key, column in table.columns.items() if key == "name").width = width
-            entries, self._entries = self._entries, []
-            self.show_entries(entries)
+        """Show the columns that have room."""
+        self._room = event.size.width - SIDES
+        self._fit_columns()
 
     def show_entries(self, entries: list[LibraryEntry]) -> None:
         """Show these recordings."""
@@ -103,51 +84,45 @@ class RecordingsPane(Vertical, Pane):
             path: mark for path, mark in self._marks.items() if any(entry.path == path for entry in entries)
         }
         self.query_one("#recordings-empty").display = not entries
-        table = self.query_one(DataTable)
-        table.display = bool(entries)
-        if not same:
-            chosen = self._chosen_entry()
-            table.clear()
-            for entry in entries:
-                table.add_row(*self._row(entry), key=str(entry.path))
-            if chosen is not None and any(entry.path == chosen.path for entry in entries):
-                table.move_cursor(row=table.get_row_index(str(chosen.path)))
-        else:
-            for entry in entries:
-                self._update(entry)
+        self.query_one(DataTable).display = bool(entries)
+        if not self._fit_columns():
+            if not same:
+                self._fill()
+            else:
+                for entry in entries:
+                    self._update(entry)
         self._show_detail()
+
+    def _fit_columns(self) -> bool:
+        """Make the columns anew where others have room than before; return whether that was so."""
+        widths = fit_columns([self._row(entry) for entry in self._entries], self._room)
+        if widths == self._widths:
+            return False
+        self._widths = widths
+        chosen, table = self._chosen_entry(), self.query_one(DataTable)
+        table.clear(columns=True)
+        for key, width in widths.items():
+            table.add_column(COLUMNS[key][0], key=key, width=width)
+        self._fill(chosen)
+        return True
+
+    def _fill(self, chosen: LibraryEntry | None = None) -> None:
+        """Fill the table; the cursor stays on the chosen recording."""
+        table, chosen = self.query_one(DataTable), chosen or self._chosen_entry()
+        table.clear()
+        for entry in self._entries:
+            table.add_row(*cells(self._row(entry), self._widths), key=str(entry.path))
+        if chosen is not None and any(entry.path == chosen.path for entry in self._entries):
+            table.move_cursor(row=table.get_row_index(str(chosen.path)))
 
     def _update(self, entry: LibraryEntry) -> None:
         table = self.query_one(DataTable)
-        for (key, _, _), cell in zip(COLUMNS, self._row(entry), strict=True):
+        for key, cell in zip(self._widths, cells(self._row(entry), self._widths), strict=True):
             if table.get_cell(str(entry.path), key) != cell:
-                table.update_cell(str(entry.path), key, cell, update_width=key == "reason")
+                table.update_cell(str(entry.path), key, cell)
 
-    def _row(self, entry: LibraryEntry) -> list[Text]:
-        colours = self.app.theme_variables
-        mark = self._marks.get(entry.path, "")
-        name = entry.path.name.removesuffix(".mcap")
-        width = self._name_width
-        if len(name) > width:
-            name = f"{name[: width - 16]}…{name[-15:]}"
-        gaps = Text(format_count(entry.gaps), justify="right")
-        if entry.gaps:
-            gaps.stylize(f"bold {colours['warning']}")
-        status = (
-            outcome_label(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
-        )
-        return [
-            Text(mark, style=f"bold {colours['accent']}"),
-            Text(name),
-            status,
-            Text(entry.rig or "–"),
-            Text(format_duration(entry.duration), justify="right"),
-            Text(format_count(entry.samples), justify="right"),
-            gaps,
-            Text(format_size(entry.size), justify="right"),
-            Text(entry.when, style=colours["muted"]),
-            Text(entry.fault or entry.reason, style=colours["muted"]),
-        ]
+    def _row(self, entry: LibraryEntry) -> dict[str, Text]:
+        return row_of(entry, self._marks.get(entry.path, ""), self.app.theme_variables)
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
         """Show details of the chosen recording."""
