@@ -14,9 +14,11 @@ from textual.containers import VerticalScroll
 from textual.widgets import Static
 
 from labhil.errors import LabhilError
+from labhil.recording.contents import free_text_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.report.formatting import format_count
+from labhil.terminal import printable
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import PlotCurve, column_curves
 from labhil.tui.footer import KeyFooter
@@ -93,6 +95,8 @@ def _facts(recording: Recording) -> Text:
         text.append(f"\n/{data.device}/{data.stream.name}: {format_count(len(data))} samples")
         text.append(f" at {format_frequency(data.rate)}")
         text.append(f", {format_count(data.lost)} lost" if data.lost else ", none lost")
+    for key, words in free_text_of(recording).items():
+        text.append(f"\n{key}: {printable(words)}")
     for line in recording.warnings():
         text.append(f"\n▲ {line}")
     return text

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from labhil.documents import LARGEST, parse_json, parse_toml, read_document
 from labhil.errors import LabhilError
+from labhil.recording.contents import free_text_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
@@ -46,6 +47,7 @@ class LibraryEntry:
         status: "done", "failed", "imported", "no end", "growing" while it is written, or "unreadable".
         reason: Reason of the end of the run.
         fault: Why a field cannot be read.
+        words: What the experiment file says in words, by key: operator, sample, notes, tags.
     """
 
     path: Path
@@ -58,6 +60,7 @@ class LibraryEntry:
     status: str = ""
     reason: str = ""
     fault: str = ""
+    words: tuple[tuple[str, str], ...] = ()
 
     @property
     def when(self) -> str:
@@ -133,6 +136,7 @@ def read_entry(path: Path, size: int, modified: float) -> LibraryEntry:
         status=status,
         reason=reason,
         fault=recording.damage,
+        words=tuple(free_text_of(recording).items()),
     )
 
 

@@ -14,6 +14,7 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
+from labhil.terminal import printable
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
 from labhil.tui.formatting import format_size
@@ -24,6 +25,8 @@ from labhil.tui.recording import RecordingScreen
 from labhil.tui.recording_columns import COLUMNS, cells, fit_columns, row_of
 from labhil.tui.recording_library import LibraryEntry, list_models
 
+LONGEST_WORDS = 220
+"""Characters of a note that the details show; the screen of the recording shows all of it."""
 SIDES = 2
 """Blanks on both sides of the table."""
 
@@ -146,6 +149,8 @@ class RecordingsPane(Vertical, Pane):
             line.append("f d x: ", style=colours["muted"]).append(what)
             if tests:
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
+            for key, text in entry.words:
+                line.append(f"\n{key}: ", style=colours["muted"]).append(in_a_paragraph(text))
         if line != self._detail:
             self._detail = line
             self.query_one("#recordings-detail", Static).update(line)
@@ -221,3 +226,9 @@ class RecordingsPane(Vertical, Pane):
 
         names = [(str(result.path), result.path.name) for result in choices]
         self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), on_answer)
+
+
+def in_a_paragraph(text: str) -> str:
+    """Return a text in one paragraph of printable characters, its end left out where it is long."""
+    paragraph = printable(" ".join(text.split()))
+    return paragraph if len(paragraph) <= LONGEST_WORDS else f"{paragraph[:LONGEST_WORDS]}…"
