@@ -24,7 +24,7 @@ from labhil.signals import FloatArray
 from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.footer import KeyFooter
 from labhil.tui.lists import LabSelection
-from labhil.tui.plot import Chart, Plot
+from labhil.tui.plot import PLOT_HELP, Chart, Plot
 from labhil.tui.themes import CURVES
 from labhil.tui.top_bar import WithBar
 
@@ -46,6 +46,7 @@ class Overlay(WithBar):
         request: Request to the process that simulates.
     """
 
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="overlay.back"),
         Binding("a", "all", "All on", id="overlay.all", tooltip="Switch all on"),

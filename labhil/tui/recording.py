@@ -23,7 +23,7 @@ from labhil.tui.background import work_in_background
 from labhil.tui.curve import PlotCurve, column_curves
 from labhil.tui.footer import KeyFooter
 from labhil.tui.formatting import format_duration, format_frequency, outcome_label
-from labhil.tui.plot import Chart
+from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.recording_library import run_outcome
 from labhil.tui.top_bar import WithBar
 
@@ -34,6 +34,7 @@ ROUTINE = "status"
 class RecordingScreen(WithBar):
     """Show the channels of a recording, which is read in a thread."""
 
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
     ]

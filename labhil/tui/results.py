@@ -23,7 +23,7 @@ from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.panes import Pane
-from labhil.tui.plot import Chart
+from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.recording_library import ResultFile, list_results
 from labhil.tui.result_files import (
     NO_CURVES,
@@ -58,6 +58,7 @@ class ResultsPane(Vertical, Pane):
     """Show the list of results, and the chosen one below."""
 
     MAIN_WIDGET = "#results-table"
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             "g",
