@@ -96,9 +96,8 @@ class LabApp(App[None]):
         self.studies = Studies(self)
         self._library = LibraryReader(self, folder)
         self.emergency = EmergencyStop(self, session, self._show_stop, self._log_event)
-        self.leaving = ""
+        self.leaving, self._is_out_of_date = "", False
         self._frame_limiter = FrameLimiter()
-        self._is_out_of_date = False
         self._panes: tuple[Widget, ...] = ()
         # the moving line under a tab costs a third of the time until its pane is visible
         self.animation_level = "none"

@@ -24,6 +24,7 @@ from labhil.tui.panes import Pane
 from labhil.tui.recording import RecordingScreen
 from labhil.tui.recording_columns import COLUMNS, cells, fit_columns, row_of
 from labhil.tui.recording_library import LibraryEntry, list_models
+from labhil.tui.recordings_overlay import MOST_OVERLAID, RecordingsOverlay
 
 LONGEST_WORDS = 220
 """Characters of a note that the details show; the screen of the recording shows all of it."""
@@ -50,6 +51,7 @@ class RecordingsPane(Vertical, Pane):
         Binding("d", "study('diagnose')", "Diagnose", id="rec.diagnose", tooltip="What physics is missing?"),
         Binding("a", "analyse", "Terms", id="rec.analyse", tooltip="Choose terms, estimator, test, time"),
         Binding("v", "verify", "Verify", id="rec.verify", tooltip="Hold it against an accepted model"),
+        Binding("o", "overlay", "Overlay", id="rec.overlay", tooltip="The marked recordings over each other"),
         Binding("x", "study('export')", "CSV", id="rec.export", tooltip="Write its samples as CSV"),
     ]
 
@@ -179,6 +181,7 @@ class RecordingsPane(Vertical, Pane):
             return
         if self._marks.pop(entry.path, "") != mark:
             self._marks[entry.path] = mark
+        self.refresh_bindings()
         self._update(entry)
         self._show_detail()
 
@@ -187,6 +190,22 @@ class RecordingsPane(Vertical, Pane):
         entry = self._chosen_entry()
         if entry is not None:
             self.app.push_screen(RecordingScreen(entry.path))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Enable the overlay only for several marked recordings."""
+        return len(self._marks) > 1 if action == "overlay" else True
+
+    def action_overlay(self) -> None:
+        """Draw the marked recordings over each other."""
+        entries = [entry for entry in self._entries if entry.path in self._marks]
+        if len({entry.rig for entry in entries}) > 1:
+            self.app.notify("Only recordings of one rig are drawn over each other.", severity="warning")
+        elif len(entries) > MOST_OVERLAID:
+            self.app.notify(
+                f"At most {MOST_OVERLAID} recordings are drawn over each other.", severity="warning"
+            )
+        else:
+            self.app.push_screen(RecordingsOverlay([entry.path for entry in entries]))
 
     def action_study(self, kind: str) -> None:
         """Fit, diagnose or export the marked recordings, or the chosen one."""
