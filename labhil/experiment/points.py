@@ -56,6 +56,12 @@ def is_campaign(experiment: Experiment) -> bool:
     return experiment.sweep is not None or experiment.experiment.repeat > 1
 
 
+def count_runs(experiment: Experiment) -> int:
+    """Return the number of runs that the file describes; unlike ``points_of`` it checks none of them."""
+    combinations = 1 if experiment.sweep is None else experiment.sweep.count
+    return combinations * experiment.experiment.repeat
+
+
 def points_of(experiment: Experiment) -> tuple[Point, ...]:
     """Return the runs in their order, the repetitions of each after one another.
 

@@ -29,6 +29,13 @@ def tags_of(recording: Recording) -> tuple[str, ...]:
     return tuple(str(tag) for tag in tags) if isinstance(tags, list) else ()
 
 
+def free_text_of(recording: Recording) -> dict[str, str]:
+    """Return what the experiment file says in words: operator, sample, notes and tags that are not empty."""
+    experiment = recording.metadata.get("experiment", {})
+    texts = {key: experiment.get(key, "") for key in FREE_TEXT} | {"tags": ", ".join(tags_of(recording))}
+    return {key: text for key, text in texts.items() if text}
+
+
 def recording_status(recording: Recording) -> str:
     """Status: "done", "failed", "imported", or "no end" after the recorder was killed."""
     return status_from_metadata(recording.metadata) if recording.complete else "no end"

@@ -21,6 +21,8 @@ from labhil.campaign.studies.catalogue import MODULE, Catalogue
 from labhil.campaign.studies.process import Helper
 from labhil.campaign.studies.study import Task
 from labhil.tui.formatting import format_duration
+from labhil.tui.lists import LabSelection
+from labhil.tui.top_bar import WithBar
 
 LIMITS = (None, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 """Time limits to choose from, s; None for none."""
@@ -34,7 +36,7 @@ class CatalogueLine(Message):
     line: dict[str, Any]
 
 
-class AnalysisDialog(ModalScreen[Task | None]):
+class AnalysisDialog(ModalScreen[Task | None], WithBar):
     """Choose terms or baseline, test recording, estimator and time before a fit or a diagnosis.
 
     Args:
@@ -69,7 +71,7 @@ class AnalysisDialog(ModalScreen[Task | None]):
         """Lay out the choices, the terms, and the description of the highlighted term."""
         with Vertical(classes="dialog dialog-wide", id="analysis-box"):
             yield Static(id="analysis-how")
-            yield SelectionList[str](id="analysis-terms")
+            yield LabSelection(id="analysis-terms")
             yield Static(id="analysis-about")
             yield Static("g starts   Space takes a term or leaves it   Escape leaves", classes="dialog-note")
 

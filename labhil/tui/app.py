@@ -12,19 +12,18 @@ from typing import Any, ClassVar
 from rich.text import Text
 from textual.app import App, ComposeResult, SystemCommand
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal
 from textual.events import Event, Key
 from textual.markup import escape
 from textual.notifications import SeverityLevel
 from textual.screen import Screen
 from textual.widget import Widget
-from textual.widgets import HelpPanel, Static
+from textual.widgets import HelpPanel
 
 from labhil.tui.background import OUT_OF_DATE
 from labhil.tui.bar import bar_text, question_before_leaving
 from labhil.tui.devices import DevicesPane
 from labhil.tui.dialogs import Confirm
-from labhil.tui.emergency_stop import EmergencyStop, StopButton
+from labhil.tui.emergency_stop import EmergencyStop
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
 from labhil.tui.frame_limiter import FrameLimiter
@@ -40,6 +39,7 @@ from labhil.tui.session import Session
 from labhil.tui.shutdown import end_in_order
 from labhil.tui.studies import Studies, has_result
 from labhil.tui.themes import DARK, LIGHT
+from labhil.tui.top_bar import TopBar
 
 FRAME_INTERVAL = 0.1
 """Shortest time between two frames of the plots, s; see ``FrameLimiter``."""
@@ -96,9 +96,8 @@ class LabApp(App[None]):
         self.studies = Studies(self)
         self._library = LibraryReader(self, folder)
         self.emergency = EmergencyStop(self, session, self._show_stop, self._log_event)
-        self.leaving = ""
+        self.leaving, self._is_out_of_date = "", False
         self._frame_limiter = FrameLimiter()
-        self._bar_line, self._is_out_of_date = Text(), False
         self._panes: tuple[Widget, ...] = ()
         # the moving line under a tab costs a third of the time until its pane is visible
         self.animation_level = "none"
@@ -107,12 +106,7 @@ class LabApp(App[None]):
         self.theme = theme
 
     def compose(self) -> ComposeResult:
-        """Lay out the bar, the tabs and the footer."""
-        with Horizontal(id="bar"):
-            yield Static(" labhil ", id="brand")
-            yield Static(id="bar-run")
-            yield StopButton(" ■ STOP ALL  F12 ", id="bar-stop")
-        yield Static(id="stop-note")
+        """Lay out the tabs and the footer; every screen brings its bar."""
         panes: dict[str, tuple[str, Pane]] = {
             "devices": ("1 Devices", DevicesPane(self.session)),
             "live": ("2 Live", LivePane(self.session, self.folder)),
@@ -207,14 +201,22 @@ class LabApp(App[None]):
             self._is_out_of_date = True
             self.notify(f"{OUT_OF_DATE}: {failure}", severity="error", timeout=3600.0)
         self.emergency.refresh()
-        self._show_bar()
+        self._show_bars()
         self._front_pane.refresh_view()
 
-    def _show_bar(self) -> None:
-        line = bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
-        if line != self._bar_line:
-            self._bar_line = line
-            self.base.query_one("#bar-run", Static).update(line, layout=False)
+    def bar_line(self) -> Text:
+        """Return the line of the bar about the run and the studies at work."""
+        return bar_text(self.folder, self.runner, self.studies.at_work, self.theme_variables)
+
+    def stop_note(self) -> Text:
+        """Return the red lines of the bar; empty while no emergency stop is in force."""
+        return self.emergency.note()
+
+    def _show_bars(self) -> None:
+        """Refresh the bar of every screen: those below a dialog are seen too."""
+        for screen in self.screen_stack:
+            for bar in screen.query(TopBar):
+                bar.refresh_view()
 
     def refresh_files(self) -> None:
         """Read the files that the tab in front shows; recordings in a thread, one scan at a time."""
@@ -344,16 +346,14 @@ class LabApp(App[None]):
     def _show_stop(self) -> bool:
         if not self.is_drawable:
             return False
-        note = self.base.query_one("#stop-note", Static)
-        note.display = self.emergency.latch is not None
-        note.update(self.emergency.note())
+        self._show_bars()
         self.refresh_bindings()
         return True
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable the release only after an emergency stop."""
         if action == "release":
-            return self.emergency.latch is not None and len(self.screen_stack) == 1
+            return self.emergency.latch is not None and not self.emergency.is_asking
         return True
 
     # leaving

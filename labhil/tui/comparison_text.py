@@ -12,6 +12,7 @@ from labhil.analysis.schema import ComparedModel, ComparisonPart, VerificationPa
 from labhil.physics.terms import keyed, listed
 from labhil.report.comparison import AGREE, comparison_basis, format_estimate
 from labhil.report.formatting import format_p_value, format_percent, format_quantity
+from labhil.tui.fitting_table import FittingTable
 from labhil.tui.formatting import PlainTable
 from labhil.tui.result_text import Colours, next_steps_lines, section_title
 
@@ -48,7 +49,7 @@ def _comparison(comparison: ComparisonPart, colours: Colours) -> Iterator[Render
     yield from next_steps_lines(comparison.next_steps, colours)
 
 
-def _models(comparison: ComparisonPart, colours: Colours) -> PlainTable:
+def _models(comparison: ComparisonPart, colours: Colours) -> FittingTable:
     table = _table(colours, ("output", ""), ("RMSE", "in noise", "× best", "p", "R²"))
     for letter, model in _models_by_letter(comparison):
         best = model.name == comparison.best
@@ -63,7 +64,7 @@ def _models(comparison: ComparisonPart, colours: Colours) -> PlainTable:
                 format_percent(row.r2),
                 style="bold" if best else "",
             )
-    return table
+    return FittingTable(table)
 
 
 def _models_by_letter(comparison: ComparisonPart) -> Iterator[tuple[str, ComparedModel]]:
@@ -71,7 +72,7 @@ def _models_by_letter(comparison: ComparisonPart) -> Iterator[tuple[str, Compare
     yield from zip(ascii_uppercase, comparison.models, strict=False)
 
 
-def _parameters(comparison: ComparisonPart, colours: Colours) -> PlainTable:
+def _parameters(comparison: ComparisonPart, colours: Colours) -> FittingTable:
     names = [model.name for model in comparison.models]
     table = _table(colours, ("parameter",), (*(letter for letter, _ in _models_by_letter(comparison)), ""))
     for row in comparison.parameters:
@@ -81,7 +82,7 @@ def _parameters(comparison: ComparisonPart, colours: Colours) -> PlainTable:
             *(format_estimate(row, name) for name in names),
             Text(AGREE[row.agree], style=colours["warning"] if row.agree is False else ""),
         )
-    return table
+    return FittingTable(table)
 
 
 def verification_headline(verification: VerificationPart) -> str:
@@ -121,7 +122,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
             format_quantity(row.ratio, "", 3),
             format_quantity(row.limit, "", 3),
         )
-    yield errors
+    yield FittingTable(errors)
     if verification.parameters:
         yield section_title("Values", colours)
         values = _table(colours, ("parameter",), ("accepted", "refitted", ""))
@@ -133,15 +134,14 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
                 format_quantity(value.after, value.unit),
                 changed,
             )
-        yield values
+        yield FittingTable(values)
     yield Text(f"\nmodel: {verification.model}", style=colours["muted"])
 
 
 def _table(colours: Colours, text_columns: tuple[str, ...], number_columns: tuple[str, ...]) -> PlainTable:
     table = PlainTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style=colours["muted"])
-    for i, name in enumerate(text_columns):
-        # where room is short the first column is cut: one that may be wrapped is made narrow first
-        table.add_column(Text(name), overflow="ellipsis", no_wrap=i > 0)
+    for name in text_columns:
+        table.add_column(Text(name), no_wrap=True)
     for name in number_columns:
         table.add_column(Text(name), justify="right", no_wrap=True)
     return table

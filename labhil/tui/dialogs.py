@@ -12,8 +12,10 @@ from textual.screen import ModalScreen
 from textual.widgets import Button, Input, OptionList, Static
 from textual.widgets.option_list import Option
 
+from labhil.tui.top_bar import WithBar
 
-class Confirm(ModalScreen[bool]):
+
+class Confirm(ModalScreen[bool], WithBar):
     """Ask a question with two answers; the negative one has the focus, and Escape gives it."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -46,7 +48,7 @@ class Confirm(ModalScreen[bool]):
         self.dismiss(answer)
 
 
-class Choose(ModalScreen[str | None]):
+class Choose(ModalScreen[str | None], WithBar):
     """Choose one of several entries, or none.
 
     Args:
@@ -76,7 +78,7 @@ class Choose(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class TextPrompt(ModalScreen[str | None]):
+class TextPrompt(ModalScreen[str | None], WithBar):
     """Ask for a line of text.
 
     Args:
@@ -107,7 +109,7 @@ class TextPrompt(ModalScreen[str | None]):
         self.dismiss(None)
 
 
-class Notice(ModalScreen[None]):
+class Notice(ModalScreen[None], WithBar):
     """Show a text."""
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("escape,enter,q", "dismiss", "Close", id="tell.close")]

@@ -1,4 +1,4 @@
-"""The emergency stop of the terminal UI: its button, its red line, and its effect."""
+"""The emergency stop of the terminal UI: its red line, and its effect."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Callable
 
 from rich.text import Text
 from textual.app import App
-from textual.events import Click
-from textual.widgets import Static
 
 from labhil.bus.latch import Latch
 from labhil.errors import LabhilError
@@ -33,15 +31,6 @@ def stop_note(latch: Latch, outcome: Outcome | None) -> Text:
     return text.append("F9 releases it.")
 
 
-class StopButton(Static):
-    """Press the emergency stop by a click."""
-
-    def on_click(self, event: Click) -> None:
-        """Stop everything."""
-        event.stop()
-        self.app.call_later(self.app.run_action, "stop_all")
-
-
 class EmergencyStop:
     """Stop every device in reach, and release the stop.
 
@@ -62,6 +51,8 @@ class EmergencyStop:
         """The stop that is in force; None while runs are allowed."""
         self.outcome: Outcome | None = None
         """The devices' answers to this screen's own stop."""
+        self.is_asking = False
+        """Whether the question before a release is on the screen."""
         self._is_shown = True
 
     def press(self) -> None:
@@ -73,9 +64,12 @@ class EmergencyStop:
         """Allow runs again, once somebody has confirmed it."""
 
         def on_answer(yes: bool | None) -> None:
+            self.is_asking = False
+            self._app.refresh_bindings()
             if yes:
                 work_in_background(self._app, self._release, "the release of the emergency stop", "stop")
 
+        self.is_asking = True
         question = "Release the emergency stop?\n\nNothing moves by that; devices may be commanded again."
         self._app.push_screen(Confirm(question, "Release", "Keep it"), on_answer)
 

@@ -17,8 +17,9 @@ from textual.widgets.option_list import Option
 
 from labhil.errors import LabhilError
 from labhil.experiment.control import MAX_MARK_LENGTH, RECORDED
-from labhil.experiment.experiment import TWIN, load_experiment
+from labhil.experiment.experiment import TWIN, Experiment, load_experiment
 from labhil.experiment.plan import Plan, make_plan
+from labhil.experiment.points import count_runs, is_campaign
 from labhil.host_clock import steady_ns
 from labhil.tui.dialogs import TextPrompt
 from labhil.tui.formatting import RUN_STATES, format_duration
@@ -48,6 +49,9 @@ ALLOWED = {
 MARKABLE = tuple(state.value for state in RECORDED)
 """States of a run in which a marker is recorded."""
 
+MOST_VALUES = 8
+"""Values of a swept place that are shown."""
+
 MOST_LINES = 200
 """Lines kept in the log; the recording holds every event."""
 
@@ -69,9 +73,11 @@ class ExperimentPane(Vertical, Pane):
         self._folder, self._runner, self._session = folder, runner, session
         self._files: list[ExperimentFile] = []
         self.plan: Plan | None = None
+        """Plan of the chosen experiment; None where it cannot be started here."""
+        self._refusal = ""
         self._logged_ns = 0
         self._log: deque[Text] = deque(maxlen=MOST_LINES)
-        self._shown_state = ""
+        self._shown_buttons: dict[str, bool] = {}
 
     def compose(self) -> ComposeResult:
         """Lay out the list, the plan, the controls and the log."""
@@ -110,7 +116,8 @@ class ExperimentPane(Vertical, Pane):
         for index, file in enumerate(files):
             if file.packaged and (index == 0 or not files[index - 1].packaged):
                 options.add_option(Option(Text("examples, simulated", f"italic {muted}"), disabled=True))
-            options.add_option(Option(f"  {file.name}", id=str(index)))
+            sign = " " if file.readable else "✕"
+            options.add_option(Option(f"{sign} {file.name}", id=str(index)))
         options.highlighted = 1 if files else None
 
     def on_option_list_option_highlighted(self, event: OptionList.OptionHighlighted) -> None:
@@ -136,6 +143,8 @@ class ExperimentPane(Vertical, Pane):
             self._runner.request(name)
         elif self.plan is not None:
             self.post_message(StartRequested(str(self.plan.experiment.path)))
+        elif self._refusal:
+            self.app.notify(self._refusal, severity="warning")
 
     def action_mark(self) -> None:
         """Ask for the text of a marker, which is recorded at the time of the key."""
@@ -152,10 +161,14 @@ class ExperimentPane(Vertical, Pane):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable only the keys that have an effect now."""
         if action == "control":
-            return self._runner.state in ALLOWED[str(parameters[0])]
+            return self._allows(str(parameters[0]))
         if action == "mark":
             return self._runner.state in MARKABLE
         return True
+
+    def _allows(self, name: str) -> bool:
+        """Whether a control has an effect now."""
+        return self._runner.state in ALLOWED[name] and (name != "start" or self.plan is not None)
 
     def moves_hardware(self) -> list[str]:
         """Return the addresses of real devices that the chosen experiment would move."""
@@ -166,17 +179,24 @@ class ExperimentPane(Vertical, Pane):
     def _show_plan(self, file: ExperimentFile) -> None:
         colours = self.app.theme_variables
         text = Text()
+        self.plan, self._refusal = None, f"{file.path.name} cannot be run: its plan says why."
         try:
-            self.plan = make_plan(load_experiment(file.path))
+            experiment = load_experiment(file.path)
+            plan = make_plan(experiment)
         except LabhilError as error:
-            self.plan = None
             text.append("✕ cannot be run\n", style=f"bold {colours['error']}")
             text.append(str(error))
         else:
-            text.append_text(plan_text(self.plan, colours))
+            if is_campaign(experiment):
+                self._refusal = f"Not started here: `labhil run {file.path}` makes all runs of this file."
+                text.append_text(campaign_text(experiment, file.path, colours))
+            else:
+                self.plan = plan
+            text.append_text(plan_text(plan, colours))
         place = f"comes with labhil as {file.path.name}" if file.packaged else str(file.path)
         text.append(f"\n\n{place}", style=colours["muted"])
         self.query_one("#plan", Static).update(text)
+        self._refresh_buttons()
 
     # the run
 
@@ -191,10 +211,15 @@ class ExperimentPane(Vertical, Pane):
         self.query_one("#run-elapsed", Static).update(elapsed)
         self.query_one("#run-reason", Static).update(Text(runner.reason, style=colours["muted"]))
         self._log_events()
-        if runner.state != self._shown_state:
-            self._shown_state = runner.state
-            for name, _, _ in BUTTONS:
-                self.query_one(f"#run-{name}", Button).disabled = runner.state not in ALLOWED[name]
+        self._refresh_buttons()
+
+    def _refresh_buttons(self) -> None:
+        """Enable the buttons of the controls that have an effect now."""
+        allowed = {name: self._allows(name) for name, _, _ in BUTTONS}
+        if allowed != self._shown_buttons:
+            self._shown_buttons = allowed
+            for name, is_allowed in allowed.items():
+                self.query_one(f"#run-{name}", Button).disabled = not is_allowed
             self.refresh_bindings()
 
     def _log_events(self) -> None:
@@ -231,6 +256,28 @@ class ExperimentPane(Vertical, Pane):
             self.log_line("failed", error)
         if result is not None and result["path"] is not None:
             self.log_line("recorded", f"{result['path']}  (4 shows it)")
+
+
+def campaign_text(experiment: Experiment, path: Path, colours: dict[str, str]) -> Text:
+    """Return how many runs a file with ``repeat`` or [sweep] has, and the command that makes them.
+
+    Args:
+        experiment: The file's contents.
+        path: The file.
+        colours: Colours of the theme.
+    """
+    text = Text(f"◆ {count_runs(experiment)} runs", style=f"bold {colours['accent']}")
+    text.append("; not started here\n", style="not bold")
+    text.append(f"labhil run {path}\n")
+    text.append("makes them all, with --dry-run it lists them\n\n", style=colours["muted"])
+    if experiment.sweep is not None:
+        for place, values in experiment.sweep.over.items():
+            shown = [str(value) for value in values[:MOST_VALUES]]
+            more = f" … {len(values)} values" if len(values) > MOST_VALUES else ""
+            text.append(f"{place}: {', '.join(shown)}{more}\n", style="not bold")
+    if experiment.experiment.repeat > 1:
+        text.append(f"each {experiment.experiment.repeat} times\n", style="not bold")
+    return text.append("\nWith the values of the file itself:\n", style=colours["muted"])
 
 
 def plan_text(plan: Plan, colours: dict[str, str]) -> Text:

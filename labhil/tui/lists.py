@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich.segment import Segment
 from textual.geometry import Region
 from textual.scroll_view import ScrollView
 from textual.strip import Strip
@@ -44,4 +45,16 @@ class LabOptions(OptionList, _Rows):
 
 
 class LabSelection(SelectionList[str], _Rows):
-    """Show a list to choose several of."""
+    """Show a list to choose several of; what is on and what is off have different signs."""
+
+    ON, OFF = "✓", "○"
+
+    def render_line(self, y: int) -> Strip:
+        """Return a line; Textual has one sign for both, in two colours."""
+        strip = super().render_line(y)
+        row = self.scroll_offset.y + y
+        if row >= self.option_count:
+            return strip
+        left, sign, *rest = strip
+        text = self.ON if self.get_option_at_index(row).value in self.selected else self.OFF
+        return Strip([left, Segment(text, sign.style), *rest])

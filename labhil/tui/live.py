@@ -21,7 +21,7 @@ from labhil.tui.dialogs import Choose
 from labhil.tui.formatting import format_duration
 from labhil.tui.lists import LabSelection
 from labhil.tui.panes import Pane
-from labhil.tui.plot import Chart
+from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.recording_library import list_models
 from labhil.tui.replay_control import control_replays, replay_line
 from labhil.tui.session import Session, SignalSource
@@ -44,6 +44,7 @@ class LivePane(Horizontal, Pane):
     """Show a list of signals, and a chart for each chosen one."""
 
     MAIN_WIDGET = "#live-signals"
+    HELP = f"{PLOT_HELP} First press p, which holds the picture still."
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
         Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),

@@ -15,7 +15,6 @@ from textual.binding import Binding, BindingType
 from textual.containers import Container, Vertical, VerticalScroll
 from textual.content import Content
 from textual.message import Message
-from textual.screen import Screen
 from textual.widgets import SelectionList, Static
 from textual.widgets.selection_list import Selection
 
@@ -24,8 +23,10 @@ from labhil.campaign.studies.process import Helper
 from labhil.signals import FloatArray
 from labhil.tui.curve import Pen, PlotCurve
 from labhil.tui.footer import KeyFooter
-from labhil.tui.plot import Chart, Plot
+from labhil.tui.lists import LabSelection
+from labhil.tui.plot import PLOT_HELP, Chart, Plot
 from labhil.tui.themes import CURVES
+from labhil.tui.top_bar import WithBar
 
 Channel = dict[str, Any]
 
@@ -37,7 +38,7 @@ class SimulationLine(Message):
     line: dict[str, Any]
 
 
-class Overlay(Screen[None]):
+class Overlay(WithBar):
     """Show outputs of a recording, with models over them that a list switches on and off.
 
     Args:
@@ -45,11 +46,11 @@ class Overlay(Screen[None]):
         request: Request to the process that simulates.
     """
 
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="overlay.back"),
         Binding("a", "all", "All on", id="overlay.all", tooltip="Switch all on"),
         Binding("n", "none", "All off", id="overlay.none", tooltip="Switch all off", show=False),
-        Binding("f12", "app.stop_all", "STOP ALL", id="overlay.stop", tooltip="Emergency stop"),
     ]
 
     def __init__(self, heading: str, request: Mapping[str, Any]) -> None:
@@ -64,7 +65,7 @@ class Overlay(Screen[None]):
         yield Static(Text(f" {self._heading} … simulating", style="bold"), id="overlay-title")
         with Container(id="overlay-split"):
             with Vertical(id="overlay-side"):
-                yield SelectionList[str](id="overlay-terms")
+                yield LabSelection(id="overlay-terms")
                 yield Static(id="overlay-errors")
             yield VerticalScroll(id="overlay-charts", can_focus=False)
         yield KeyFooter()

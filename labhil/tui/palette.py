@@ -14,6 +14,7 @@ from textual.css.query import NoMatches
 
 from labhil.tui.experiment import ALLOWED, ExperimentPane
 from labhil.tui.themes import DARK
+from labhil.tui.top_bar import WithBar
 
 if TYPE_CHECKING:
     from labhil.tui.app import LabApp
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 TABS = ("devices", "live", "experiment", "recordings", "results")
 
 
-class Palette(CommandPalette):
+class Palette(CommandPalette, WithBar):
     """Show the commands, with a search that ends when the palette is closed.
 
     Textual 8.2 searches in a worker, which queries the list of commands. Where the palette was closed in

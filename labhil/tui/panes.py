@@ -9,10 +9,11 @@ from textual.app import ComposeResult
 from textual.containers import Vertical
 from textual.geometry import Region
 from textual.reactive import Reactive, reactive
-from textual.screen import Screen
 from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Tab, Tabs
+
+from labhil.tui.top_bar import WithBar
 
 
 class Backdrop(Widget):
@@ -30,7 +31,7 @@ class Backdrop(Widget):
         return [line] * crop.height
 
 
-class LabScreen(Screen[None], Backdrop):
+class LabScreen(WithBar, Backdrop):
     """Hold the tabs; it looks the same wherever the focus is."""
 
     focused: Reactive[Widget | None] = Reactive(None, repaint=False)

@@ -32,6 +32,13 @@ FRAME = 2
 ZOOM, WHEEL_ZOOM, MOVE = 0.15, 0.05, 0.1
 """Share of the view that a key or the wheel cuts off at each side, and by which a key moves it."""
 
+PLOT_HELP = """\
+**Plots**: Tab moves to a plot, and to the next one. There + and - zoom, the arrows move the view,
+shift+right and shift+left put a cursor whose values are in the title, and r shows all again. A click puts
+the cursor too; then the wheel zooms.
+"""
+"""Help of screens with plots: a plot has its keys only while it has the focus."""
+
 View = tuple[Limits, Limits]
 
 

@@ -11,30 +11,32 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import VerticalScroll
-from textual.screen import Screen
 from textual.widgets import Static
 
 from labhil.errors import LabhilError
+from labhil.recording.contents import free_text_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.report.formatting import format_count
+from labhil.terminal import printable
 from labhil.tui.background import work_in_background
 from labhil.tui.curve import PlotCurve, column_curves
 from labhil.tui.footer import KeyFooter
 from labhil.tui.formatting import format_duration, format_frequency, outcome_label
-from labhil.tui.plot import Chart
+from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.recording_library import run_outcome
+from labhil.tui.top_bar import WithBar
 
 MOST_EVENTS = 40
 ROUTINE = "status"
 
 
-class RecordingScreen(Screen[None]):
+class RecordingScreen(WithBar):
     """Show the channels of a recording, which is read in a thread."""
 
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="recording.back"),
-        Binding("f12", "app.stop_all", "STOP ALL", id="recording.stop", tooltip="Emergency stop"),
     ]
 
     def __init__(self, path: Path) -> None:
@@ -94,6 +96,8 @@ def _facts(recording: Recording) -> Text:
         text.append(f"\n/{data.device}/{data.stream.name}: {format_count(len(data))} samples")
         text.append(f" at {format_frequency(data.rate)}")
         text.append(f", {format_count(data.lost)} lost" if data.lost else ", none lost")
+    for key, words in free_text_of(recording).items():
+        text.append(f"\n{key}: {printable(words)}")
     for line in recording.warnings():
         text.append(f"\n▲ {line}")
     return text

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from labhil.documents import LARGEST, parse_json, parse_toml, read_document
 from labhil.errors import LabhilError
+from labhil.recording.contents import free_text_of
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
@@ -46,6 +47,7 @@ class LibraryEntry:
         status: "done", "failed", "imported", "no end", "growing" while it is written, or "unreadable".
         reason: Reason of the end of the run.
         fault: Why a field cannot be read.
+        words: What the experiment file says in words, by key: operator, sample, notes, tags.
     """
 
     path: Path
@@ -58,6 +60,7 @@ class LibraryEntry:
     status: str = ""
     reason: str = ""
     fault: str = ""
+    words: tuple[tuple[str, str], ...] = ()
 
     @property
     def when(self) -> str:
@@ -133,6 +136,7 @@ def read_entry(path: Path, size: int, modified: float) -> LibraryEntry:
         status=status,
         reason=reason,
         fault=recording.damage,
+        words=tuple(free_text_of(recording).items()),
     )
 
 
@@ -188,15 +192,26 @@ def _kind(path: Path, size: int, _modified_ns: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class ExperimentFile:
-    """Describe an experiment file; ``packaged`` ones come with labhil."""
+    """Describe an experiment file.
+
+    Attributes:
+        path: The file.
+        name: Name of the experiment; that of the file where it cannot be read.
+        packaged: Whether it comes with labhil.
+        readable: Whether the file is TOML.
+    """
 
     path: Path
     name: str
     packaged: bool
+    readable: bool = True
 
 
 def list_experiments(folder: Path) -> list[ExperimentFile]:
-    """Return the experiments in a folder, then those that come with labhil."""
+    """Return the experiments in a folder, then those that come with labhil.
+
+    A file that cannot be read is listed too: it may be an experiment with an error in it.
+    """
     examples = Path(str(files("labhil.experiment") / "examples"))
     local = [(path, False) for path in sorted(folder.glob("*.toml"))]
     packaged = [(path, True) for path in sorted(examples.glob("*.toml"))]
@@ -204,7 +219,10 @@ def list_experiments(folder: Path) -> list[ExperimentFile]:
     for path, is_packaged in [*local, *packaged]:
         try:
             data = parse_toml(read_document(path))
+        except FileNotFoundError:
+            continue  # gone between listing and looking
         except (OSError, ValueError):
+            experiment_files.append(ExperimentFile(path, path.name, is_packaged, readable=False))
             continue
         section = data.get("experiment")
         if isinstance(section, dict):

@@ -14,30 +14,22 @@ from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
 from labhil.campaign.studies.study import Task
-from labhil.report.formatting import format_count
+from labhil.terminal import printable
 from labhil.tui.analysis import AnalysisDialog
 from labhil.tui.dialogs import Choose
-from labhil.tui.formatting import format_duration, format_size, outcome_label
+from labhil.tui.formatting import format_size
 from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.panes import Pane
 from labhil.tui.recording import RecordingScreen
+from labhil.tui.recording_columns import COLUMNS, cells, fit_columns, row_of
 from labhil.tui.recording_library import LibraryEntry, list_models
+from labhil.tui.recordings_overlay import MOST_OVERLAID, RecordingsOverlay
 
-COLUMNS = (
-    ("mark", "", 1),
-    ("name", "recording", 24),
-    ("status", "ended", 11),
-    ("rig", "rig", 9),
-    ("duration", "duration", 8),
-    ("samples", "samples", 7),
-    ("gaps", "gaps", 4),
-    ("size", "size", 7),
-    ("when", "written", 12),
-    ("reason", "reason", None),
-)
-NARROW, WIDE = 24, 40
-"""Columns for a recording's name."""
+LONGEST_WORDS = 220
+"""Characters of a note that the details show; the screen of the recording shows all of it."""
+SIDES = 2
+"""Blanks on both sides of the table."""
 
 EMPTY = """[b]No recordings in this folder yet.[/b]
 
@@ -59,6 +51,7 @@ class RecordingsPane(Vertical, Pane):
         Binding("d", "study('diagnose')", "Diagnose", id="rec.diagnose", tooltip="What physics is missing?"),
         Binding("a", "analyse", "Terms", id="rec.analyse", tooltip="Choose terms, estimator, test, time"),
         Binding("v", "verify", "Verify", id="rec.verify", tooltip="Hold it against an accepted model"),
+        Binding("o", "overlay", "Overlay", id="rec.overlay", tooltip="The marked recordings over each other"),
         Binding("x", "study('export')", "CSV", id="rec.export", tooltip="Write its samples as CSV"),
     ]
 
@@ -67,7 +60,8 @@ class RecordingsPane(Vertical, Pane):
         self._folder = folder
         self._entries: list[LibraryEntry] = []
         self._marks: dict[Path, str] = {}
-        self._name_width = NARROW
+        self._widths: dict[str, int] = {}
+        self._room = 0
         self._detail = Text()
 
     def compose(self) -> ComposeResult:
@@ -80,20 +74,12 @@ class RecordingsPane(Vertical, Pane):
 
     def on_mount(self) -> None:
         """Make the columns."""
-        table = self.query_one(DataTable)
-        for key, label, width in COLUMNS:
-            table.add_column(label, key=key, width=width)
         self.show_entries([])
 
     def on_resize(self, event: Resize) -> None:
-        """Adapt the column of names to the width."""
-        width = WIDE if event.size.width >= 110 else NARROW
-        if width != self._name_width:
-            self._name_width = width
-            table = self.query_one(DataTable)
-            next(column for key, column in table.columns.items() if key == "name").width = width
-            entries, self._entries = self._entries, []
-            self.show_entries(entries)
+        """Show the columns that have room."""
+        self._room = event.size.width - SIDES
+        self._fit_columns()
 
     def show_entries(self, entries: list[LibraryEntry]) -> None:
         """Show these recordings."""
@@ -103,51 +89,45 @@ class RecordingsPane(Vertical, Pane):
             path: mark for path, mark in self._marks.items() if any(entry.path == path for entry in entries)
         }
         self.query_one("#recordings-empty").display = not entries
-        table = self.query_one(DataTable)
-        table.display = bool(entries)
-        if not same:
-            chosen = self._chosen_entry()
-            table.clear()
-            for entry in entries:
-                table.add_row(*self._row(entry), key=str(entry.path))
-            if chosen is not None and any(entry.path == chosen.path for entry in entries):
-                table.move_cursor(row=table.get_row_index(str(chosen.path)))
-        else:
-            for entry in entries:
-                self._update(entry)
+        self.query_one(DataTable).display = bool(entries)
+        if not self._fit_columns():
+            if not same:
+                self._fill()
+            else:
+                for entry in entries:
+                    self._update(entry)
         self._show_detail()
+
+    def _fit_columns(self) -> bool:
+        """Make the columns anew where others have room than before; return whether that was so."""
+        widths = fit_columns([self._row(entry) for entry in self._entries], self._room)
+        if widths == self._widths:
+            return False
+        self._widths = widths
+        chosen, table = self._chosen_entry(), self.query_one(DataTable)
+        table.clear(columns=True)
+        for key, width in widths.items():
+            table.add_column(COLUMNS[key][0], key=key, width=width)
+        self._fill(chosen)
+        return True
+
+    def _fill(self, chosen: LibraryEntry | None = None) -> None:
+        """Fill the table; the cursor stays on the chosen recording."""
+        table, chosen = self.query_one(DataTable), chosen or self._chosen_entry()
+        table.clear()
+        for entry in self._entries:
+            table.add_row(*cells(self._row(entry), self._widths), key=str(entry.path))
+        if chosen is not None and any(entry.path == chosen.path for entry in self._entries):
+            table.move_cursor(row=table.get_row_index(str(chosen.path)))
 
     def _update(self, entry: LibraryEntry) -> None:
         table = self.query_one(DataTable)
-        for (key, _, _), cell in zip(COLUMNS, self._row(entry), strict=True):
+        for key, cell in zip(self._widths, cells(self._row(entry), self._widths), strict=True):
             if table.get_cell(str(entry.path), key) != cell:
-                table.update_cell(str(entry.path), key, cell, update_width=key == "reason")
+                table.update_cell(str(entry.path), key, cell)
 
-    def _row(self, entry: LibraryEntry) -> list[Text]:
-        colours = self.app.theme_variables
-        mark = self._marks.get(entry.path, "")
-        name = entry.path.name.removesuffix(".mcap")
-        width = self._name_width
-        if len(name) > width:
-            name = f"{name[: width - 16]}…{name[-15:]}"
-        gaps = Text(format_count(entry.gaps), justify="right")
-        if entry.gaps:
-            gaps.stylize(f"bold {colours['warning']}")
-        status = (
-            outcome_label(entry.status).text(colours) if entry.status else Text("…", style=colours["muted"])
-        )
-        return [
-            Text(mark, style=f"bold {colours['accent']}"),
-            Text(name),
-            status,
-            Text(entry.rig or "–"),
-            Text(format_duration(entry.duration), justify="right"),
-            Text(format_count(entry.samples), justify="right"),
-            gaps,
-            Text(format_size(entry.size), justify="right"),
-            Text(entry.when, style=colours["muted"]),
-            Text(entry.fault or entry.reason, style=colours["muted"]),
-        ]
+    def _row(self, entry: LibraryEntry) -> dict[str, Text]:
+        return row_of(entry, self._marks.get(entry.path, ""), self.app.theme_variables)
 
     def on_data_table_row_highlighted(self, _event: DataTable.RowHighlighted) -> None:
         """Show details of the chosen recording."""
@@ -171,6 +151,8 @@ class RecordingsPane(Vertical, Pane):
             line.append("f d x: ", style=colours["muted"]).append(what)
             if tests:
                 line.append(f"; judged on {', '.join(path.name.removesuffix('.mcap') for path in tests)}")
+            for key, text in entry.words:
+                line.append(f"\n{key}: ", style=colours["muted"]).append(in_a_paragraph(text))
         if line != self._detail:
             self._detail = line
             self.query_one("#recordings-detail", Static).update(line)
@@ -199,6 +181,7 @@ class RecordingsPane(Vertical, Pane):
             return
         if self._marks.pop(entry.path, "") != mark:
             self._marks[entry.path] = mark
+        self.refresh_bindings()
         self._update(entry)
         self._show_detail()
 
@@ -207,6 +190,22 @@ class RecordingsPane(Vertical, Pane):
         entry = self._chosen_entry()
         if entry is not None:
             self.app.push_screen(RecordingScreen(entry.path))
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
+        """Enable the overlay only for several marked recordings."""
+        return len(self._marks) > 1 if action == "overlay" else True
+
+    def action_overlay(self) -> None:
+        """Draw the marked recordings over each other."""
+        entries = [entry for entry in self._entries if entry.path in self._marks]
+        if len({entry.rig for entry in entries}) > 1:
+            self.app.notify("Only recordings of one rig are drawn over each other.", severity="warning")
+        elif len(entries) > MOST_OVERLAID:
+            self.app.notify(
+                f"At most {MOST_OVERLAID} recordings are drawn over each other.", severity="warning"
+            )
+        else:
+            self.app.push_screen(RecordingsOverlay([entry.path for entry in entries]))
 
     def action_study(self, kind: str) -> None:
         """Fit, diagnose or export the marked recordings, or the chosen one."""
@@ -246,3 +245,9 @@ class RecordingsPane(Vertical, Pane):
 
         names = [(str(result.path), result.path.name) for result in choices]
         self.app.push_screen(Choose(f"Verify {entry.path.name} against", names), on_answer)
+
+
+def in_a_paragraph(text: str) -> str:
+    """Return a text in one paragraph of printable characters, its end left out where it is long."""
+    paragraph = printable(" ".join(text.split()))
+    return paragraph if len(paragraph) <= LONGEST_WORDS else f"{paragraph[:LONGEST_WORDS]}…"

@@ -31,12 +31,10 @@ from labhil.report.formatting import (
     format_quantity,
 )
 from labhil.report.parameter_columns import COLUMNS
+from labhil.tui.fitting_table import FittingTable, has_room
 from labhil.tui.formatting import PlainTable
 
 Colours = dict[str, str]
-
-WIDEST = 1000
-"""Columns in which any table has room."""
 
 ENDED_EARLY = "▲ It was ended early: this is the best so far."
 
@@ -108,7 +106,7 @@ def section_title(text: str, colours: Colours) -> Text:
 class ParameterTableView:
     """Show one row per parameter, with a remark on those that are not reliable.
 
-    In a narrow area, names and remarks take lines of their own instead of being cut.
+    In a narrow area, first remarks, then names, then figures take lines of their own instead of being cut.
     """
 
     rows: Sequence[Parameter]
@@ -116,16 +114,16 @@ class ParameterTableView:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Draw the table in as few lines as the width allows."""
-        wide = options.update(max_width=WIDEST)
         for name, cells in (
             ("", self._remark_beside),
             ("", self._remark_below),
             (".\n  ", self._remark_below),
         ):
             table = self._table(name, cells)
-            if console.measure(table, options=wide).maximum <= options.max_width:
-                break
-        yield table
+            if has_room(table, console, options):
+                yield table
+                return
+        yield FittingTable(self._table("", self._remark_below))
 
     def _table(self, dot: str, layout: Callable[[Parameter, str], Sequence[Text]]) -> PlainTable:
         """The table with ``dot`` in the place of the first dot in each name, unless it is empty."""
@@ -176,7 +174,7 @@ def _identifiability(fit: FitPart, colours: Colours) -> Text:
     return text.append(".")
 
 
-def _scores(fit: FitPart) -> PlainTable:
+def _scores(fit: FitPart) -> FittingTable:
     table = _plain_table(("data", "channel"), ("RMSE", "noise floor", "R²"))
     for name, score in (("fitted", fit.train), ("test", fit.test)):
         for row in _rows_of(score):
@@ -187,7 +185,7 @@ def _scores(fit: FitPart) -> PlainTable:
                 format_quantity(row.noise_floor, row.unit),
                 format_percent(row.r2),
             )
-    return table
+    return FittingTable(table)
 
 
 def _rows_of(score: Score | None) -> Sequence[ChannelErrors]:
@@ -288,7 +286,7 @@ def _missing_effect(item: MissingEffect, rivals: Sequence[Rival], colours: Colou
     return text
 
 
-def _changes(diagnosis: DiagnosisPart) -> PlainTable:
+def _changes(diagnosis: DiagnosisPart) -> FittingTable:
     table = _plain_table(("parameter",), ("before", "after", "99 % interval", "p"))
     for change in diagnosis.changed:
         table.add_row(
@@ -298,7 +296,7 @@ def _changes(diagnosis: DiagnosisPart) -> PlainTable:
             format_interval(change.ci99),
             format_p_value(change.p_value),
         )
-    return table
+    return FittingTable(table)
 
 
 def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
@@ -320,7 +318,7 @@ def _improvement(improvement: Improvement, colours: Colours) -> RenderableType:
         Text(format_percent(improvement.r2_after), style="bold"),
         "",
     )
-    return Group(where, table, _bars(improvement, colours))
+    return Group(where, FittingTable(table), _bars(improvement, colours))
 
 
 def _bars(improvement: Improvement, colours: Colours) -> Text:
@@ -359,7 +357,7 @@ def _exclusions_and_sources(diagnosis: DiagnosisPart, colours: Colours) -> Itera
     by_joint = limits_by_joint(diagnosis.excluded)
     if by_joint:
         yield Text("\nNot there, or smaller than this, by joint", style=muted)
-        yield joints_table(by_joint, muted)
+        yield FittingTable(joints_table(by_joint, muted))
     text = Text("\n", style=muted)
     for term in group_undecided(diagnosis.undecided):
         text.append(f"Undecided: {term.name}: {term.reason}.\n")

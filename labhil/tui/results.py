@@ -11,6 +11,7 @@ from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Container, Vertical, VerticalScroll
+from textual.events import Resize
 from textual.widgets import DataTable, Static
 from textual.widgets.data_table import CellDoesNotExist
 
@@ -22,7 +23,7 @@ from labhil.tui.lists import LabTable
 from labhil.tui.messages import StudyRequested
 from labhil.tui.overlay import ModelsScreen, OverlayScreen
 from labhil.tui.panes import Pane
-from labhil.tui.plot import Chart
+from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.recording_library import ResultFile, list_results
 from labhil.tui.result_files import (
     NO_CURVES,
@@ -42,6 +43,10 @@ EMPTY = """[b]No fit and no diagnosis in this folder yet.[/b]
   [b $accent]4[/] then [b $accent]d[/]   asks what physics the model leaves out"""
 
 NAME_WIDTH = 25
+COLUMNS = {"sign": 2, "kind": 9, "of": NAME_WIDTH, "result": 20}
+"""Width of each column; the last has what is left, but never less than this."""
+PADDING = SIDES = 2
+"""Blanks around a cell, and on both sides of the table."""
 ENDS_EARLY = ("fit", "diagnose")
 """Kinds of studies that have a best result so far."""
 MOST_COMPARED = 8
@@ -53,6 +58,7 @@ class ResultsPane(Vertical, Pane):
     """Show the list of results, and the chosen one below."""
 
     MAIN_WIDGET = "#results-table"
+    HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
             "g",
@@ -109,9 +115,28 @@ class ResultsPane(Vertical, Pane):
     def on_mount(self) -> None:
         """Make the columns."""
         table = self.query_one(DataTable)
-        for key, width in (("", 2), ("kind", 9), ("of", NAME_WIDTH), ("result", None)):
-            table.add_column(key, key=key or "sign", width=width)
+        for key, width in COLUMNS.items():
+            table.add_column("" if key == "sign" else key, key=key, width=width)
         self.refresh_list()
+
+    def on_resize(self, event: Resize) -> None:
+        """Give the results the width that the other columns leave."""
+        table, chosen = self.query_one(DataTable), self._chosen_key()
+        used = sum(width + PADDING for key, width in COLUMNS.items() if key != "result")
+        width = max(COLUMNS["result"], event.size.width - SIDES - used - PADDING)
+        column = next(column for key, column in table.columns.items() if key == "result")
+        if width != column.width:
+            column.width = width
+            self._fill(dict(self._rows()))
+            if chosen in self._keys:
+                table.move_cursor(row=self._keys.index(chosen))
+
+    def _fill(self, rows: dict[str, tuple[Text, ...]]) -> None:
+        table = self.query_one(DataTable)
+        table.clear()
+        for key, row in rows.items():
+            table.add_row(*row, key=key)
+        self._keys = list(rows)
 
     def refresh_list(self) -> None:
         """List the results again, and show the progress of the jobs."""
@@ -131,19 +156,16 @@ class ResultsPane(Vertical, Pane):
         table.display = bool(rows)
         if list(rows) == self._keys:
             for key, row in rows.items():
-                for column, cell in zip(("sign", "kind", "of", "result"), row, strict=True):
+                for column, cell in zip(COLUMNS, row, strict=True):
                     if table.get_cell(key, column) != cell:
-                        table.update_cell(key, column, cell, update_width=column == "result")
+                        table.update_cell(key, column, cell)
             job = self._job(self._chosen_key())
             if job is not None:
                 self._show_job(job)
             return
         chosen = self._chosen_key()
         new = [key for key in rows if key not in self._keys]
-        table.clear()
-        for key, row in rows.items():
-            table.add_row(*row, key=key)
-        self._keys = list(rows)
+        self._fill(rows)
         if new and self._shown:  # the user waits for the newest row
             table.move_cursor(row=self._keys.index(new[0]))
         elif chosen in rows:
@@ -162,7 +184,7 @@ class ResultsPane(Vertical, Pane):
                     Text(SIGNS[job.state], style=f"bold {colours[colour]}"),
                     Text(job.task.kind),
                     Text(shorten(names, NAME_WIDTH)),
-                    Text(self._job_line(job), style=colours[colour]),
+                    Text(self._job_line(job), style=colours[colour], no_wrap=True, overflow="ellipsis"),
                 ),
             )
         for file in self._files:
@@ -180,7 +202,9 @@ class ResultsPane(Vertical, Pane):
                             file.path.name.removesuffix(".json").replace(f".{file.kind}", "", 1), NAME_WIDTH
                         )
                     ),
-                    Text(part if isinstance(part, str) else in_a_line(part)),
+                    Text(
+                        part if isinstance(part, str) else in_a_line(part), no_wrap=True, overflow="ellipsis"
+                    ),
                 ),
             )
 
