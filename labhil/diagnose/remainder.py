@@ -107,8 +107,8 @@ def _statement(
     verb = "explains" if len(names) == 1 else "explain"
     text = f"Together {' and '.join(names)}" if len(names) > 1 else names[0].replace("a force", "A force", 1)
     # 100 % beside an error that remains would contradict itself
-    share = f"{100.0 * explained:.0f} %" if floors is None or explained < 0.995 else "over 99 %"
-    text = f"{text} {verb} {share} of the error in {channel} beyond its noise"
+    stated = f"{100.0 * explained:.0f} %" if floors is None or explained < 0.995 else "over 99 %"
+    text = f"{text} {verb} {stated} of the error in {channel} beyond its noise"
     if floors is None:
         return f"{text}; what remains is noise."
     text += f"; {_two_digits(floors)} noise floors remain"
