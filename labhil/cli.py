@@ -9,10 +9,9 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 from typer.main import get_command
 
 from labhil.commands.acquisition import add_acquisition
@@ -37,24 +36,7 @@ from labhil.errors import LabhilError, OptionError
 from labhil.extras import missing_extra
 from labhil.terminal import complain, show
 
-
-class InterruptibleGroup(TyperGroup):
-    """The commands, of which one that Ctrl+C ends says so instead of ending in silence."""
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command that was asked for."""
-        try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            complain(
-                f"labhil {ctx.invoked_subcommand}: interrupted (Ctrl+C) before there was a result; run it "
-                "again to get one. A fit or a diagnosis gives the best so far once it says what it searches"
-            )
-            raise typer.Exit(INTERRUPTED) from None
-
-
 app = typer.Typer(
-    cls=InterruptibleGroup,
     help="Record a rig and its simulation, find where they disagree, and say what physics was left out.",
     no_args_is_help=True,
     add_completion=True,
@@ -78,6 +60,15 @@ def main() -> None:
                 raise
             complain(missing)
             sys.exit(missing.exit_status)
+        except (KeyboardInterrupt, SystemExit) as end:
+            # typer makes a silent exit of a KeyboardInterrupt
+            if isinstance(end, SystemExit) and end.code != INTERRUPTED:
+                raise
+            complain(
+                "interrupted (Ctrl+C) before there was a result; run the command again to get one. A fit or "
+                "a diagnosis gives the best so far once it says what it searches"
+            )
+            sys.exit(INTERRUPTED)
 
 
 @cache

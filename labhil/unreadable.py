@@ -61,8 +61,7 @@ def reason_unreadable(path: Path, error: OSError | ValueError, kind: FileKind) -
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         if not path.parent.is_dir():
             return f"there is no folder {path.parent}"
-        near = _nearest(path, kind)
-        return "there is no such file" + (f"; the nearest there is {near}" if near else "")
+        return f"there is no such file{nearest_file(path, kind)}"
     if isinstance(error, IsADirectoryError):
         return f"it is a folder; give the {kind.plural} in it, like {path / f'*{kind.suffix}'}"
     if isinstance(error, OSError) and error.strerror:
@@ -70,13 +69,14 @@ def reason_unreadable(path: Path, error: OSError | ValueError, kind: FileKind) -
     return str(error)
 
 
-def _nearest(path: Path, kind: FileKind) -> str:
-    """The nearest name among the files of this kind in the folder of a file; empty where there is none."""
+def nearest_file(path: Path, kind: FileKind) -> str:
+    """Return ``"; the nearest there is levels.toml"``, of this kind; empty where its folder has none."""
     names: list[str] = []
     with suppress(OSError):
         names = sorted(file.name for file in path.parent.iterdir() if file.suffix.lower() == kind.suffix)
     near = difflib.get_close_matches(path.name, names, n=MOST_CANDIDATES, cutoff=0.0)
-    return next((name for name in near if kind.matches(path.parent / name)), "")
+    found = next((name for name in near if kind.matches(path.parent / name)), "")
+    return f"; the nearest there is {found}" if found else ""
 
 
 def beginning_of(data: bytes, length: int = 8) -> str:

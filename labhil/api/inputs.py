@@ -14,6 +14,7 @@ import numpy as np
 from labhil.errors import OptionError, UsageError
 from labhil.kinds import kind_names
 from labhil.rig import RigFile, default_rig, is_simulator, load_rig
+from labhil.unreadable import RIG, nearest_file
 
 if TYPE_CHECKING:
     from labhil.analysis.dataset import Dataset
@@ -59,7 +60,7 @@ def rig_file(rig: PathLike | Model | RigFile | None) -> RigFile | None:
     path = path_of(rig, "rig")
     if not path.exists() and not is_simulator(str(path)):
         matches = difflib.get_close_matches(str(rig), kind_names(), n=1)
-        hint = f" (did you mean {matches[0]!r}?)" if matches else ""
+        hint = f" (did you mean {matches[0]!r}?)" if matches else nearest_file(path, RIG)
         raise UsageError(
             f"rig: expected a rig kind ({', '.join(kind_names())}) or the path of a rig file, found "
             f"{str(rig)!r}, which is neither{hint}"

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from labhil.documents import DocumentError, parse_toml
 from labhil.errors import ExperimentFileError
 from labhil.rig import RigFile, default_rig, is_simulator, load_rig
+from labhil.unreadable import RIG, nearest_file
 from labhil.validation_errors import format_validation_error
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -98,7 +99,7 @@ class WithDevices(Section):
             return default_rig(kind)
         file = self.path.parent / name
         if not is_simulator(str(file)) and not file.is_file():
-            actual = "something else" if file.exists() else "none"
+            actual = "something else" if file.exists() else f"none{nearest_file(file, RIG)}"
             raise ExperimentFileError(
                 f"{self.path}: devices.{device}.rig: expected the rig file {file}, found {actual}"
             )

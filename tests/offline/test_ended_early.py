@@ -129,7 +129,7 @@ def test_ctrl_c_before_there_is_a_result_says_so(labhil: Any, monkeypatch: pytes
     monkeypatch.setattr("labhil.api.fit.fit", interrupted)
     done = labhil("fit", RECORDING)
     assert done.status == INTERRUPTED
-    assert "labhil fit: interrupted (Ctrl+C) before there was a result; run it again" in done.err
+    assert "interrupted (Ctrl+C) before there was a result; run the command again" in done.err
 
 
 def shown(

@@ -19,6 +19,7 @@ from labhil.errors import (
     UsageError,
 )
 from labhil.experiment.experiment import load_experiment, parse_experiment
+from labhil.experiment.plan import make_plan
 from labhil.experiment.points import points_of
 from labhil.recording.export import export
 from labhil.rig import load_rig
@@ -67,6 +68,11 @@ def test_of_a_file_that_is_not_there_the_nearest_of_its_kind_is_named(
         text = str(caught.value)
         assert text.endswith(f"there is no such file; the nearest there is {nearest}"), text
         assert not RAW.search(text)
+    with pytest.raises(UsageError, match=r"which is neither; the nearest there is motor\.toml"):
+        lh.fit(lab / "run.mcap", lab / "moto.toml")
+    named = EXPERIMENT.replace('address = "twin"', 'address = "twin"\nrig = "moto.toml"')
+    with pytest.raises(ExperimentFileError, match=r"found none; the nearest there is motor\.toml"):
+        make_plan(parse_experiment(named, lab / "levels.toml"))
     with pytest.raises(ExperimentFileError, match=r"there is no folder .*elsewhere$"):
         load_experiment(lab / "elsewhere" / "levels.toml")
 
