@@ -2,7 +2,7 @@
 
 The command line, the keys of a rig file, the terms, the JSON schemas of results, the exit codes, and the
 picture of a run's states. A test fails when a page differs from what this makes.
-``reference/python-api.md`` is filled by Sphinx.
+``reference/python-api.md`` is filled by Sphinx; the table of names over each of its blocks is made here.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import pydoc
 import re
 import types
 import typing
@@ -325,12 +326,37 @@ def exit_codes() -> str:
     )
 
 
+# the Python API
+
+BLOCK = re.compile(r"(?:^\| name \|.*?\n\n)?(^```\{eval-rst\}\n.*?^```)", re.DOTALL | re.MULTILINE)
+DIRECTIVE = re.compile(r"^\.\. auto(?:function|class):: (\S+)$", re.MULTILINE)
+
+
+def python_api() -> str:
+    """The page of the Python API, with a table of names over each block that Sphinx fills."""
+    text = (REFERENCE / "python-api.md").read_text(encoding="utf-8")
+    return BLOCK.sub(_with_names, text)
+
+
+def _with_names(block: re.Match[str]) -> str:
+    rows = [(code(path.removeprefix("labhil.")), _first_line(path)) for path in DIRECTIVE.findall(block[1])]
+    return f"{table(('name', 'what it does'), rows)}\n\n{block[1]}" if rows else block[1]
+
+
+def _first_line(path: str) -> str:
+    """What the docstring of a public name says first, as Markdown."""
+    words = inspect.getdoc(pydoc.locate(path)) or ""
+    plain = re.sub(r":\w+:`~?(?:[\w.]+\.)?(\w+)`", r"`\1`", words.split("\n\n")[0])
+    return plain.replace("``", "`")
+
+
 PAGES: Mapping[str, Callable[[], str]] = {
     "cli.md": command_line,
     "rig-file.md": rig_file,
     "terms.md": terms,
     "schemas.md": schema_page,
     "exit-codes.md": exit_codes,
+    "python-api.md": python_api,
 }
 
 

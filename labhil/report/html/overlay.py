@@ -7,13 +7,16 @@ one. Lines have the number of their model in their identifier, ``…-model-2-…
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labhil.analysis.comparison import ComparedRecording, ComparisonResult
+from labhil.analysis.comparison import ComparisonResult
+from labhil.identify.score import Score
+from labhil.physics.model import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import MEASURED, figure_of, finish
 from labhil.report.formatting import format_quantity
@@ -38,21 +41,33 @@ WINDOW_STEP = 2
 """Jump in the sample numbers between two windows, which leaves a gap in the line."""
 
 
+@dataclass(frozen=True, slots=True)
+class Overlaid:
+    """A recording with the score of each model on the same windows of it; ``path`` is its file."""
+
+    path: str
+    record: Record
+    scores: tuple[Score, ...]
+
+
 def overlays(comparison: ComparisonResult, album: Album) -> tuple[Markup, ...]:
     """Make a legend with switches, and a picture of each output of each recording."""
-    outputs = [
-        (r, j)
-        for r, recording in enumerate(comparison.recordings)
-        for j in range(recording.record.outputs.shape[1])
-    ]
-    pictures = [_picture(album, comparison, r, j) for r, j in outputs[:MOST_PICTURES]]
+    recordings = [Overlaid(each.source.path, each.record, each.scores) for each in comparison.recordings]
+    return (overlay(comparison.names, recordings, album),)
+
+
+def overlay(names: Sequence[str], recordings: Sequence[Overlaid], album: Album) -> Markup:
+    """Make the same of models by name, at most as many as there are ``COLOURS``."""
+    outputs = [(recording, j) for recording in recordings for j in range(recording.record.outputs.shape[1])]
+    several = len(recordings) > 1
+    pictures = [_picture(album, recording, j, several=several) for recording, j in outputs[:MOST_PICTURES]]
     n_omitted = len(outputs) - len(pictures)
     more = (
         tag("p", f"{n_omitted} further outputs are in the table only.", class_="remark")
         if n_omitted
         else None
     )
-    return (tag("div", *switches(comparison.names), *pictures, more, class_="overlay"),)
+    return tag("div", *switches(names), *pictures, more, class_="overlay")
 
 
 def switches(names: Sequence[str]) -> list[Markup]:
@@ -66,11 +81,10 @@ def switches(names: Sequence[str]) -> list[Markup]:
     return elements
 
 
-def _picture(album: Album, comparison: ComparisonResult, r: int, j: int) -> Markup:
-    recording = comparison.recordings[r]
+def _picture(album: Album, recording: Overlaid, j: int, *, several: bool) -> Markup:
     channel = recording.scores[0].channels[j]
     name = keyed(channel.channel, channel.joint)
-    where = f" of {recording.source.path}" if len(comparison.recordings) > 1 else ""
+    where = f" of {recording.path}" if several else ""
     caption = (
         f"{name}{where}: measurement and simulations above, each model's error (simulated − measured) below, "
         "with the noise floor as a grey band."
@@ -78,7 +92,7 @@ def _picture(album: Album, comparison: ComparisonResult, r: int, j: int) -> Mark
     return album.picture(caption, lambda: _draw(recording, j))
 
 
-def _draw(recording: ComparedRecording, j: int) -> Figure:
+def _draw(recording: Overlaid, j: int) -> Figure:
     figure = figure_of((10.5, 5.6))
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     first = recording.scores[0]

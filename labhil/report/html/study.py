@@ -6,6 +6,7 @@ from pathlib import Path
 
 from labhil.analysis.schema import ComparisonPart, DiagnosisPart, FitPart, VerificationPart
 from labhil.analysis.study import DiagnosisResult, FitResult
+from labhil.diagnose.locate import HeldOut
 from labhil.physics.terms import keyed
 from labhil.report.fit_plot import fit_figure
 from labhil.report.html.diagnosis import diagnosis_page
@@ -13,6 +14,7 @@ from labhil.report.html.element import Markup
 from labhil.report.html.fit import fit_page
 from labhil.report.html.page import write_page
 from labhil.report.html.picture import Album
+from labhil.report.html.term_switches import term_switches
 from labhil.report.plots import channel_figure, diagnosis_figure, worst_output
 
 
@@ -39,6 +41,9 @@ def write_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
     drawn = [album.picture(caption, lambda: diagnosis_figure(diagnosis))]
     others = [j for j in range(len(diagnosis.after.channels)) if j != worst_output(diagnosis)]
     drawn += [_channel_picture(album, result, j) for j in others]
+    held_out = HeldOut(diagnosis.held_out, diagnosis.before, diagnosis.after)
+    switched = term_switches(diagnosis.final_fit, diagnosis.named, held_out, album)
+    drawn += [] if switched is None else [switched]
     part = result.part
     write_page(diagnosis_page(part, foot_of(part), album, drawn), path)
 
