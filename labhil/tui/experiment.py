@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Any, ClassVar
 
 from rich.text import Text
@@ -188,7 +189,7 @@ class ExperimentPane(Vertical, Pane):
             text.append(str(error))
         else:
             if is_campaign(experiment):
-                self._refusal = f"Not started here: `labhil run {file.path}` makes all runs of this file."
+                self._refusal = f"Not started here: `{command(file.path)}` makes all runs of this file."
                 text.append_text(campaign_text(experiment, file.path, colours))
             else:
                 self.plan = plan
@@ -258,6 +259,11 @@ class ExperimentPane(Vertical, Pane):
             self.log_line("recorded", f"{result['path']}  (4 shows it)")
 
 
+def command(path: Path) -> str:
+    """Return the command that makes the runs of a file, as a shell takes it."""
+    return f"labhil run {quote(str(path))}"
+
+
 def campaign_text(experiment: Experiment, path: Path, colours: dict[str, str]) -> Text:
     """Return how many runs a file with ``repeat`` or [sweep] has, and the command that makes them.
 
@@ -268,7 +274,7 @@ def campaign_text(experiment: Experiment, path: Path, colours: dict[str, str]) -
     """
     text = Text(f"◆ {count_runs(experiment)} runs", style=f"bold {colours['accent']}")
     text.append("; not started here\n", style="not bold")
-    text.append(f"labhil run {path}\n")
+    text.append(f"{command(path)}\n")
     text.append("makes them all, with --dry-run it lists them\n\n", style=colours["muted"])
     if experiment.sweep is not None:
         for place, values in experiment.sweep.over.items():

@@ -23,7 +23,7 @@ COLUMNS = {
     "reason": ("reason", 12),
 }
 """Heading and least width of each column."""
-LEAST_IMPORTANT = ("when", "size", "samples", "rig")
+LEAST_IMPORTANT = ("when", "size", "samples", "rig", "duration", "gaps")
 """Columns that go, in this order, where there is no room; the details name time and size too."""
 PADDING = 2
 """Blanks around a cell."""

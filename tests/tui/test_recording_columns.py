@@ -39,7 +39,7 @@ def rows(app: LabApp) -> list[str]:
     return ["".join(segment.text for segment in strip) for strip in app.screen._compositor.render_strips()]
 
 
-@pytest.mark.parametrize("room", [60, 78, 98, 118, 158])
+@pytest.mark.parametrize("room", [40, 48, 60, 78, 98, 118, 158])
 def test_columns_that_have_no_room_are_left_out(room: int) -> None:
     row = row_of(FAILED, "+", COLOURS)
     widths = fit_columns([row], room)
@@ -48,7 +48,7 @@ def test_columns_that_have_no_room_are_left_out(room: int) -> None:
     for key, cell in shown.items():
         assert key == "reason" or cell.cell_len <= widths[key]
     assert shown["status"].plain == "✕ failed (130)"
-    assert shown["gaps"].plain == "12\u202f345"
+    assert room == 40 or shown["gaps"].plain == "12\u202f345"
     assert "…" in shown["name"].plain
     assert shown["name"].plain.endswith("-11-28-17")
     assert list(widths) == [key for key in COLUMNS if key in widths]

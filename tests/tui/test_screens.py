@@ -61,6 +61,11 @@ async def stopped(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12")(pilot, app)
 
 
+async def stopped_elsewhere(pilot: Pilot[None], app: LabApp) -> None:
+    """On a screen above the tabs, where the stop has to be as visible."""
+    await keys("4", "enter", "f12")(pilot, app)
+
+
 async def release(pilot: Pilot[None], app: LabApp) -> None:
     await keys("1", "f12", "f9")(pilot, app)
 
@@ -154,6 +159,8 @@ SHOWN: dict[str, Go] = {
     "compared": compared,
     "marked": marked,
     "stopped": stopped,
+    "stopped-elsewhere": stopped_elsewhere,
+    "overlaid": keys("4", "space", "down", "space", "o"),
     "release": release,
     "verify": keys("4", "v"),
     "analysis": analysis,
