@@ -23,6 +23,7 @@ from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagre
 from labhil.physics.terms import keyed, listed
 from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.formatting import (
+    SIGNIFICANCE,
     format_interval,
     format_multiple,
     format_p_value,
@@ -206,10 +207,15 @@ def _method(fit: FitPart, colours: Colours) -> Text:
     text.append(f"terms: {', '.join(listed(fit.terms))}\n")
     text.append(f"estimator {fit.estimator}, seed {fit.seed}, {fit.evaluations} simulations")
     text.append(f", {format_quantity(fit.seconds, 's', 3)}\n")
-    text.append(f"residuals white with p {format_p_value(fit.residuals.ljung_box_p)}, ")
-    text.append(f"free of the input with p {format_p_value(fit.residuals.input_crosscorrelation_p)}\n")
+    white, free = fit.residuals.ljung_box_p, fit.residuals.input_crosscorrelation_p
+    text.append(f"residuals {_tested('white', white)}, {_tested('free of the input', free)}\n")
     text.append(_sources(fit))
     return text
+
+
+def _tested(assumed: str, p: float | None) -> str:
+    """What a test of the residuals says of what is assumed of them."""
+    return f"{'not ' if p is not None and p < SIGNIFICANCE else ''}{assumed} with p {format_p_value(p)}"
 
 
 def _sources(part: FitPart | DiagnosisPart) -> str:

@@ -80,3 +80,10 @@ def test_a_row_takes_one_line_where_there_is_room() -> None:
     rows = len(FitPart.model_validate_json(FIT.read_text(encoding="utf-8")).parameters)
     assert len(drawn(160).splitlines()) == rows + 1
     assert len(drawn(58).splitlines()) > rows + 1
+
+
+@pytest.mark.parametrize(("p", "said"), [(0.4, "residuals white with"), (1e-9, "residuals not white with")])
+def test_residuals_are_not_called_white_where_that_is_refuted(p: float, said: str) -> None:
+    part = FitPart.model_validate_json(FIT.read_text(encoding="utf-8"))
+    part = part.model_copy(update={"residuals": part.residuals.model_copy(update={"ljung_box_p": p})})
+    assert said in spaced(capture(fit_text(part, defaultdict(lambda: "#ffffff")), 120))
