@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import shutil
@@ -17,6 +18,7 @@ import labhil as lh
 from labhil.analysis.paired import block_squares, paired_p_value
 from labhil.analysis.schema import Parameter
 from labhil.analysis.shared_parameters import compare_values
+from labhil.report.formatting import format_powers
 from labhil.report.html.overlay import COLOURS
 
 ROOT = Path(__file__).parents[2]
@@ -152,7 +154,7 @@ def test_the_page_has_a_switch_for_every_model(labhil, fits, tmp_path):
     assert page.count("<script") == 1  # ours
     assert not re.findall(r'(?:src|href)="(?!#|data:)', page)
     found = content(tmp_path / "c.json")
-    assert found["statement"] in page
+    assert html.escape(format_powers(found["statement"])) in page
     assert all(step.split("`")[0] in page for step in found["next_steps"])
     for number, name in enumerate(("measured", *(f"{n}.json" for n in names))):
         assert f'id="show-{number}"' in page
@@ -161,7 +163,7 @@ def test_the_page_has_a_switch_for_every_model(labhil, fits, tmp_path):
     assert f"{found['models'][1]['per_channel'][0]['rmse']:.4g}\N{NO-BREAK SPACE}m" in page
     assert labhil("report", "c.json", "-o", "again.html").status == 0
     again = (tmp_path / "again.html").read_text(encoding="utf-8")
-    assert found["statement"] in again
+    assert html.escape(format_powers(found["statement"])) in again
     assert "<svg" not in again
 
 
