@@ -46,9 +46,14 @@ def status_from_metadata(metadata: Mapping[str, Mapping[str, str]]) -> str:
     end = metadata.get("end", {})
     if not end:
         return "no end"
-    if "experiment" not in metadata:
+    if is_imported(metadata):
         return "imported"
     return "done" if end.get("exit_status") in ("0", "done") else "failed"
+
+
+def is_imported(metadata: Mapping[str, Mapping[str, str]]) -> bool:
+    """Whether neither a run nor a lab in service made the recording, by its metadata."""
+    return not {"experiment", "lab"} & metadata.keys()
 
 
 def start_time(recording: Recording) -> datetime | None:

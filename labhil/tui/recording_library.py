@@ -12,7 +12,7 @@ from pathlib import Path
 
 from labhil.documents import LARGEST, parse_json, parse_toml, read_document
 from labhil.errors import LabhilError
-from labhil.recording.contents import free_text_of
+from labhil.recording.contents import free_text_of, is_imported
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
 
@@ -146,7 +146,7 @@ def run_outcome(recording: Recording) -> tuple[str, str]:
     status, reason = end_metadata.get("exit_status", ""), end_metadata.get("reason", "")
     if not recording.complete or not end_metadata:
         return "no end", recording.damage
-    if "experiment" not in recording.metadata:
+    if is_imported(recording.metadata):
         return "imported", reason
     return ("done" if status in ("0", "done") else f"failed ({status})"), reason
 

@@ -187,3 +187,10 @@ def test_a_wrong_question_is_answered_with_what_was_expected(
     done = labhil("list", *arguments)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("made_by", "status"), [({"experiment": {}}, "done"), ({"lab": {}}, "done"), ({}, "imported")]
+)
+def test_a_recording_of_a_lab_in_service_is_not_imported(made_by: dict[str, Any], status: str) -> None:
+    assert status_from_metadata({"end": {"exit_status": "0"}, **made_by}) == status
