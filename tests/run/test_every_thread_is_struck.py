@@ -47,6 +47,7 @@ STRUCK = {
     "labhil/tui/session.py Session": (SCREEN, "test_a_view_that_is_out_of_date_says_so"),
     "labhil/tui/live.py LivePane": BACKGROUND,
     "labhil/tui/recording.py RecordingScreen": BACKGROUND,
+    "labhil/tui/recordings_overlay.py RecordingsOverlay": BACKGROUND,
     "labhil/tui/shadow.py ShadowView": BACKGROUND,
     "labhil/tui/library_reader.py LibraryReader": BACKGROUND,
     "labhil/tui/emergency_stop.py EmergencyStop": (SCREEN, "test_an_emergency_stop_that_fails_says_so"),
