@@ -32,14 +32,13 @@ def new(
 
     Asks for missing arguments, and proposes the serial ports of this machine. Prints the two files.
     """
-    from labhil.experiment.new import example_drivers, write_new
+    from labhil.experiment.new import check_kind, example_drivers, write_new
 
     if kind is None:
         kind = _ask(f"Which device ({', '.join(example_drivers())})", None, "KIND")
+    check_kind(kind)
     if address is None:
-        ports = _serial_ports()
-        complain(*(f"serial port: {port}" for port in ports))
-        address = _ask("Its address (twin for a simulated one)", ports[0] if ports else "twin", "--address")
+        address = _ask_address(kind)
     rig, experiment = write_new(kind, address, out)
     tell(
         (
@@ -54,6 +53,17 @@ def _ask(question: str, default: str | None, option: str) -> str:
     if not sys.stdin.isatty():
         raise UsageError(f"{option}: expected it on the command line, as stdin is no terminal")
     return str(typer.prompt(question, default=default, err=True)).strip()
+
+
+def _ask_address(kind: str) -> str:
+    """Ask for the address of a device; the serial ports are proposed where its driver takes them."""
+    from labhil.plugins import load_driver
+
+    takes = load_driver(kind).spec.address_help
+    ports = _serial_ports() if "/dev/" in takes else []
+    complain(*(f"serial port: {port}" for port in ports))
+    proposed = ports[0] if ports else "twin"
+    return _ask(f"Its address (twin for a simulated one; or {takes})", proposed, "--address")
 
 
 def _serial_ports() -> list[str]:

@@ -21,6 +21,12 @@ def example_drivers() -> tuple[str, ...]:
     return tuple(sorted(name.removesuffix("_identify.toml") for name in names if "_identify.toml" in name))
 
 
+def check_kind(kind: str) -> None:
+    """Raise UnknownNameError where there is no example for a driver."""
+    if kind not in example_drivers():
+        raise UnknownNameError("driver", kind, example_drivers())
+
+
 def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
     """Write ``KIND.toml`` (the rig) and ``KIND_identify.toml`` (the experiment) into a folder.
 
@@ -38,10 +44,9 @@ def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
         UnknownNameError: There is no example for this driver.
         UsageError: A file exists already, or the folder cannot be written to.
     """
-    if kind not in example_drivers():
-        raise UnknownNameError("driver", kind, example_drivers())
-    if not address.strip():
-        raise UsageError('address: expected "twin", a serial port or an address, found nothing')
+    check_kind(kind)
+    if not address.strip() or any(character.isspace() for character in address.strip()):
+        raise UsageError(f'address: expected "twin", a serial port or an address, found {address!r}')
     rig, experiment = folder / f"{kind}.toml", folder / f"{kind}_identify.toml"
     for path in (rig, experiment):
         if path.exists():

@@ -57,6 +57,7 @@ def test_the_command_writes_two_files_and_overwrites_none(tmp_path: Path) -> Non
     [
         (("dc_moter", "--address", "twin"), "did you mean 'dc_motor'"),
         (("dc_motor", "--address", " "), 'expected "twin"'),
+        (("dc_motor", "--address", "not an address"), "found 'not an address'"),
         ((), "KIND: expected it on the command line"),
         (("dc_motor",), "--address: expected it on the command line"),
     ],
@@ -67,13 +68,31 @@ def test_what_is_missing_or_wrong_is_said(tmp_path: Path, arguments: tuple[str, 
     assert message in done.stderr
 
 
-def test_at_a_terminal_it_asks(tmp_path: Path) -> None:
+def asked(folder: Path, answers: bytes) -> subprocess.CompletedProcess[str]:
+    """The command at a terminal, where these answers are typed."""
     ours, theirs = pty.openpty()
-    os.write(ours, b"solenoid\ntwin\n")
+    os.write(ours, answers)
     done = subprocess.run(
-        COMMAND, cwd=tmp_path, stdin=theirs, capture_output=True, text=True, check=False, timeout=60
+        COMMAND, cwd=folder, stdin=theirs, capture_output=True, text=True, check=False, timeout=60
     )
     os.close(ours)
     os.close(theirs)
+    return done
+
+
+def test_at_a_terminal_it_asks(tmp_path: Path) -> None:
+    done = asked(tmp_path, b"solenoid\ntwin\n")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["solenoid.toml", "solenoid_identify.toml"]
+
+
+@pytest.mark.extended
+def test_the_question_says_what_the_driver_takes_and_a_wrong_kind_is_refused_before(tmp_path: Path) -> None:
+    arm = asked(tmp_path, b"ur5\n\n")
+    assert "IP address" in arm.stderr
+    assert "serial port" not in arm.stderr
+    assert 'address = "twin"' in (tmp_path / "ur5_identify.toml").read_text(encoding="utf-8")
+    wrong = asked(tmp_path, b"ur55\n")
+    assert wrong.returncode == 2
+    assert "did you mean 'ur5'" in wrong.stderr
+    assert "Its address" not in wrong.stderr
