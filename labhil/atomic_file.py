@@ -12,15 +12,17 @@ from typing import Any
 
 from labhil.errors import DiskFailedError, LabhilError, UsageError
 
-DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What a disk says that is full or broken; anything else is the fault of the path."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK = (*FULL, errno.EIO, errno.EROFS)
+"""What a disk says that is full, broken or read-only; anything else is the fault of the path."""
 
 
 def write_error(path: Path, error: OSError, what: str = "") -> LabhilError:
     """The error of a file that could not be written: of the disk, or of the path."""
     message = f"{path}: {what + ' ' if what else ''}cannot be written: {error.strerror or error}"
     if error.errno in DISK:
-        return DiskFailedError(f"{message}; make room and try again, nothing half is left")
+        advice = "make room and try again" if error.errno in FULL else "give a disk that can be written to"
+        return DiskFailedError(f"{message}; {advice}, nothing half is left")
     return UsageError(message)
 
 

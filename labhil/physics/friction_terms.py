@@ -2,8 +2,9 @@
 
 F = c·v + [F_c + F_st·exp(−|v|/v_s)]·sgn v + …, with velocity v, viscous coefficient c, Coulomb level F_c,
 Stribeck level F_st and Stribeck velocity v_s (Coulomb 1785; Stribeck 1902). Levels add up: F_st is the
-friction at creeping speed above the Coulomb level and so not negative, and ``static_friction`` is the
-break-away force above both. The same laws as compiled functions are in ``physics.friction``.
+friction at creeping speed above the Coulomb level (negative where that is the larger one, as of the motor in
+the reference text), and ``static_friction`` is the break-away force above both. The same laws as compiled
+functions are in ``physics.friction``.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
                 "stribeck_friction.level",
                 force,
                 level,
-                0.0,
+                -10.0 * level,
                 10.0 * level,
                 starts=(0.1,),
                 of=CharacteristicScale.DRIVE,

@@ -180,7 +180,7 @@ def test_a_recording_does_not_run_the_fmu_of_its_author(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text(f'[model]\nfmu = "{path.name}"\n', encoding="utf-8")
     swing(rig, seconds=2.0).save(tmp_path / "run.mcap")
-    with pytest.raises(RecordingError, match="files that came with a recording are not loaded"):
+    with pytest.raises(RecordingError, match="a simulator of its author's, which is not loaded from there"):
         lh.fit(tmp_path / "run.mcap")
 
 
