@@ -134,6 +134,7 @@ def test_an_arm_in_degrees_shows_by_its_reach_and_by_the_derivative():
     assert lines(scaled(record, t=1e3), "ur5") == ('t = { column = "t", scale = 0.001 }',)
 
 
+@pytest.mark.extended
 def test_a_plunger_in_millimetres_and_an_axis_that_counts_backwards():
     plunger = replay("solenoid", two_tones(1.5), ("viscous_friction",), period=1e-3).record
     assert lines(scaled(plunger, plunger_position=1e3), "solenoid") == (

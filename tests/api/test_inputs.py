@@ -59,6 +59,7 @@ def test_arrays_that_are_no_recording_are_refused_with_the_reason(changes, said)
         motor(**changes)
 
 
+@pytest.mark.extended
 def test_arrays_become_a_recording_that_is_saved_and_read_again(tmp_path):
     rec = motor(t=T + 100.0, others={"winding_temperature": 20.0 + 0.0 * T})
     assert rec["speed"] == pytest.approx(SPEED)

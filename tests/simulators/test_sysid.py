@@ -81,6 +81,7 @@ def trajectory(folder: Path, mass: float = MASS, seconds: float = 3.0) -> System
     )
 
 
+@pytest.mark.extended
 def test_a_trajectory_of_sysid_is_imported(tmp_path: Path) -> None:
     rig = bench(tmp_path)
     saved = trajectory(tmp_path)
