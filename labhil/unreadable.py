@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 BEGIN = 1 << 16
-"""Bytes of a file by which its kind is told."""
+"""Bytes at the beginning of a file by which its kind is recognised."""
 
 MOST_CANDIDATES = 20
 """Files with near names whose beginning is read."""

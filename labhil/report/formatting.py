@@ -117,6 +117,11 @@ def format_p(probability: float | None) -> str:
     return "<1e-99" if probability < SMALLEST_P else f"{probability:.2g}"
 
 
+def is_refuted(probability: float | None) -> bool:
+    """Whether a test refutes what it assumes; False where nothing was tested."""
+    return probability is not None and probability < SIGNIFICANCE
+
+
 def format_p_relation(probability: float | None) -> str:
     """Format what follows "p" in a sentence: ``= 0.03``, ``<1e-99``; None is a dash."""
     text = format_p(probability)

@@ -28,10 +28,10 @@ from labhil.report.exclusions import group_undecided, joints_table, limits_by_jo
 from labhil.report.faults import fault_lines
 from labhil.report.formatting import (
     NOTHING,
-    SIGNIFICANCE,
     format_number,
     format_p_relation,
     format_quantity,
+    is_refuted,
     square_unit,
 )
 from labhil.report.parameter_columns import COLUMNS
@@ -77,7 +77,7 @@ def _test_phrase(held: str, refuted: str, probability: float | None) -> str:
     """Say what a test of the residuals has found: what was assumed, or the opposite where it is refuted."""
     if probability is None:
         return f"not tested whether {held}"
-    return f"{refuted if probability < SIGNIFICANCE else held}, p {format_p_relation(probability)}"
+    return f"{refuted if is_refuted(probability) else held}, p {format_p_relation(probability)}"
 
 
 def recording_numbers(sources: Sequence[Source]) -> list[str]:

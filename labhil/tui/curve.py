@@ -50,6 +50,11 @@ class PlotCurve:
     gap: float = math.inf
 
 
+def longest_gap(t: FloatArray, *, periods: float = 5.0) -> float:
+    """Return the longest step between samples at ``t`` (n ≥ 2) that a line bridges, in the unit of ``t``."""
+    return periods * float(np.median(np.diff(t)))
+
+
 def column_curves(
     x: FloatArray, values: FloatArray, names: Sequence[str], number: int, gap: float
 ) -> list[PlotCurve]:

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
-import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -20,7 +19,7 @@ from labhil.recording.recording import Recording, StreamData
 from labhil.report.formatting import format_count
 from labhil.terminal import printable
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PlotCurve, column_curves
+from labhil.tui.curve import PlotCurve, column_curves, longest_gap
 from labhil.tui.footer import KeyFooter
 from labhil.tui.formatting import format_duration, format_frequency, outcome_label
 from labhil.tui.plot import PLOT_HELP, Chart
@@ -111,8 +110,7 @@ def _channel(
     title = Text(no_wrap=True, overflow="ellipsis")
     title.append(name, style="bold")
     title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
-    gap = 5.0 * float(np.median(np.diff(data.t)))
-    return title, column_curves(data.t, values, signal.columns(), number, gap)
+    return title, column_curves(data.t, values, signal.columns(), number, longest_gap(data.t))
 
 
 def _events(recording: Recording, colours: dict[str, str]) -> Text:

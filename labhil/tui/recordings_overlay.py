@@ -9,7 +9,6 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import ClassVar
 
-import numpy as np
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
@@ -20,16 +19,14 @@ from labhil.errors import LabhilError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording, StreamData
 from labhil.tui.background import work_in_background
-from labhil.tui.curve import PENS, Pen, PlotCurve
+from labhil.tui.curve import PENS, Pen, PlotCurve, longest_gap
 from labhil.tui.footer import KeyFooter
 from labhil.tui.plot import PLOT_HELP, Chart
 from labhil.tui.themes import CURVES
 from labhil.tui.top_bar import WithBar
 
 MOST_OVERLAID = 6
-"""Recordings that are told apart by colour and pen."""
-LONGEST_GAP = 5.0
-"""Longest step that a line bridges, in periods of the samples."""
+"""Recordings that differ in colour or pen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +127,7 @@ def _columns(data: StreamData, number: int) -> Iterator[tuple[str, str, PlotCurv
     """Name, unit and curve of each column of a stream; nothing for less than two samples."""
     if len(data) < 2:
         return
-    gap = LONGEST_GAP * float(np.median(np.diff(data.t)))
+    gap = longest_gap(data.t)
     colour, pen = _look(number)
     for signal in data.stream.signals:
         values = data[signal.name].reshape(len(data), -1)

@@ -23,13 +23,13 @@ from labhil.analysis.verdicts import FIT_VERDICTS, NOT_TESTED, VERDICTS, disagre
 from labhil.physics.terms import keyed, listed
 from labhil.report.exclusions import group_undecided, joints_table, limits_by_joint
 from labhil.report.formatting import (
-    SIGNIFICANCE,
     format_interval,
     format_multiple,
     format_p_value,
     format_percent,
     format_probability,
     format_quantity,
+    is_refuted,
 )
 from labhil.report.parameter_columns import COLUMNS
 from labhil.tui.fitting_table import FittingTable, has_room
@@ -215,7 +215,7 @@ def _method(fit: FitPart, colours: Colours) -> Text:
 
 def _tested(assumed: str, p: float | None) -> str:
     """What a test of the residuals says of what is assumed of them."""
-    return f"{'not ' if p is not None and p < SIGNIFICANCE else ''}{assumed} with p {format_p_value(p)}"
+    return f"{'not ' if is_refuted(p) else ''}{assumed} with p {format_p_value(p)}"
 
 
 def _sources(part: FitPart | DiagnosisPart) -> str:

@@ -1,4 +1,4 @@
-"""Files that cannot be read and values of the wrong kind: told in plain words, not in those of a library."""
+"""Unreadable files and values of the wrong kind are answered in plain words, not in those of a library."""
 
 from __future__ import annotations
 

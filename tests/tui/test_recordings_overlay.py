@@ -1,4 +1,4 @@
-"""Marked recordings over each other: the same signals in one chart, told apart by more than colour."""
+"""Marked recordings over each other: one chart for each signal, whose curves differ in colour and pen."""
 
 from __future__ import annotations
 

@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 from labhil.analysis.schema import ChannelErrors, FitPart, Identifiability, Parameter, Score
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.formatting import (
-    SIGNIFICANCE,
     format_count,
     format_multiple,
     format_p_value,
     format_percent,
     format_quantity,
+    is_refuted,
     square_unit,
 )
 from labhil.report.html.element import Content, Markup, tag
@@ -257,7 +257,7 @@ def _residuals(fit: FitPart) -> PageSection | None:
 def _answer(p: float | None) -> str:
     if p is None:
         return "not known"
-    return "nothing speaks against it" if p >= SIGNIFICANCE else "no"
+    return "no" if is_refuted(p) else "nothing speaks against it"
 
 
 def _correlations(fit: FitPart, album: Album) -> PageSection | None:
