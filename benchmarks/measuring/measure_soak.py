@@ -38,6 +38,7 @@ from labhil.bus.ask import ask
 from labhil.bus.keys import command_key, setpoint_key
 from labhil.bus.publish import publish_command
 from labhil.bus.session import Bus, open_bus
+from labhil.errors import CommandRefusedError
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import StreamData
 from labhil.service.messages import Setpoint
@@ -196,13 +197,21 @@ class Mover:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
         self.taken = dict.fromkeys((rig.kind for rig in RIGS), 0)
+        self.refused = dict.fromkeys((rig.kind for rig in RIGS), 0)
         for rig in RIGS:  # each moves from then on: a lease that is not used runs out
             self.take(rig.kind)
 
     def take(self, device: str) -> None:
-        """Take the lease of a device: it ran out where a busy machine held up this program for too long."""
+        """Take the lease of a device: it ran out where a busy machine held up this program for too long.
+
+        A refusal is counted: a device that stood still is looked for again, and has no leases meanwhile.
+        """
         request = {"action": "take", "holder": HOLDER}
-        answer = ask(self._bus, command_key(device, "lease"), request, patience=PATIENCE)
+        try:
+            answer = ask(self._bus, command_key(device, "lease"), request, patience=PATIENCE)
+        except CommandRefusedError:
+            self.refused[device] += 1
+            return
         self._tokens[device] = str(answer["token"])
         self.taken[device] += 1
 
@@ -210,7 +219,8 @@ class Mover:
         self._over.set()
         self._thread.join()
         for rig in RIGS:
-            ask(self._bus, command_key(rig.kind, "safe"), {"reason": "the soak is over"})
+            with contextlib.suppress(CommandRefusedError):  # a device that is away is safe by its watchdog
+                ask(self._bus, command_key(rig.kind, "safe"), {"reason": "the soak is over"})
 
     def _run(self) -> None:
         began = time.monotonic()
@@ -255,6 +265,7 @@ def soak(seconds: float, roll: float, size: tuple[int, int], tab: str, folder: P
     return {
         "processes": {role: summarise_usage(usage, seconds) for role, usage in sorted(meter.usage.items())},
         "leases_taken": mover.taken,
+        "leases_refused": mover.refused,
         "answers_of_hosts_ms": in_parts(np.array(answers)),
         "recordings": {rig.kind: summarise_recordings(folder, rig.kind) for rig in RIGS},
         "results": {kind: len(list(folder.glob(f"*.{kind}.json"))) for kind in ("fit", "diagnosis")},
