@@ -60,6 +60,9 @@ def test_the_command_writes_two_files_and_overwrites_none(tmp_path: Path) -> Non
         (("dc_motor", "--address", "not an address"), "found 'not an address'"),
         ((), "KIND: expected it on the command line"),
         (("dc_motor",), "--address: expected it on the command line"),
+        (("ur5", "--search", "10.0.0.0/8"), "--search: expected an IPv4 network of 254 hosts at most"),
+        (("dc_motor", "--search", "192.168.1.0/24"), "which is on a serial port"),
+        (("ur5", "--address", "twin", "--search", "192.168.1.0/24"), "expected no --address beside it"),
     ],
 )
 def test_what_is_missing_or_wrong_is_said(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
