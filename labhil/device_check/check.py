@@ -11,7 +11,7 @@ from labhil.device_check.at_rest import findings_at_rest
 from labhil.device_check.direction import findings_of_step, movements
 from labhil.device_check.expected import implausible_sizes, simulated_answer
 from labhil.device_check.samples import Samples
-from labhil.device_check.small_step import Answer, SmallStep, make_step, plan_steps
+from labhil.device_check.small_step import ARRIVAL_TIMEOUT, Answer, SmallStep, make_step, plan_steps
 from labhil.doctor.finding import Finding, State, broken, note
 from labhil.errors import CommandRefusedError, MissingExtraError, RunError, UsageError
 from labhil.experiment.bench import Bench
@@ -65,7 +65,7 @@ def check_device(experiment: Path, check: Check) -> bool:
     plan = _plan(load_experiment(experiment))
     answers: list[Answer] = []
     with Bench(plan) as bench:
-        bench.read(timeout=10.0)  # the first sample: a device that just booted may take its time
+        bench.read(timeout=ARRIVAL_TIMEOUT)  # a device that has just booted takes its time
         bench.received()
         rest = Samples.of(Samples.received(bench).stream, bench.collect(REST_TIME))
         for finding in findings_at_rest(rest, plan.spec, plan.rig):

@@ -84,14 +84,15 @@ def asked(folder: Path, answers: bytes) -> subprocess.CompletedProcess[str]:
 
 
 def test_at_a_terminal_it_asks(tmp_path: Path) -> None:
-    done = asked(tmp_path, b"solenoid\ntwin\n")
+    done = asked(tmp_path, b"solenoid\ntwin\nn\n")
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["solenoid.toml", "solenoid_identify.toml"]
+    assert "Read the device now" in done.stderr
 
 
 @pytest.mark.extended
 def test_the_question_says_what_the_driver_takes_and_a_wrong_kind_is_refused_before(tmp_path: Path) -> None:
-    arm = asked(tmp_path, b"ur5\n\n")
+    arm = asked(tmp_path, b"ur5\ntwin\nn\n")
     assert "IP address" in arm.stderr
     assert "serial port" not in arm.stderr
     assert 'address = "twin"' in (tmp_path / "ur5_identify.toml").read_text(encoding="utf-8")
