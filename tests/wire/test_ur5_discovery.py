@@ -88,6 +88,15 @@ def test_every_driver_is_asked_in_the_same_way() -> None:
         find_addresses("dc_motor", "192.168.1.0/24")
 
 
+def test_a_thread_that_dies_is_heard_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    def die(host: str) -> bool:
+        raise RuntimeError(f"struck at {host}")
+
+    monkeypatch.setattr(discovery, "is_controller", die)
+    with pytest.raises(RuntimeError, match=r"struck at 192\.168\.1\.9"):
+        find_addresses("ur5", "192.168.1.9/32")
+
+
 @pytest.mark.extended
 def test_a_controller_is_found_in_the_network_that_is_named() -> None:
     host = address(94)
