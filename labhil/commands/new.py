@@ -122,11 +122,13 @@ def _check(experiment: Path, *, may_move: bool, share: float) -> None:
 
 
 def _is_yes(question: str) -> bool:
-    """Ask a question whose answer is no unless somebody says yes."""
+    """Ask a question whose answer is no unless somebody says yes; the end of the input is no yes."""
     try:
         return bool(typer.confirm(question, default=False, err=True))
     except typer.Abort as abort:
-        raise _end_of(abort) from abort
+        if isinstance(abort.__context__, EOFError):
+            return False
+        raise KeyboardInterrupt from abort
 
 
 def _ask(question: str, default: str | None, option: str) -> str:
@@ -135,14 +137,9 @@ def _ask(question: str, default: str | None, option: str) -> str:
     try:
         return str(typer.prompt(question, default=default, err=True)).strip()
     except typer.Abort as abort:
-        raise _end_of(abort) from abort
-
-
-def _end_of(abort: typer.Abort) -> BaseException:
-    """What ended a question: Ctrl+C, or the end of the input, which is no answer."""
-    if isinstance(abort.__context__, EOFError):
-        return UsageError("expected an answer, found the end of the input")
-    return KeyboardInterrupt()
+        if isinstance(abort.__context__, EOFError):
+            raise UsageError(f"{option}: expected an answer, found the end of the input") from abort
+        raise KeyboardInterrupt from abort
 
 
 def _ask_address(kind: str, search: str | None) -> str:

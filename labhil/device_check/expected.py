@@ -26,6 +26,9 @@ from labhil.physics.rigs import model_for, record_of_samples, rig_model
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
+MIN_SAMPLES = 16
+"""Least number of samples whose sizes are judged, as in ``identify.plausibility``."""
+
 
 def simulated_answer(answer: Answer, rig: RigFile) -> dict[str, FloatArray]:
     """Simulate a step by the model of the rig, from typical sizes where the rig file states none.
@@ -74,7 +77,7 @@ def _typical_sizes(model: Model, record: Record, rig: RigFile) -> FloatArray:
 def implausible_sizes(samples: Samples, rig: RigFile) -> Iterator[Finding]:
     """Find channels that are larger than such a rig can be: they come in another unit than stated."""
     record = record_of_samples(samples.stream, samples.t, samples.values, rig.kind)
-    if record is None or not np.isfinite(record.outputs).all():
+    if record is None or len(record) < MIN_SAMPLES or not np.isfinite(record.outputs).all():
         return
     known = {name: value for name in rig.kind.known if (value := rig.known_number(name)) is not None}
     try:

@@ -15,7 +15,7 @@ import numpy as np
 from labhil.device_check.samples import Samples
 from labhil.doctor.finding import Finding, broken, note
 from labhil.driver import DriverSpec
-from labhil.errors import ConditionError
+from labhil.errors import ConditionError, DeviceSilentError
 from labhil.experiment.bench import Bench
 from labhil.rig import RigFile
 from labhil.service.declared import safe_values
@@ -117,12 +117,15 @@ def make_step(bench: Bench, step: SmallStep) -> Answer:
         ConditionError: The command does not come into effect.
         LimitTrippedError: A sample left the limits; the host has made the device safe.
         CommandRefusedError: The emergency stop was pressed, or somebody else commands the device.
+        DeviceSilentError: The device stopped talking.
     """
     try:
         bench.command(hold=HOLD_TIME, **{step.column: step.start})
         bench.received()
         bench.command(hold=HOLD_TIME, **{step.column: step.start})
         before = Samples.received(bench)
+        if not len(before):
+            raise DeviceSilentError(f"{step.column}: expected samples within {HOLD_TIME:g} s, found none")
         parts = list(_go(bench, step, step.start, step.target))
         bench.command(hold=HOLD_TIME, **{step.column: step.target})
         parts.append(Samples.received(bench))

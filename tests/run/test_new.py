@@ -4,6 +4,7 @@ import os
 import pty
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -100,3 +101,30 @@ def test_the_question_says_what_the_driver_takes_and_a_wrong_kind_is_refused_bef
     assert wrong.returncode == 2
     assert "did you mean 'ur5'" in wrong.stderr
     assert "Its address" not in wrong.stderr
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize(("typed", "status"), [(b"dc_motor\n\x03", 130), (b"dc_motor\n\x04", 2)])
+def test_a_question_ends_with_ctrl_c_and_with_the_end_of_the_input(
+    tmp_path: Path, typed: bytes, status: int
+) -> None:
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(
+        ["setsid", "--ctty", *COMMAND],
+        cwd=tmp_path,
+        stdin=theirs,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stderr is not None
+    said = b""
+    os.write(ours, typed[:-1])
+    while b"Its address" not in said:
+        said += os.read(process.stderr.fileno(), 4096)
+    time.sleep(0.5)  # the question is asked; now it is read
+    os.write(ours, typed[-1:])
+    assert process.wait(60) == status
+    process.stderr.close()
+    os.close(ours)
+    os.close(theirs)
+    assert not list(tmp_path.iterdir())
