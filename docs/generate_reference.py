@@ -305,7 +305,8 @@ def exit_codes() -> str:
             "1",
             "The run failed (a limit tripped, somebody stopped it, the disk is full, also "
             "for results and exports); or a gate says no: "
-            "`diagnose --exit-code` found a mismatch, `verify` that the recording contradicts the model.",
+            "`diagnose --exit-code` found a mismatch, `verify` that the recording contradicts the model, "
+            "`new --check` or `doctor` a fault.",
         ),
         (
             "2",

@@ -17,11 +17,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from labhil.driver import (
+    AddressFinder,
     Counters,
     DeviceInfo,
     Driver,
     DriverSpec,
     FaultReportingDriver,
+    FoundAddress,
     TimedDriver,
     Twin,
     TwinOptions,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from labhil.testing import DriverContract
 
 __all__ = [
+    "AddressFinder",
     "Batch",
     "Counters",
     "DeviceInfo",
@@ -42,6 +45,7 @@ __all__ = [
     "DriverContract",
     "DriverSpec",
     "FaultReportingDriver",
+    "FoundAddress",
     "Hold",
     "Known",
     "RigKind",

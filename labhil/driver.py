@@ -158,6 +158,32 @@ class TimedDriver(FaultReportingDriver, Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class FoundAddress:
+    """An ``address``, as a driver takes it, at which its device may be, and ``what`` was found there."""
+
+    address: str
+    what: str
+
+
+@runtime_checkable
+class AddressFinder(Protocol):
+    """What a driver's class satisfies, beside :class:`Driver`, where it finds addresses by itself."""
+
+    def find_addresses(self, search: str | None = None) -> tuple[FoundAddress, ...]:
+        """Return addresses at which such a device may be, the likeliest first; a class method.
+
+        It moves nothing, sends no command, and takes a few seconds at most.
+
+        Args:
+            search: A network to look through, such as "192.168.1.0/24"; None for what this machine knows.
+
+        Raises:
+            OptionError: The network is none, is too large, or the device is on no network.
+        """
+        ...
+
+
 class Twin(Protocol):
     """A simulated device on the real wire, registered under the entry-point group ``labhil.twins``.
 

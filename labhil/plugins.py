@@ -8,8 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import cast
 
-from labhil.driver import Driver, Twin
-from labhil.errors import UnknownNameError, UsageError
+from labhil.driver import AddressFinder, Driver, FoundAddress, Twin
+from labhil.errors import OptionError, UnknownNameError, UsageError
 from labhil.extras import missing_extra
 
 DRIVERS = "labhil.drivers"
@@ -25,6 +25,25 @@ def names(group: str) -> tuple[str, ...]:
 def load_driver(name: str) -> type[Driver]:
     """Import the driver plugin ``name``; UnknownNameError names those that are installed."""
     return cast("type[Driver]", _load(DRIVERS, name, "driver plugin"))
+
+
+def find_addresses(name: str, search: str | None = None) -> tuple[FoundAddress, ...]:
+    """Ask the driver plugin ``name`` for addresses of its devices; nothing where it finds none by itself.
+
+    Args:
+        name: Name of the driver.
+        search: A network to look through, such as "192.168.1.0/24".
+
+    Raises:
+        UnknownNameError: There is no such driver.
+        OptionError: The driver cannot search that network, or none at all.
+    """
+    driver = load_driver(name)
+    if isinstance(driver, AddressFinder):
+        return driver.find_addresses(search)
+    if search is not None:
+        raise OptionError("search", f": expected a driver that searches a network, found {name!r}")
+    return ()
 
 
 def load_twin(name: str) -> Twin:

@@ -1,4 +1,4 @@
-"""Client of the controller's dashboard server: one answer line per line. Used to stop a program."""
+"""Client of the controller's dashboard server: one answer line per line."""
 
 from __future__ import annotations
 
@@ -70,3 +70,13 @@ def stop_program(host: str, timeout: float = 0.5) -> None:
     """Stop the program that moves the arm, if there is one. Never raises."""
     with contextlib.suppress(ConnectError), Dashboard(host, timeout) as dashboard:
         dashboard.ask("stop")
+
+
+def serial_number(host: str) -> str:
+    """Return the serial number of the controller, or "unknown". Never raises."""
+    try:
+        with Dashboard(host) as dashboard:
+            number = dashboard.ask("get serial number")
+    except ConnectError:
+        return "unknown"
+    return number if number.isdigit() else "unknown"

@@ -13,12 +13,13 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, Self
 
-from labhil.driver import Counters, DeviceInfo, DriverSpec
-from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.driver import Counters, DeviceInfo, DriverSpec, FoundAddress
+from labhil.errors import CommandRefusedError, ConnectError, DeviceResetError, ProtocolError
 from labhil.host_clock import unix_ns
 from labhil.signals import Batch, Stream
 from labhil_ur5.command_ranges import check_commands
-from labhil_ur5.dashboard import Dashboard
+from labhil_ur5.dashboard import serial_number
+from labhil_ur5.discovery import find_controllers
 from labhil_ur5.fault import SAFETY_NORMAL, fault_of
 from labhil_ur5.motion import Motion, MotionState
 from labhil_ur5.reported_signals import (
@@ -101,6 +102,11 @@ class Ur5Driver:
         self._follows_path = self._is_cut_off = False
         self._path_started_at = -math.inf
 
+    @classmethod
+    def find_addresses(cls, search: str | None = None) -> tuple[FoundAddress, ...]:
+        """Return the hosts that answer on the RTDE port; see :mod:`labhil_ur5.discovery`."""
+        return find_controllers(search)
+
     def connect(self) -> DeviceInfo:
         """Start receiving from the controller.
 
@@ -151,7 +157,7 @@ class Ur5Driver:
         booted_at = (first.t_acq_ns[-1] - first.t_hw_ns[-1]) * 1e-9
         return DeviceInfo(
             firmware=".".join(map(str, self._receiver.version)),
-            serial=_serial(self.address),
+            serial=serial_number(self.address),
             boot_id=int(booted_at),
         )
 
@@ -388,13 +394,3 @@ class Ur5Cb3Driver(Ur5Driver):
 
     spec: ClassVar[DriverSpec] = _spec("ur5_cb3", CB3_RATE, "CB3")
     majors: ClassVar[tuple[int, ...]] = (3,)
-
-
-def _serial(host: str) -> str:
-    """Return the serial number from the dashboard, or "unknown"."""
-    try:
-        with Dashboard(host) as dashboard:
-            number = dashboard.ask("get serial number")
-    except DeviceError:
-        return "unknown"
-    return number if number.isdigit() else "unknown"

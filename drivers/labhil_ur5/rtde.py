@@ -132,15 +132,24 @@ class Receiver:
 
     def greet(self) -> tuple[int, int, int, int]:
         """Negotiate the protocol's version; return the controller's: major, minor, bugfix, build."""
+        self.negotiate()
+        major, minor, bugfix, build = self._ask(ASK_VERSION, b"", ">4I")
+        self.version = (major, minor, bugfix, build)
+        return self.version
+
+    def negotiate(self) -> None:
+        """Agree on the protocol's version, and nothing more.
+
+        Raises:
+            ProtocolError: It is no controller, or one that does not speak this version.
+            ConnectError: There is no answer.
+        """
         (accepted,) = self._ask(ASK_PROTOCOL, struct.pack(">H", PROTOCOL_VERSION), ">B")
         if accepted != 1:
             raise ProtocolError(
                 f"{self.host}: the controller does not speak RTDE version {PROTOCOL_VERSION}: it needs"
                 " software 3.10 / 5.4 or newer"
             )
-        major, minor, bugfix, build = self._ask(ASK_VERSION, b"", ">4I")
-        self.version = (major, minor, bugfix, build)
-        return self.version
 
     def start(self, needed: Sequence[str], optional: Sequence[str], rate: float) -> Recipe:
         """Request variables and start their transmission.

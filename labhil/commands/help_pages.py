@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import typer
 
 GUIDES: Mapping[str, str] = {
+    "labhil new": "docs/how-to/new-bench.md",
     "labhil twin": "docs/tutorials/first-recording.md",
     "labhil devices": "docs/how-to/index.md",
     "labhil run": "docs/how-to/write-an-experiment.md",

@@ -151,10 +151,21 @@ class Bench:
         self._arrived.clear()
         time.sleep(duration)
         self._wait(1, 1.0)
-        rows = list(self._arrived)
+        return self.received()
+
+    def received(self) -> dict[str, FloatArray]:
+        """Return the samples that have come in since the last call, or the last read; does not wait.
+
+        What came while :meth:`command` held a value is among them.
+
+        Returns:
+            Arrays by signal name in SI units, (n,) or (n, k); ``t`` (n,) is the device's clock, s.
+        """
+        width = self._require_device().stream.width
+        rows = [self._arrived.popleft() for _ in range(len(self._arrived))]
         return {
             "t": np.array([t for t, _ in rows]),
-            **self._columns(np.array([row for _, row in rows])),
+            **self._columns(np.array([row for _, row in rows]).reshape(len(rows), width)),
         }
 
     def command(self, hold: float = 0.0, **values: float) -> dict[str, float]:

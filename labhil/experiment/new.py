@@ -27,6 +27,11 @@ def check_kind(kind: str) -> None:
         raise UnknownNameError("driver", kind, example_drivers())
 
 
+def files_of(kind: str, folder: Path) -> tuple[Path, Path]:
+    """Return the paths of a driver's rig file and experiment file in a folder, whether they exist or not."""
+    return folder / f"{kind}.toml", folder / f"{kind}_identify.toml"
+
+
 def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
     """Write ``KIND.toml`` (the rig) and ``KIND_identify.toml`` (the experiment) into a folder.
 
@@ -47,7 +52,7 @@ def write_new(kind: str, address: str, folder: Path) -> tuple[Path, Path]:
     check_kind(kind)
     if not address.strip() or any(character.isspace() for character in address.strip()):
         raise UsageError(f'address: expected "twin", a serial port or an address, found {address!r}')
-    rig, experiment = folder / f"{kind}.toml", folder / f"{kind}_identify.toml"
+    rig, experiment = files_of(kind, folder)
     for path in (rig, experiment):
         if path.exists():
             raise UsageError(f"{path}: is there already and stays as it is; choose another folder with --out")

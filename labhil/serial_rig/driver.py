@@ -13,12 +13,19 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from labhil.driver import Counters, DeviceInfo, DriverSpec
-from labhil.errors import CommandRefusedError, ConnectError, DeviceError, DeviceResetError, ProtocolError
+from labhil.driver import Counters, DeviceInfo, DriverSpec, FoundAddress
+from labhil.errors import (
+    CommandRefusedError,
+    ConnectError,
+    DeviceError,
+    DeviceResetError,
+    OptionError,
+    ProtocolError,
+)
 from labhil.host_clock import unix_ns
 from labhil.link import Decoder, Frame, Hello, MessageType, Samples, SetCommand, State, StateFlag, Unwrapper
 from labhil.serial_rig.handshake import Sender, configure, request_hello
-from labhil.serial_rig.port import Port
+from labhil.serial_rig.port import Port, serial_ports
 from labhil.serial_rig.rig import Scaler, SerialRig, info_of
 from labhil.signals import Batch
 
@@ -61,6 +68,21 @@ class SerialDriver:
         self._first_command_at: float | None = None
         self._is_commanded = self._has_expired = False
         self._received_at = 0.0
+
+    @classmethod
+    def find_addresses(cls, search: str | None = None) -> tuple[FoundAddress, ...]:
+        """Return the serial ports of this machine; none is opened, since that resets an Arduino.
+
+        Raises:
+            OptionError: A network is to be searched.
+        """
+        if search is not None:
+            raise OptionError(
+                "search",
+                f": expected none for {cls.spec.name}, which is on a serial port, found {search!r}; a port "
+                "server's address is stated as socket://host:port",
+            )
+        return serial_ports()
 
     def connect(self) -> DeviceInfo:
         """Open the port, wait for HELLO and send the configuration; the device is in its safe state then.

@@ -12,6 +12,7 @@ import socket
 import serial
 from serial.tools import list_ports
 
+from labhil.driver import FoundAddress
 from labhil.errors import ConnectError
 
 BAUD_RATE = 115200
@@ -111,8 +112,14 @@ def _reason(error: Exception, address: str) -> str:
     return os.strerror(number).lower() + ("" if "://" in address else f" (error {number})")
 
 
+def serial_ports() -> tuple[FoundAddress, ...]:
+    """Return the serial ports of this machine, sorted by name; none is opened."""
+    ports = sorted(list_ports.comports(), key=lambda port: port.device)
+    return tuple(FoundAddress(port.device, f"serial port, {port.description}") for port in ports)
+
+
 def _ports_here() -> str:
-    names = sorted(port.device for port in list_ports.comports())
+    names = [port.address for port in serial_ports()]
     return f"serial ports here: {', '.join(names)}" if names else "this machine has no serial port"
 
 

@@ -55,6 +55,11 @@ class CommandLimits:
                 low, high = ranges.get(column, ranges.get(signal.name, NO_RANGE))
                 self._bounds[column] = _Bounds(max(limit.min, low), min(limit.max, high), limit.rate)
 
+    def range_of(self, name: str) -> tuple[float, float]:
+        """Return the lowest and highest value of a command (a column), infinite where none is stated."""
+        bounds = self._bounds[name]
+        return bounds.low, bounds.high
+
     def clip(self, name: str, value: float, previous: float | None, elapsed: float) -> float:
         """Clip a command to min and max, and to ``rate``·``elapsed`` around the previous command.
 

@@ -17,6 +17,10 @@ HOST, SERVE = "tests/run/test_dead_threads_of_a_host.py", "tests/run/test_dead_t
 BACKGROUND = (SCREEN, "test_work_in_the_background_that_raises_is_shown")
 
 STRUCK = {
+    "drivers/labhil_ur5/discovery.py find_controllers": (
+        "tests/wire/test_ur5_discovery.py",
+        "test_a_thread_that_dies_is_heard_of",
+    ),
     "labhil/bus/ask.py Responder": (BUS, "test_one_that_answers"),
     "labhil/bus/publish.py StreamPublisher": (BUS, "test_one_that_publishes_keeps_nobody_waiting"),
     "labhil/bus/subscribe.py Subscription": (BUS, "test_one_that_listens"),
