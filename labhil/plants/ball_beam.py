@@ -15,12 +15,14 @@ from labhil.plants.ball_motion import BALL_SIZE, POSITION, VELOCITY, Mechanics, 
 from labhil.plants.friction import Friction
 from labhil.plants.input_path import (
     HISTORY,
-    NEUTRAL,
+    LIMITED,
+    MAX_DELAY_SAMPLES,
+    TIME_TOLERANCE,
     InputPath,
+    add_command,
     apply_lag,
+    delayed_command,
     pass_through,
-    read_delayed,
-    settled_path,
 )
 from labhil.plants.sensor import Sensor
 from labhil.plants.trajectory import Noise
@@ -28,7 +30,7 @@ from labhil.signals import FloatArray, IntArray
 
 SAMPLE_PERIOD = 0.01
 MIN_SUBSTEPS = 50
-"""Substeps of a sample period where the input path or the sensor has a memory, at least.
+"""Substeps of a sample period where the actuator or the sensor has a lag, at least.
 
 Controllers make the servo chatter, and coarser substeps would smooth the corners of β̇².
 """
@@ -85,24 +87,28 @@ class BallBeamPlant:
         self._mechanics = Mechanics.of(self.parameters)
         self._friction = Friction.of(self.parameters)
         self._path = InputPath.of(self.parameters)
-        if self._path.delay > (HISTORY - 2) * period:
+        if self._path.delay > MAX_DELAY_SAMPLES * period:
             raise UsageError(f"time_delay.delay is too long for a sample period of {period:g} s")
-        has_memory = self._path != NEUTRAL or self.sensor.lag > 0.0
-        lag, delay = self._path.lag / period, self._path.delay / period
-        self._substeps = substep_ends(delay, lag) if has_memory else np.ones(1)
+        self._substeps = substeps_per_period(self._path.lag / period, self.sensor.lag / period)
         noise = Noise(np.random.default_rng(seed), self.parameters["noise_correlation"])
         self.noise: Callable[[int], FloatArray] = noise.draw
         self.place(self.parameters["start_position"])
 
     def place(self, position: float, angle: float = 0.0) -> None:
         """Set the ball at rest at ``position`` (m), and the input path to a steady ``angle`` (rad)."""
-        self.angle = angle
         self._ball = np.zeros(BALL_SIZE)
         self._ball[POSITION] = position
-        self._memory = settled_path(angle, self._path)
         self._lagged = np.array([position])
-        self._history = np.full(HISTORY, angle)
-        self._newest = 0
+        self._settle(angle)
+
+    def _settle(self, angle: float) -> None:
+        """Set the input path to its steady state at ``angle`` (rad), in the middle of the backlash."""
+        self.angle = angle
+        self._memory = np.array([angle, angle])
+        unlimited = self._path._replace(rate=math.inf)
+        self._crank = np.array([pass_through(self._memory, (angle, 0.0, math.inf), unlimited)[0]])
+        self._clock, self._counters = np.zeros(1), np.zeros(2, dtype=np.int64)
+        self._times, self._angles = np.zeros(HISTORY), np.full(HISTORY, angle)
 
     def step(self, angle: float) -> int:
         """Simulate a sample period in which the servo turns linearly to ``angle`` (rad); return the count."""
@@ -129,9 +135,7 @@ class BallBeamPlant:
         A first angle that differs from the present one sets the input path to its steady state there.
         """
         if angles[0] != self.angle:
-            self.angle = float(angles[0])
-            self._memory = settled_path(self.angle, self._path)
-            self._history[:] = self.angle
+            self._settle(float(angles[0]))
         first = np.array([[self._ball[POSITION], self._ball[VELOCITY], self._lagged[0]]])
         truth = np.concatenate([first, self._run(np.asarray(angles[1:], dtype=np.float64))])
         counts = self.sensor.counts(truth[:, 2], self.noise(len(truth)))
@@ -149,10 +153,13 @@ class BallBeamPlant:
         run(
             angles,
             self._ball,
-            self._memory,
+            self._crank,
             self._lagged,
-            self._history,
-            self._newest,
+            self._clock,
+            self._times,
+            self._angles,
+            self._counters,
+            self._memory,
             self._substeps,
             self.period,
             self.sensor.lag,
@@ -161,35 +168,31 @@ class BallBeamPlant:
             self._path,
             out,
         )
-        self._newest += len(angles)
         if len(angles):
             self.angle = float(angles[-1])
         return out
 
 
-def substep_ends(delay: float, lag: float) -> FloatArray:
-    """Return the ends of the substeps as shares of a sample period; one is at a corner of the delayed input.
-
-    ``delay`` and ``lag`` are in sample periods.
-    """
-    delay_fraction = delay % 1.0
-    wanted = SUBSTEPS_PER_LAG / lag if lag > 0.0 else 0.0
-    count = math.ceil(min(max(wanted, MIN_SUBSTEPS), MAX_SUBSTEPS))
-    ends = np.arange(1, count + 1) / count
-    if np.min(np.abs(ends - delay_fraction)) < 1e-9 or delay_fraction < 1e-9:
-        return ends
-    return np.sort(np.append(ends, delay_fraction))
+def substeps_per_period(actuator_lag: float, sensor_lag: float) -> int:
+    """Return the number of substeps of a sample period, 1 without a lag; lags are in sample periods."""
+    if actuator_lag == sensor_lag == 0.0:
+        return 1
+    wanted = SUBSTEPS_PER_LAG / actuator_lag if actuator_lag > 0.0 else 0.0
+    return math.ceil(min(max(wanted, MIN_SUBSTEPS), MAX_SUBSTEPS))
 
 
 @compiled
 def run(
     angles: FloatArray,
     ball: FloatArray,
-    memory: FloatArray,
+    crank: FloatArray,
     lagged: FloatArray,
-    history: FloatArray,
-    newest: int,
-    substeps: FloatArray,
+    clock: FloatArray,
+    times: FloatArray,
+    values: FloatArray,
+    counters: IntArray,
+    memory: FloatArray,
+    substeps: int,
     period: float,
     sensor_lag: float,
     m: Mechanics,
@@ -199,21 +202,27 @@ def run(
 ) -> None:
     """Advance the whole plant by one sample period per angle, in place; see ``BallBeamPlant._run``.
 
-    ``substeps`` are their ends as shares of the period. ``history[i % HISTORY]`` is the servo angle at
-    sample i, up to ``newest``; ``memory`` is the way in's, its last entry the angle at the linkage;
-    ``lagged`` (1,) is the sensor's.
+    ``crank`` (1,) is the angle at the linkage, ``lagged`` (1,) the position behind the sensor's lag and
+    ``clock`` (1,) the time; ``times``, ``values``, ``counters`` and ``memory`` are those of the input path.
+    Between two corners of the path the linkage turns straight, in ``substeps`` per period with a lag.
     """
+    tolerance_s = TIME_TOLERANCE * period
     for i in range(angles.size):
-        newest += 1
-        history[newest % HISTORY] = angles[i]
-        previous_end = 0.0
-        for substep_end in substeps:
-            h = (substep_end - previous_end) * period
-            previous_end = substep_end
-            samples_back = p.delay / period + 1.0 - substep_end
-            crank_before = memory[-1]
-            before = ball[POSITION]
-            crank_angle = pass_through(memory, read_delayed(history, newest, samples_back), h, p)
-            move(ball, crank_before, crank_angle, h, m, f)
-            lagged[0] = apply_lag(lagged[0], before, ball[POSITION], h, sensor_lag)
+        t, end = clock[0], clock[0] + period
+        add_command(times, values, counters, end, angles[i])
+        while end - t > tolerance_s:
+            segment = delayed_command(times, values, counters, t, p.delay, tolerance_s, False)
+            angle, slope, remaining = pass_through(memory, segment, p)
+            lasts = max(min(remaining, end - t), tolerance_s)
+            pieces = math.ceil(lasts / period * substeps - TIME_TOLERANCE) if substeps > 1 else 1
+            h = lasts / max(pieces, 1)
+            for piece in range(max(pieces, 1)):
+                before, position = angle + piece * h * slope, ball[POSITION]
+                turned = apply_lag(crank[0], before, before + h * slope, h, p.lag)
+                move(ball, crank[0], turned, h, m, f)
+                crank[0] = turned
+                lagged[0] = apply_lag(lagged[0], position, ball[POSITION], h, sensor_lag)
+            memory[LIMITED] += lasts * slope
+            t += lasts
+        clock[0] = end
         out[i, 0], out[i, 1], out[i, 2] = ball[POSITION], ball[VELOCITY], lagged[0]

@@ -30,8 +30,6 @@ class BallBeamRig:
         self.plant = BallBeamPlant(parameters, self.terms, seed, period)
         self.plant.noise = Noise(random_generator(seed, "ball_position"), p["noise_correlation"]).draw
         self._uneven = p["stamp_jitter"] > 0.0
-        if self._uneven and p.get("time_delay.delay", 0.0):
-            raise UsageError("a ball and beam with time_delay takes no stamp_jitter: it counts samples")
         self._time = 0.0
 
     @property

@@ -11,8 +11,17 @@ import numpy as np
 from labhil.compiled import specialised
 from labhil.errors import UsageError
 from labhil.plants.friction import Friction
-from labhil.plants.input_path import InputPath
-from labhil.plants.input_stages import HISTORY, LIMITED, NEWEST, add_command, delayed_command, pass_through
+from labhil.plants.input_path import (
+    HISTORY,
+    LIMITED,
+    MAX_DELAY_SAMPLES,
+    NEWEST,
+    TIME_TOLERANCE,
+    InputPath,
+    add_command,
+    delayed_command,
+    pass_through,
+)
 from labhil.plants.integrator import (
     LAG,
     MIN_STATE_SIZE,
@@ -29,12 +38,8 @@ from labhil.plants.maxwell import N_ELEMENT_STATES
 from labhil.plants.trajectory import SampleTimes
 from labhil.signals import FloatArray, IntArray
 
-TIME_TOLERANCE = 1e-9
-"""Share of a sample period within which two instants are equal."""
 INITIAL_STEP = 0.05
 """Length of the very first step, as a share of a sample period."""
-MAX_DELAY_SAMPLES = HISTORY - 24
-"""Longest delay in sample periods."""
 TOLERANCE = 1e-9
 """Error of one step relative to the largest size of a state so far, for plants without hysteresis."""
 

@@ -193,3 +193,26 @@ def test_a_minute_is_simulated_in_much_less():
     trajectory = BallBeamPlant(terms=terms).simulate(two_sines(60.0))
     print(f"60 s simulated in {time.perf_counter() - begin:.3f} s")
     assert len(trajectory.t) == 6001
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("backlash", {"backlash.gap": 6e-4}),
+        ("dead_zone", {}),
+        ("saturation", {"saturation.limit": 0.3}),
+        ("rate_limit", {"rate_limit.rate": 4.0}),
+        ("time_delay", {"time_delay.delay": 0.0437}),
+    ],
+)
+def test_a_chattering_servo_gives_the_same_motion_however_finely_it_is_sampled(effect, values):
+    """The input path is exact for lines between samples, also where each sample is a reversal."""
+    rng = np.random.default_rng(5)
+    coarse = 0.5 * np.sin(np.arange(201) * 0.05) + 0.05 * rng.standard_normal(201)
+    fine = np.interp(np.arange(200 * 20 + 1) / 20, np.arange(201), coarse)
+    terms = ["viscous_friction", effect]
+    seldom = BallBeamPlant(FAR | values, terms).simulate(coarse)
+    often = BallBeamPlant(FAR | values, terms, period=0.0005).simulate(fine)
+    bare = BallBeamPlant(FAR, terms[:1]).simulate(coarse)
+    np.testing.assert_allclose(seldom.position, often.position[::20], atol=1e-7)
+    assert np.abs(seldom.position - bare.position).max() > 1e-4, "the effect matters"

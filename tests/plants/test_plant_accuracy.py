@@ -308,8 +308,6 @@ def test_a_ball_and_beam_is_a_rig_like_the_others():
     stepped.simulate(u[:1])
     ones = [stepped.step(float(angle))["ball_position"] for angle in u[1:]]
     assert np.array_equal(ones, whole.measured["ball_position"][1:])
-    with pytest.raises(UsageError, match="stamp_jitter"):
-        plant_of("ball_beam", {"stamp_jitter": 1e-3}, ["time_delay"], 0, 0.01)
 
 
 @pytest.mark.extended

@@ -42,11 +42,18 @@ class Stage:
     def leading_fits(self, *, n_structures: int = 3) -> list[Fitted]:
         """Fits of the baseline and of the most probable structures, with which the next stage begins.
 
+        A structure that contains a likelier one is left out (Occam's window of Madigan and Raftery, J. Am.
+        Stat. Assoc. 89, 1994): it would take the place of another explanation.
+
         Args:
             n_structures: structures at most, in addition to the baseline.
         """
         by_evidence = sorted(self.state.refitted, key=lambda s: -self.state.refitted[s].log_evidence)
-        chosen = dict.fromkeys([frozenset[str](), *by_evidence[:n_structures]])
+        kept: list[Structure] = []
+        for structure in by_evidence:
+            if not any(likelier < structure for likelier in kept):
+                kept.append(structure)
+        chosen = dict.fromkeys([frozenset[str](), *kept[:n_structures]])
         return [self.state.refitted[structure].fitted for structure in chosen]
 
 
