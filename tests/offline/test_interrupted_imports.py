@@ -11,7 +11,8 @@ import pytest
 
 from labhil.interrupted import INTERRUPTED
 
-RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
+ROOT = Path(__file__).parents[2]
+RECORDING = ROOT / "recordings" / "ball_beam_identify.mcap"
 AT_FIRST = ("labhil.interrupted", "typer.core", "labhil.commands.analysis", "labhil.commands.tui")
 IN_THE_COMMAND = ("numpy", "pydantic", "labhil.recording.reader")
 
@@ -45,6 +46,16 @@ def test_ctrl_c_in_an_import_ends_with_a_message(module: str) -> None:
 
 def test_ctrl_c_as_the_commands_are_imported_ends_with_a_message() -> None:
     assert strike_after(AT_FIRST[2]) == (INTERRUPTED, "interrupted (Ctrl+C) before there was a result\n")
+
+
+def test_the_entry_point_imports_nothing_before_it_can_answer() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import labhil.cli; print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-S", "-c", code], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.split() == ["__future__", "labhil", "labhil.cli", "labhil.version"]
 
 
 @pytest.mark.extended
