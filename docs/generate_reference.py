@@ -56,7 +56,7 @@ def command_line() -> str:
     """Every command with its arguments and options."""
     from typer.main import get_command
 
-    from labhil.cli import app
+    from labhil.command_line import app
 
     group = get_command(app)
     sections = list(_commands(group, "labhil"))
@@ -289,7 +289,7 @@ def schema_page() -> str:
 def exit_codes() -> str:
     """What the status of a command means, and which error ends with which."""
     from labhil import errors
-    from labhil.console import INTERRUPTED
+    from labhil.interrupted import INTERRUPTED
 
     named = inspect.getmembers(
         errors, lambda each: inspect.isclass(each) and issubclass(each, errors.LabhilError)

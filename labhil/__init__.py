@@ -14,11 +14,13 @@ one version to the next. Nothing is imported before it is used.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 from labhil.version import __version__ as __version__
 
+# `typing` would be the first thing that the command imports, before it can answer Ctrl+C
+TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Any
+
     from labhil import devices, errors, physics
     from labhil.analysis.schema import (
         ExcludedEffect,

@@ -19,8 +19,6 @@ from labhil.terminal import complain, printable_json, show, terminal
 
 STDOUT = Path("-")
 """Stands for stdout in place of the path of a result."""
-INTERRUPTED = 130
-"""Exit status after Ctrl+C where there is no result yet: 128 and the number of SIGINT, as of a shell."""
 DRAWN = (".png", ".pdf", ".svg", ".html", ".htm")
 """Endings of results that are drawn."""
 

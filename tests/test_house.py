@@ -119,7 +119,9 @@ def test_what_works_for_the_screen_loads_no_screen(tmp_path: Path) -> None:
 
 
 def test_the_command_line_itself_loads_neither(tmp_path: Path) -> None:
-    assert loaded("import labhil.cli", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
+    assert (
+        loaded("import labhil.cli, labhil.command_line", (*ANALYSIS, *ACQUISITION, "numpy"), tmp_path) == []
+    )
 
 
 def test_importing_labhil_loads_nothing_of_either_wing(tmp_path: Path) -> None:

@@ -93,14 +93,14 @@ class PublishedRequest(Incoming):
 
 
 class ReplayRequest(Incoming):
-    """A request to a replay; ``value`` is a speed, or a time in s of the host."""
+    """A request to a replay; ``value`` is a speed, or a time in s from the recording's start."""
 
     action: Literal["status", "pause", "play", "speed", "seek"] = "status"
     value: float = 0.0
 
 
 class ReplayMessage(Incoming):
-    """The state of a replay; times in s of the host."""
+    """The state of a replay; times in s from the recording's start."""
 
     path: Text
     position: float

@@ -54,8 +54,8 @@ def run_stepwise(experiment: Experiment, out_dir: Path) -> Path:
     settings = TwinSettings.of(_options(device.section.twin), twin.settable)
     out_dir.mkdir(parents=True, exist_ok=True)
     path = recording_path(experiment, out_dir)
-    write_answer(answer_path(path, device.name, are_several=False), settings)
     batch = _SteppedBench(device, twin.make(settings)).run(plan.duration)
+    write_answer(answer_path(path, device.name, are_several=False), settings)
     with RecordingWriter(path) as writer:
         for name, content in attach_files(plan).items():
             writer.attach(name, media_type(name), content)

@@ -1,4 +1,4 @@
 """The commands of ``labhil``: their options, and the calls that do the work.
 
-``labhil/cli.py`` registers them.
+``labhil/command_line.py`` registers them.
 """

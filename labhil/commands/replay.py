@@ -27,9 +27,14 @@ def replay(
     *,
     speed: Annotated[
         float,
-        typer.Option(metavar="FACTOR", help="Speed: seconds of the recording in one second, 0.01 to 100."),
+        typer.Option(metavar="FACTOR", help="How many times as fast as it was recorded, 0.01 to 100."),
     ] = 1.0,
-    start: Annotated[float, typer.Option("--from", metavar="SECONDS", help="Position to start at.")] = 0.0,
+    start: Annotated[
+        float,
+        typer.Option(
+            "--from", metavar="SECONDS", help="Begin here, in the time that `labhil info` and plots show."
+        ),
+    ] = 0.0,
     loop: Annotated[bool, typer.Option("--loop", help="Start again at the end.")] = False,
     no_screen: Annotated[
         bool,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -95,6 +96,14 @@ def free_path(folder: Path, pattern: str, name: str) -> Path:
 def answer_path(recording: Path, device: str, are_several: bool) -> Path:
     """Return where a twin writes its terms and parameters: beside the recording."""
     return recording.with_suffix(f".{device}.twin.json" if are_several else ".twin.json")
+
+
+def remove_without_recording(answer: Path, recording: Path) -> None:
+    """Remove what a twin wrote of itself where its run has left no recording: it would belong to nothing."""
+    if not any(path.exists() for path in (recording, recording.with_name(recording.name + ".part"))):
+        # what cannot be removed must not hide how the run ended
+        with suppress(OSError):
+            answer.unlink(missing_ok=True)
 
 
 def result_of(

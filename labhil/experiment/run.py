@@ -40,7 +40,14 @@ from labhil.experiment.interruption import Interruption, emergency_stop_or, rais
 from labhil.experiment.plan import DevicePlan, Plan, make_plan
 from labhil.experiment.points import is_campaign
 from labhil.experiment.remote import offer_control
-from labhil.experiment.result import Progress, RunResult, answer_path, recording_path, result_of
+from labhil.experiment.result import (
+    Progress,
+    RunResult,
+    answer_path,
+    recording_path,
+    remove_without_recording,
+    result_of,
+)
 from labhil.experiment.twins import start_twin
 from labhil.host_clock import session_clock, unix_ns
 from labhil.service.recorder import Recorder
@@ -235,6 +242,7 @@ class _Run:
     def _start_twin(self, device: DevicePlan, twins: ExitStack) -> str:
         are_several = sum(candidate.section.address == TWIN for candidate in self._plan.devices) > 1
         answer = answer_path(self._path, device.name, are_several)
+        twins.callback(remove_without_recording, answer, self._path)
         twin, address = start_twin(
             device.name,
             device.section.plugin,

@@ -3,6 +3,10 @@
 All keys are under ``replay/`` and never under ``lab/``, so that no recorder, host, run or emergency stop
 receives them, and the terminal UI marks a replay. Samples keep their values and the differences of their
 numbers and device times; the host's stamps are the present time.
+
+Positions are in the recording's time, which ``labhil info`` and plots show: s of the devices' clocks from
+the first sample. The samples follow each other in the time of the host. The two differ where devices' clocks
+ran faster or slower than the host's; one ratio then stands for all devices.
 """
 
 from __future__ import annotations
@@ -95,8 +99,8 @@ class Replay:
 
     Args:
         recording: The recording.
-        speed: Seconds of the recording per second.
-        start: Where it begins, s of the host since the recording's first sample.
+        speed: How many times as fast as it was recorded.
+        start: Where it begins, s from the recording's start, as in ``labhil info`` and in plots.
         loop: Whether it begins again at its end.
 
     Raises:
@@ -112,11 +116,13 @@ class Replay:
         if not self._times:
             raise RecordingError(f"{recording.path}: expected samples to replay, found none")
         duration = max(float(t[-1]) for t in self._times.values())
+        # a recording of one instant has no ratio
+        self._ratio = recording.duration / duration if recording.duration and duration else 1.0
         if not MIN_SPEED <= speed <= MAX_SPEED:
             raise OptionError("speed", f": expected {MIN_SPEED:g} to {MAX_SPEED:g}, found {speed:g}")
-        if not 0.0 <= start <= duration:
-            raise OptionError("from", f": expected 0 to {duration:.4g} s, found {start:g}")
-        self._state = _State(start, duration, speed, events=list(_events(recording)))
+        if not 0.0 <= start <= recording.duration:
+            raise OptionError("from", f": expected 0 to {recording.duration:.4g} s, found {start:g}")
+        self._state = _State(start / self._ratio, duration, speed, events=list(_events(recording)))
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._ended = threading.Event()
@@ -166,8 +172,8 @@ class Replay:
         state = self._state
         return ReplayMessage(
             path=self._recording.path.name[:1000],
-            position=state.position,
-            duration=state.duration,
+            position=state.position * self._ratio,
+            duration=state.duration * self._ratio,
             speed=state.speed,
             paused=state.paused,
             ended=state.ended,
@@ -205,9 +211,9 @@ class Replay:
             track.publisher.update_metadata(track.metadata)
 
     def seek(self, position: float) -> None:
-        """Move to ``position``, s of the host since the first sample, clipped to the recording."""
+        """Move to ``position``, s from the recording's start, clipped to the recording."""
         with self._lock:
-            self._go_to(min(max(position, 0.0), self._state.duration))
+            self._go_to(min(max(position / self._ratio, 0.0), self._state.duration))
 
     def _make_track(self, data: StreamData, offset_ns: int) -> _Track:
         speed = data.speed * self._state.speed

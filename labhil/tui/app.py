@@ -20,9 +20,8 @@ from textual.widget import Widget
 from textual.widgets import HelpPanel
 
 from labhil.tui.background import OUT_OF_DATE
-from labhil.tui.bar import bar_text, question_before_leaving
+from labhil.tui.bar import bar_text
 from labhil.tui.devices import DevicesPane
-from labhil.tui.dialogs import Confirm
 from labhil.tui.emergency_stop import EmergencyStop
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
@@ -34,6 +33,7 @@ from labhil.tui.palette import TABS, Palette, commands
 from labhil.tui.panes import LabScreen, Pane, TabbedPanes
 from labhil.tui.recordings import RecordingsPane
 from labhil.tui.results import ResultsPane
+from labhil.tui.run_desk import RunDesk
 from labhil.tui.runner import Runner
 from labhil.tui.session import Session
 from labhil.tui.shutdown import end_in_order
@@ -96,7 +96,15 @@ class LabApp(App[None]):
         self.studies = Studies(self)
         self._library = LibraryReader(self, folder)
         self.emergency = EmergencyStop(self, session, self._show_stop, self._log_event)
-        self.leaving, self._is_out_of_date = "", False
+        self._run_desk = RunDesk(
+            self,
+            self.runner,
+            pane=lambda: self.base.query_one(ExperimentPane) if self.is_drawable else None,
+            is_stopped=lambda: self.emergency.latch is not None,
+            on_change=self._refresh_state,
+            on_result=self.refresh_files,
+        )
+        self._is_out_of_date = False
         self._frame_limiter = FrameLimiter()
         self._panes: tuple[Widget, ...] = ()
         # the moving line under a tab costs a third of the time until its pane is visible
@@ -264,47 +272,11 @@ class LabApp(App[None]):
 
     def on_start_requested(self, message: StartRequested) -> None:
         """Start a run; ask first where it moves real devices."""
-        if self.emergency.latch is not None:
-            self.notify("The emergency stop is on: F9 releases it.", severity="error")
-            return
-        pane = self.base.query_one(ExperimentPane)
-        addresses = pane.moves_hardware()
-        if not addresses:
-            self._start(message.path)
-            return
-
-        def on_answer(yes: bool | None) -> None:
-            if yes:
-                self._start(message.path)
-
-        question = f"This moves real devices:\n\n  {', '.join(addresses)}\n\nIs everybody out of their way?"
-        self.push_screen(Confirm(question, "Start", "Not yet", danger=True), on_answer)
-
-    def _start(self, path: str) -> None:
-        if self.runner.is_active or self.emergency.latch is not None:
-            return
-        pane = self.base.query_one(ExperimentPane)
-        name = pane.plan.experiment.experiment.name if pane.plan is not None else Path(path).stem
-        self.runner.start(Path(path), name)
-        pane.log_line("starting", name)
-        self._refresh_state()
+        self._run_desk.ask_to_start(Path(message.path))
 
     def on_run_line(self, message: RunLine) -> None:
         """Follow the run."""
-        before = self.runner.state
-        self.runner.handle_line(message.line)
-        if not self.is_drawable:
-            return
-        pane = self.base.query_one(ExperimentPane)
-        if "result" in message.line:
-            pane.take_result(message.line["result"], message.line["error"])
-            self.refresh_files()
-        elif "refused" in message.line:
-            pane.log_line("refused", message.line["refused"])
-        if self.runner.state != before or "ended" in message.line:
-            self._refresh_state()
-        if self.leaving and not self.runner.is_active:
-            self.exit()
+        self._run_desk.follow(message.line)
 
     # studies
 
@@ -360,26 +332,7 @@ class LabApp(App[None]):
 
     def action_leave(self) -> None:
         """Quit; during a run only after a question, and after the run has ended in order."""
-        if self.leaving:
-            self.exit()
-            return
-        question = question_before_leaving(self.runner, self.studies.at_work)
-        if not question:
-            self.exit()
-            return
-        if isinstance(self.screen, Confirm):
-            return
-        self.push_screen(Confirm(question, "Stop and quit", "Stay"), self._leave)
-
-    def _leave(self, yes: bool | None) -> None:
-        if not yes:
-            return
-        if not self.runner.is_active:
-            self.exit()
-            return
-        self.leaving = "stopping"
-        self.runner.request("stop", "the terminal UI is quit")
-        self.notify("Stopping the run …", timeout=30)
+        self._run_desk.leave(self.studies.at_work)
 
     def action_keys(self) -> None:
         """Show or hide all keys of the screen in front."""

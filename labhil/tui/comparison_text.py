@@ -91,7 +91,7 @@ def verification_headline(verification: VerificationPart) -> str:
 
 
 def verification_renderable(verification: VerificationPart, colours: Colours) -> RenderableType:
-    """Return the verdict, the reasons, the errors of each output, and the changed parameters."""
+    """Return the verdict, the reasons, the errors of each output, changed parameters, and what to do next."""
     return Group(*_verification(verification, colours))
 
 
@@ -136,6 +136,7 @@ def _verification(verification: VerificationPart, colours: Colours) -> Iterator[
             )
         yield FittingTable(values)
     yield Text(f"\nmodel: {verification.model}", style=colours["muted"])
+    yield from next_steps_lines(verification.next_steps, colours)
 
 
 def _table(colours: Colours, text_columns: tuple[str, ...], number_columns: tuple[str, ...]) -> PlainTable:

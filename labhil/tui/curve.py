@@ -56,14 +56,14 @@ def longest_gap(t: FloatArray, *, periods: float = 5.0) -> float:
 
 
 def column_curves(
-    x: FloatArray, values: FloatArray, names: Sequence[str], number: int, gap: float
+    x: FloatArray, values: FloatArray, columns: int, number: int, gap: float
 ) -> list[PlotCurve]:
     """Make a curve for each column of a signal, with colours and pens that differ.
 
     Args:
         x: (n,)
         values: (n, columns or more)
-        names: Names of the columns, for the legend; a single column has no label.
+        columns: Number of columns; each has its number in the legend, a single one nothing.
         number: Number of the signal, which decides the first colour.
         gap: Longest step in ``x`` that the lines bridge.
     """
@@ -73,10 +73,10 @@ def column_curves(
             values[:, i],
             f"curve-{(number + i) % CURVES}",
             PENS[i // 2 % len(PENS)],
-            name if len(names) > 1 else "",
+            str(i) if columns > 1 else "",
             gap,
         )
-        for i, name in enumerate(names)
+        for i in range(columns)
     ]
 
 

@@ -8,6 +8,7 @@ from rich.console import Group
 from rich.text import Text
 from textual.app import ComposeResult
 from textual.containers import Container, Vertical, VerticalScroll
+from textual.events import Resize
 from textual.widgets import DataTable, Static
 
 from labhil.report.formatting import NOTHING, format_count
@@ -31,8 +32,11 @@ COLUMNS = (
     ("gaps", 5),
     ("delay", 8),
     ("held by", 21),
-    ("last event", None),
+    ("last event", 16),
 )
+"""Width of each column; the last has what is left, and is not there where that is less than this."""
+PADDING = SIDES = 2
+"""Blanks around a cell, and on both sides of the table."""
 
 EMPTY = """[b]No device is on a bus here.[/b]
 
@@ -52,6 +56,8 @@ class DevicesPane(Vertical, Pane):
         super().__init__(id="devices-pane")
         self._session = session
         self._shown: tuple[str, ...] = ()
+        self._widths: dict[str, int] = {}
+        self._row_in_front = 0
         self._shape: object = None
 
     def compose(self) -> ComposeResult:
@@ -64,10 +70,25 @@ class DevicesPane(Vertical, Pane):
 
     def on_mount(self) -> None:
         """Make the columns."""
-        table = self.query_one(DataTable)
-        for name, width in COLUMNS:
-            table.add_column(name, key=name, width=width)
+        self._fit_columns(0)
         self.refresh_view()
+
+    def on_resize(self, event: Resize) -> None:
+        """Give the last event the width that the other columns leave."""
+        self._fit_columns(event.size.width)
+        self.refresh_view()
+
+    def _fit_columns(self, width: int) -> None:
+        """Make the columns anew where the last one has other room than before."""
+        *columns, (last, least) = COLUMNS
+        left = width - SIDES - sum(width + PADDING for _, width in columns) - PADDING
+        widths = dict(columns) | ({last: left} if left >= least else {})
+        if widths != self._widths:
+            table = self.query_one(DataTable)
+            self._widths, self._shown, self._row_in_front = widths, (), table.cursor_row
+            table.clear(columns=True)
+            for name, column_width in widths.items():
+                table.add_column(name, key=name, width=column_width)
 
     def refresh_view(self) -> None:
         """Show the devices in their present state."""
@@ -76,19 +97,19 @@ class DevicesPane(Vertical, Pane):
         self.query_one("#devices-split").display = bool(devices)
         table = self.query_one(DataTable)
         keys = tuple(f"{endpoint} {view.name}" for endpoint, view in devices)
-        rows = [self._row(view) for _, view in devices]
+        rows = [dict(zip(self._widths, self._row(view), strict=False)) for _, view in devices]
         if keys != self._shown:
-            cursor_row = table.cursor_row
+            cursor_row = table.cursor_row if self._shown else self._row_in_front
             table.clear()
             for key, row in zip(keys, rows, strict=True):
-                table.add_row(*row, key=key)
+                table.add_row(*row.values(), key=key)
             table.move_cursor(row=min(cursor_row, max(0, len(keys) - 1)))
             self._shown = keys
         else:
             for key, row in zip(keys, rows, strict=True):
-                for (column, _), cell in zip(COLUMNS, row, strict=True):
+                for column, cell in row.items():
                     if table.get_cell(key, column) != cell:
-                        table.update_cell(key, column, cell, update_width=column == "last event")
+                        table.update_cell(key, column, cell)
         if devices:
             endpoint, view = devices[min(table.cursor_row, len(devices) - 1)]
             entries = device_facts(endpoint, view)
@@ -115,6 +136,7 @@ class DevicesPane(Vertical, Pane):
         stale = view.state == "gone" or health is None or health.silent
         rate = NOTHING if stale or health is None else format_frequency(health.rate)
         delay = NOTHING if stale or health is None else format_milliseconds(health.transit)
+        event = NOTHING if view.event is None else format_event(view.event)
         gaps = Text(NOTHING if health is None else format_count(health.gaps))
         if health is not None and health.gaps:
             gaps.stylize(f"bold {colours['warning']}")
@@ -124,8 +146,8 @@ class DevicesPane(Vertical, Pane):
             Text(rate),
             gaps,
             Text(delay),
-            Text(view.holder or NOTHING, overflow="ellipsis"),
-            Text(NOTHING if view.event is None else format_event(view.event), style=colours["muted"]),
+            Text(view.holder or NOTHING, no_wrap=True, overflow="ellipsis"),
+            Text(event, style=colours["muted"], no_wrap=True, overflow="ellipsis"),
         ]
 
     def _readings(self, view: DeviceView, entries: list[tuple[str, str]]) -> Group:
@@ -188,6 +210,10 @@ def device_facts(endpoint: str, view: DeviceView) -> list[tuple[str, str]]:
             ("samples", f"{format_count(health.received)} seen, {format_count(health.gaps)} missing")
         )
     lines.append(("state", f"{view.state}: {view.reason}" if view.reason else view.state))
+    if view.event is not None:
+        lines.append(("last event", format_event(view.event)))
+    if view.holder and len(view.holder) > dict(COLUMNS)["held by"]:
+        lines.append(("held by", view.holder))
     metadata = view.metadata
     if view.is_replayed:
         lines.append(("replay", "no device is there: a recording is played"))

@@ -54,7 +54,7 @@ class LivePane(Horizontal, Pane):
         Binding("greater_than_sign", "replay('speed', 1)", "Faster", id="replay.faster", show=False),
         Binding("less_than_sign", "replay('speed', -1)", "Slower", id="replay.slower", show=False),
         Binding("j", "replay('back')", "10 s back", id="replay.back", show=False),
-        Binding("m", "shadow", "Model", id="live.shadow", tooltip="An accepted model beside the device"),
+        Binding("b", "shadow", "Model", id="live.shadow", tooltip="An accepted model beside the device"),
         Binding("l", "list", "Signals", id="live.list", tooltip="Show or hide the list of signals"),
     ]
 
@@ -141,20 +141,24 @@ class LivePane(Horizontal, Pane):
         ago, values = ago[shown], values[shown]
         limits = self._grow_limits(source.key, values)
         gap = 5.0 / (stream_watch.stream.rate * stream_watch.speed)
-        names = source.signal.columns()[:MOST_CURVES]
-        curves = column_curves(ago, values, names, number, max(gap, 0.05))
-        chart.show(self._title(source, ago, values, number), curves, (-self.window, 0.0), limits)
+        columns = min(source.signal.width, MOST_CURVES)
+        curves = column_curves(ago, values, columns, number, max(gap, 0.05))
+        value = self._value(ago, values)
+        chart.show(self._title(source, number), curves, (-self.window, 0.0), limits, value=value)
 
-    def _title(self, source: SignalSource, ago: FloatArray, values: FloatArray, number: int) -> Text:
+    def _title(self, source: SignalSource, number: int) -> Text:
         colours = self.app.theme_variables
-        title = Text(no_wrap=True, overflow="ellipsis")
-        title.append(source.signal.name, style=f"bold {colours[f'curve-{number % CURVES}']}")
-        title.append(f" of {source.device}, {source.signal.unit}", style=colours["muted"])
+        name = (source.signal.name, f"bold {colours[f'curve-{number % CURVES}']}")
+        place = (f" of {source.device}, {source.signal.unit}", colours["muted"])
+        return Text.assemble(name, place)
+
+    def _value(self, ago: FloatArray, values: FloatArray) -> Text | None:
+        """The newest value, or that none comes in; nothing for a vector."""
         if not len(ago) or ago[-1] < -1.0:
-            title.append("   ◌ nothing comes in", style=f"bold {colours['warning']}")
-        elif values.shape[1] == 1:
-            title.append(f"   {values[-1, 0]:+.4f}".replace("-", "−"), style="bold")
-        return title
+            return Text("◌ nothing comes in", style=f"bold {self.app.theme_variables['warning']}")
+        if values.shape[1] == 1:
+            return Text(f"{values[-1, 0]:+.4f}".replace("-", "−"), style="bold")
+        return None
 
     def _grow_limits(self, key: str, values: FloatArray) -> Limits:
         """Limits that grow with the data and never shrink by themselves: changing axes are hard to read."""

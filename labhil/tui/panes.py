@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.containers import Vertical
+from textual.events import Resize
 from textual.geometry import Region
 from textual.reactive import Reactive, reactive
 from textual.strip import Strip
@@ -14,6 +15,9 @@ from textual.widget import Widget
 from textual.widgets import Tab, Tabs
 
 from labhil.tui.top_bar import WithBar
+
+AROUND_TITLE = 4
+"""Blanks around the title of a tab."""
 
 
 class Backdrop(Widget):
@@ -76,6 +80,19 @@ class TabbedPanes(Vertical, Backdrop):
             pane.display = name == self.active
             yield pane
 
+    def on_resize(self, _event: Resize) -> None:
+        """Show the titles of the tabs in the new width."""
+        self._fit_titles()
+
+    def _fit_titles(self) -> None:
+        """Show the titles in full, or beside the one in front only numbers where they have no room."""
+        has_room = sum(len(title) + AROUND_TITLE for title in self._titles.values()) <= self.size.width
+        for tab in self.query(Tab):
+            title = self._titles[tab.id or self.active]
+            shown = title if has_room or tab.id == self.active else title.partition(" ")[0]
+            if tab.label_text != shown:
+                tab.label = shown
+
     @property
     def front(self) -> Pane:
         """The pane in front."""
@@ -87,6 +104,7 @@ class TabbedPanes(Vertical, Backdrop):
             self.panes[before].display = False
             self.panes[active].display = True
             self.query_one(Tabs).active = active
+            self._fit_titles()
 
     def on_tabs_tab_activated(self, event: Tabs.TabActivated) -> None:
         """Follow a tab that was clicked, or reached with the arrows."""

@@ -20,7 +20,9 @@ from textual.strip import Strip
 from textual.widget import Widget
 from textual.widgets import Static
 
+from labhil.report.formatting import NOTHING
 from labhil.signals import FloatArray
+from labhil.tui.chart_heading import chart_heading
 from labhil.tui.curve import PlotCurve, draw_curves
 from labhil.tui.ticks import Limits, axis_limits, round_ticks, tick_labels
 
@@ -47,8 +49,8 @@ class Plot(Widget, can_focus=True):
 
     COMPONENT_CLASSES: ClassVar[set[str]] = {"plot--axis", "plot--tick"}
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("plus", "zoom(1)", "Zoom in", id="plot.in", key_display="+"),
-        Binding("minus", "zoom(-1)", "Zoom out", id="plot.out", key_display="-"),
+        Binding("plus", "zoom(1)", "Zoom", id="plot.in", key_display="+ -", tooltip="Zoom in and out"),
+        Binding("minus", "zoom(-1)", "Zoom out", id="plot.out", key_display="-", show=False),
         Binding("left", "move(-1, 0)", "Left", id="plot.left", show=False),
         Binding("right", "move(1, 0)", "Right", id="plot.right", show=False),
         Binding("up", "move(0, 1)", "Up", id="plot.up", show=False),
@@ -254,7 +256,8 @@ class Chart(Vertical):
         self._heading = Static("", classes="chart-title")
         self._plot = Plot()
         self._curves: tuple[PlotCurve, ...] = ()
-        self._title = Text()
+        self._title, self._value = Text(), Text()
+        self._rows = 1
 
     def compose(self) -> ComposeResult:
         """Lay out title and plot."""
@@ -266,6 +269,10 @@ class Chart(Vertical):
         self.app.theme_changed_signal.subscribe(self, lambda _theme: self._update_heading())
         self._update_heading()
 
+    def on_resize(self, _event: Resize) -> None:
+        """Lay out the title in the new width."""
+        self._update_heading()
+
     def show(
         self,
         title: str | Text,
@@ -273,6 +280,7 @@ class Chart(Vertical):
         x: Limits | None = None,
         y: Limits | None = None,
         *,
+        value: Text | None = None,
         keep_view: bool = False,
     ) -> None:
         """Draw curves under a title.
@@ -282,9 +290,11 @@ class Chart(Vertical):
             curves: The curves.
             x: Limits of x; None for those of the points.
             y: Limits of y; None for those of the points.
+            value: Text after the title that is never left out.
             keep_view: Whether a zoomed view stays as it is.
         """
-        self._title = Text(title, no_wrap=True, overflow="ellipsis") if isinstance(title, str) else title
+        self._title = Text(title) if isinstance(title, str) else title
+        self._value = Text() if value is None else value
         self._curves = tuple(curves)
         span = x or _span([curve.x for curve in curves])
         self._plot.show(curves, span, y or axis_limits([curve.y for curve in curves]), keep_view=keep_view)
@@ -297,29 +307,33 @@ class Chart(Vertical):
         self._update_heading()
 
     def _update_heading(self) -> None:
-        colours, line = self.app.theme_variables, self._title.copy()
-        x = self._plot.cursor
-        if x is not None:
-            line.append(f" at {x:.4g}:", style="bold")
-            for curve in self._curves:
-                value = _value_at(curve, x)
-                line.append(f"  {curve.pen.value} ", style=colours.get(curve.colour, "#888888"))
-                line.append("–" if value is None else f"{value:.4g}".replace("-", "−"), style="bold")
-            self._heading.update(line, layout=False)
-            return
-        for curve in self._curves:
-            if curve.label:
-                line.append("   ")
-                line.append(f"{curve.pen.value} {curve.label}", style=colours.get(curve.colour, "#888888"))
-        self._heading.update(line, layout=False)  # always one line
+        x, columns = self._plot.cursor, self._heading.content_size.width
+        if x is None:
+            legend = [self._entry(curve, curve.label) for curve in self._curves if curve.label]
+            entries = [self._value, *legend] if self._value else legend
+            heading = chart_heading(self._title, entries, columns)
+        else:
+            values = [self._entry(curve, _value_at(curve, x), "bold") for curve in self._curves]
+            title = Text.assemble(self._title, (f" at {x:.4g}:", "bold"))
+            heading = chart_heading(title, values, columns, gap="  ")
+        rows = heading.plain.count("\n") + 1
+        if rows != self._rows:
+            self._rows = rows
+            self._heading.styles.height = rows
+        self._heading.update(heading, layout=False)
+
+    def _entry(self, curve: PlotCurve, text: str, style: str = "") -> Text:
+        """The pen of a curve, and a text."""
+        colour = self.app.theme_variables.get(curve.colour, "#888888")
+        return Text.assemble((f"{curve.pen.value} ", colour), (text, style or colour))
 
 
-def _value_at(curve: PlotCurve, x: float) -> float | None:
-    """Value of the point nearest to ``x``; None where there is none, or a break."""
+def _value_at(curve: PlotCurve, x: float) -> str:
+    """Value of the point nearest to ``x``; a dash where there is none, or a break."""
     if not len(curve.x):
-        return None
+        return NOTHING
     value = float(curve.y[int(np.argmin(np.abs(curve.x - x)))])
-    return value if np.isfinite(value) else None
+    return f"{value:.4g}".replace("-", "−") if np.isfinite(value) else NOTHING
 
 
 def _span(arrays: Sequence[FloatArray]) -> Limits:

@@ -107,10 +107,10 @@ def _channel(
 ) -> tuple[Text, list[PlotCurve]]:
     signal = next(signal for signal in data.stream.signals if signal.name == name)
     values = data[name].reshape(len(data), -1)
-    title = Text(no_wrap=True, overflow="ellipsis")
+    title = Text()
     title.append(name, style="bold")
     title.append(f", {signal.unit}  of /{data.device}/{data.stream.name}", style=colours["muted"])
-    return title, column_curves(data.t, values, signal.columns(), number, longest_gap(data.t))
+    return title, column_curves(data.t, values, signal.width, number, longest_gap(data.t))
 
 
 def _events(recording: Recording, colours: dict[str, str]) -> Text:

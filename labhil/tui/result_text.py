@@ -66,7 +66,7 @@ def headline(part: FitPart | DiagnosisPart) -> str:
 
 
 def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
-    """Return a fit: its quality, the parameters, and what is not identifiable."""
+    """Return a fit: its quality, the parameters, what is not identifiable, and what to do next."""
     score = fit.test or fit.train
     data = "data it has not seen" if fit.test is not None else "the data it was fitted to"
     head = Text()
@@ -94,6 +94,7 @@ def fit_text(fit: FitPart, colours: Colours) -> RenderableType:
         _scores(fit),
         section_title("How", colours),
         _method(fit, colours),
+        *next_steps_lines(fit.next_steps, colours),
     ]
     return Group(*parts)
 

@@ -141,9 +141,10 @@ class ShadowView(Vertical):
             for side in (1.0, -1.0)
         ]
         curve = PlotCurve(ago, residual, colour)
-        title = Text(no_wrap=True, overflow="ellipsis")
-        title.append(f"residual of {output.name}", style=f"bold {colours[colour]}")
-        title.append(", noise levels   ╍╍ band", style=colours["muted"])
+        title = Text.assemble(
+            (f"residual of {output.name}", f"bold {colours[colour]}"), (", noise levels", colours["muted"])
+        )
+        band = Text("╍╍ band", style=colours["muted"])
         if self.state is not None and self._is_wide:
-            title.append(f", {self.state.about()}", style=colours["muted"])
-        chart.show(title, [*edges, curve], (-window, 0.0), limits)
+            band.append(f", {self.state.about()}")
+        chart.show(title, [*edges, curve], (-window, 0.0), limits, value=band)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from labhil.bus.rights import access_control
 from labhil.bus.session import open_bus, open_to_guests
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.errors import BusError, LabhilError, UsageError
 from labhil.security.authority import Authority
 from labhil.security.connection import load_connection

@@ -29,7 +29,7 @@ from labhil.campaign.trials.score import score_trials
 from labhil.campaign.trials.seal import open_envelope, seal, write_envelope
 from labhil.campaign.trials.secret import DrawnEffect, Secret
 from labhil.campaign.trials.stated_answer import Regime, parse_stated_answer
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.errors import UnknownNameError, UsageError
 from labhil.identify.fitted import fit_by_continuation, start_theta
 from labhil.identify.window_states import estimate_states_at

@@ -13,7 +13,7 @@ import pytest
 from typer.main import get_command
 
 import labhil
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.commands.help_pages import GUIDES
 
 ROOT = Path(__file__).parents[2]

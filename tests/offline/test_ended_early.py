@@ -17,9 +17,10 @@ import pytest
 
 from labhil.analysis.dataset import Dataset, load_dataset
 from labhil.analysis.study import diagnose_study, fit_study
-from labhil.console import INTERRUPTED, STDOUT, deliver
+from labhil.console import STDOUT, deliver
 from labhil.ending import Deadline, EndedEarly, checkpoint
 from labhil.identify.fit import Options
+from labhil.interrupted import INTERRUPTED
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 LABHIL = [sys.executable, "-P", "-m", "labhil"]

@@ -6,7 +6,7 @@ import json
 
 from typer.testing import CliRunner
 
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.diagnose.timing import detect_all_faults
 
 TERMS = ("--terms", "viscous_friction", "--window", "1", "--estimator", "nlse")

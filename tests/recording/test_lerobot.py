@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.errors import LabhilError, TableError
 from labhil.recording import describe_import, import_table, read_recording
 from labhil.recording.formats.lerobot import read_parquet_or_episode

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from labhil import __version__
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.commands.acquisition import parse_settings
 from labhil.console import split_names
 from labhil.errors import UsageError

@@ -178,6 +178,30 @@ def test_a_pause_holds_it_and_it_goes_on_where_it_was(recording: Recording) -> N
             ask(bus, REPLAY_CONTROL, {"action": "fly"})
 
 
+def test_positions_are_in_the_time_of_info_and_plots(recording: Recording) -> None:
+    """Also where the clocks of the devices ran twice as fast as that of the host."""
+    streams = tuple(
+        replace(data, speed=2.0 * data.speed, clock=replace(data.clock, map=None))
+        for data in recording.streams
+    )
+    fast = replace(recording, streams=streams)
+    data, key = fast.stream_with("ball_position"), key_of(fast)
+    assert data.t_common[-1] == pytest.approx(data.t[-1] / 2.0)
+    with pytest.raises(OptionError, match=f"expected 0 to {fast.duration:.4g} s"):
+        Replay(fast, start=fast.duration + 0.1)
+    with Replay(fast, start=20.0) as replay, listening(replay.endpoint) as heard:
+        assert 20.0 <= replay.status.position <= replay.status.duration
+        assert replay.status.duration == pytest.approx(fast.duration)
+        replay.pause()
+        replay.seek(24.0)
+        assert replay.status.position == pytest.approx(24.0)
+        heard.payloads.clear()
+        replay.play()
+        wait_until(lambda: key in heard.payloads)
+        first = data.t[data.seq == heard.batch(key).seq[0] - replay._tracks[0].seq_shift]
+    assert first == pytest.approx(24.0, abs=0.2)
+
+
 def test_going_back_and_looping_never_turn_numbers_or_clocks_back(recording: Recording) -> None:
     short = first_seconds(recording, 3.0)
     with Replay(short, speed=10.0, loop=True) as replay, listening(replay.endpoint) as heard:

@@ -213,6 +213,21 @@ def test_ctrl_c_leaves_a_readable_recording(cli: Cli) -> None:
     assert kinds(recording, "bench").count("safe") == 1
 
 
+@pytest.mark.extended
+def test_ctrl_c_before_the_first_sample_leaves_nothing(cli: Cli) -> None:
+    before = {path.name for path in cli.directory.iterdir()} | {"experiment.toml"}
+    process = cli.start(experiment(duration=100.0))
+    deadline = time.monotonic() + PATIENCE
+    while not list(cli.directory.glob("*.twin.json")):
+        assert time.monotonic() < deadline, "no twin has started"
+        time.sleep(0.001)
+    process.send_signal(signal.SIGINT)
+    done = cli.finish(process)
+    assert done.returncode == 1
+    assert "stopped by SIGINT" in done.stderr
+    assert {path.name for path in cli.directory.iterdir()} == before
+
+
 def test_a_limit_that_trips_ends_the_run(cli: Cli) -> None:
     (cli.directory / "rig.toml").write_text(RIG.replace("-0.3, max = 0.3", "-0.03, max = 0.03"))
     done = cli.run(experiment(duration=100.0))

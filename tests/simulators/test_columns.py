@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import labhil as lh
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.errors import RigFileError, UsageError
 from labhil.rig import load_rig, parse_rig
 from labhil.signals import FloatArray

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import labhil as lh
-from labhil.cli import app
+from labhil.command_line import app
 from labhil.errors import LabhilError, TableError, UsageError
 from labhil.recording import describe_import, import_table, read_recording
 from labhil.recording.formats.npz import SysidColumns, read_npz

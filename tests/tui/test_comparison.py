@@ -77,7 +77,10 @@ def test_a_verification_is_listed(tmp_path: Path) -> None:
     }  # fmt: skip
     path = tmp_path / "a.verification.json"
     path.write_text(json.dumps(part), encoding="utf-8")
-    assert "contradicted by the recording" in text_of(path)
+    text = text_of(path)
+    assert "contradicted by the recording" in text
+    assert "What to do next" in text
+    assert "labhil diagnose REC.mcap --model fit.json" in text
 
 
 @pytest.mark.extended

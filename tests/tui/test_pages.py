@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+import pytest
 from rich.text import Text
-from textual.events import MouseScrollDown
+from textual.binding import Binding
+from textual.events import MouseScrollDown, MouseScrollUp
 from textual.pilot import Pilot
-from textual.widgets import HelpPanel
+from textual.widgets import HelpPanel, Tab
 
 from labhil.tui.app import LabApp
+from labhil.tui.devices import DevicesPane
+from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
+from labhil.tui.live import LivePane
 from labhil.tui.panes import TabbedPanes
+from labhil.tui.recordings import RecordingsPane
+from labhil.tui.results import ResultsPane
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -38,6 +45,11 @@ def written(app: LabApp) -> str:
     line = app.screen.query_one(KeyFooter).render()
     assert isinstance(line, Text)
     return line.plain
+
+
+def scroll(footer: KeyFooter, way: type[MouseScrollDown | MouseScrollUp], turns: int) -> None:
+    for _ in range(turns):
+        footer.post_message(way(footer, 0, 0, 0, 0, 0, False, False, False))
 
 
 async def wait_for(pilot: Pilot[None], app: LabApp, key: str) -> None:
@@ -70,12 +82,86 @@ def test_a_click_on_a_key_is_the_key(folder: Path) -> None:
 def test_the_wheel_brings_keys_that_have_no_room(folder: Path) -> None:
     async def way(pilot: Pilot[None], app: LabApp) -> None:
         await pilot.press("4")
-        await wait_for(pilot, app, "CSV")
+        await wait_for(pilot, app, "Mark")
         footer, before = app.screen.query_one(KeyFooter), written(app)
-        for _ in range(50):
-            footer.post_message(MouseScrollDown(footer, 0, 0, 0, 0, 0, False, False, False))
+        scroll(footer, MouseScrollDown, 50)
         await pilot.pause()
-        assert len(before) > 60
-        assert written(app) == before[-60:]
+        after = written(app)
+        scroll(footer, MouseScrollUp, 50)
+        await pilot.pause()
+        assert before == " space Mark  t Test  f Fit  d Diagnose  …   ? Keys  q Quit "
+        assert after == " …   d Diagnose  a Terms  v Verify  x CSV  ? Keys  q Quit "
+        assert written(app) == before
 
     walk(folder, 60, way)
+
+
+def test_a_click_on_the_ellipsis_brings_the_next_key_and_the_one_before(folder: Path) -> None:
+    async def way(pilot: Pilot[None], app: LabApp) -> None:
+        await pilot.press("4")
+        await wait_for(pilot, app, "Mark")
+        before = written(app)
+        await pilot.click(KeyFooter, offset=(before.index("…"), 0))
+        await pilot.pause()
+        assert written(app).startswith(" …   t Test ")
+        await pilot.click(KeyFooter, offset=(1, 0))
+        await pilot.pause()
+        assert written(app) == before
+
+    walk(folder, 60, way)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("width", [48, 72, 80])
+def test_no_key_is_cut_and_those_of_the_application_stay(folder: Path, width: int) -> None:
+    async def way(pilot: Pilot[None], app: LabApp) -> None:
+        for tab in "12345":
+            await pilot.press(tab)
+            await pilot.pause(0.3)
+            row = written(app)
+            assert len(row) <= width
+            assert row.endswith("? Keys  q Quit ")
+        await pilot.press("4", "space", "down", "space", "f12")
+        await pilot.pause(0.5)
+        assert written(app).endswith("f9 Release  ? Keys  q Quit ")
+        await pilot.press("enter")
+        await pilot.pause(0.5)
+        assert len(written(app)) <= width
+        assert "esc Back" in written(app)
+
+    walk(folder, width, way)
+
+
+def test_without_room_only_the_tab_in_front_has_its_whole_title(folder: Path) -> None:
+    async def way(pilot: Pilot[None], app: LabApp) -> None:
+        def titles() -> list[str]:
+            return [tab.label_text for tab in app.base.query(Tab)]
+
+        assert titles() == ["1 Devices", "2", "3", "4", "5"]
+        await pilot.press("4")
+        await pilot.pause()
+        assert titles() == ["1", "2", "3", "4 Recordings", "5"]
+        await pilot.resize_terminal(80, 24)
+        await pilot.pause()
+        assert titles() == ["1 Devices", "2 Live", "3 Experiment", "4 Recordings", "5 Results"]
+
+    walk(folder, 50, way)
+
+
+def bindings_of(owner: type) -> Iterator[tuple[str, str]]:
+    """Each key of a class, with what it does."""
+    for binding in owner.BINDINGS:
+        assert isinstance(binding, Binding)
+        for key in binding.key.split(","):
+            yield key, binding.description
+
+
+def test_m_has_one_meaning_and_no_more_keys_have_two() -> None:
+    meanings: dict[str, set[str]] = {}
+    for owner in (LabApp, DevicesPane, LivePane, ExperimentPane, RecordingsPane, ResultsPane):
+        for key, meaning in bindings_of(owner):
+            meanings.setdefault(key, set()).add(meaning)
+    assert meanings["m"] == {"Mark"}
+    assert meanings["b"] == {"Model"}
+    several = {key: found for key, found in meanings.items() if len(found) > 1}
+    assert several == {"p": {"Freeze", "Pause"}, "k": {"Pause", "Compare"}, "a": {"Abort", "Terms"}}

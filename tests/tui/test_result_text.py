@@ -76,6 +76,16 @@ def test_no_figure_of_a_comparison_is_cut(width: int) -> None:
             assert spaced(format_estimate(row, model.name)) in words
 
 
+@pytest.mark.parametrize("width", [40, 75, 120])
+@pytest.mark.parametrize("verdict", [None, "explained", "unexplained"])
+def test_a_fit_says_what_to_do_next_as_its_report_does(verdict: str | None, width: int) -> None:
+    part = FitPart.model_validate_json(FIT.read_text(encoding="utf-8"))
+    part = part.model_copy(update={"verdict": verdict})
+    said = capture(fit_text(part, defaultdict(lambda: "#ffffff")), width).partition("What to do next")[2]
+    assert part.next_steps
+    assert "".join(said.split()) == "".join("".join(f"·{step}" for step in part.next_steps).split())
+
+
 def test_a_row_takes_one_line_where_there_is_room() -> None:
     rows = len(FitPart.model_validate_json(FIT.read_text(encoding="utf-8")).parameters)
     assert len(drawn(160).splitlines()) == rows + 1

@@ -34,7 +34,9 @@ from still import NOW_NS, StillLab
 SCREENS = Path(__file__).parent / "screens"
 PICTURES = Path(__file__).parents[2] / "docs" / "tui"
 COMPARED = Path(__file__).parent / "compared" / "ball_beam_identify.comparison.json"
+VERIFIED = Path(__file__).parent / "compared" / "ball_beam_test.verification.json"
 NEWEST = 1_790_000_100.0
+LIGHT_TOO = ("devices", "live", "experiment", "recordings", "recording", "results", "fit", "charts", "models")
 OFTEN = ("devices", "live", "experiment", "results")
 SMALL, LARGE = (80, 24), (160, 50)
 SETTLED = 0.15
@@ -106,7 +108,7 @@ async def cursor(pilot: Pilot[None], app: LabApp) -> None:
 
 async def shadowed(pilot: Pilot[None], app: LabApp) -> None:
     """A model that agrees for a while, and then does not."""
-    await keys("2", "m", "enter")(pilot, app)
+    await keys("2", "b", "enter")(pilot, app)
     view = app.base.query_one(ShadowView)
     while view.state is None or len(view.state.outputs["ball_position"].stretches) < 10:
         await pilot.pause(SETTLED)
@@ -119,6 +121,20 @@ async def compared(pilot: Pilot[None], app: LabApp) -> None:
     """A comparison in the list of results, as the newest."""
     copy = app.folder / COMPARED.name
     shutil.copy(COMPARED, copy)
+    os.utime(copy, (NEWEST, NEWEST))
+    await keys("5", "home")(pilot, app)
+
+
+async def next_steps(pilot: Pilot[None], app: LabApp) -> None:
+    """The end of a fit, with what to do next."""
+    await keys("5", "down")(pilot, app)
+    app.base.query_one("#result-scroll").scroll_end(animate=False)
+
+
+async def verified(pilot: Pilot[None], app: LabApp) -> None:
+    """A verification in the list of results, as the newest, with what to do next."""
+    copy = app.folder / VERIFIED.name
+    shutil.copy(VERIFIED, copy)
     os.utime(copy, (NEWEST, NEWEST))
     await keys("5", "home")(pilot, app)
 
@@ -163,6 +179,8 @@ SHOWN: dict[str, Go] = {
     "overlaid": keys("4", "space", "down", "space", "o"),
     "release": release,
     "verify": keys("4", "v"),
+    "verified": verified,
+    "steps": next_steps,
     "analysis": analysis,
     "overlay": overlay,
     "models": models,
@@ -173,6 +191,7 @@ SHOWN: dict[str, Go] = {
 DOCUMENTED = {
     "devices-80x24": "devices",
     "live-160x50": "live",
+    "live-80x24-light": "light",
     "shadow-80x24": "shadow",
     "replay-80x24": "replay",
     "experiment-160x50": "experiment",
@@ -255,7 +274,7 @@ def test_a_large_terminal_uses_its_room(name: str, folder: Path, tmp_path: Path)
 
 
 @pytest.mark.extended
-@pytest.mark.parametrize("name", ["devices", "live", "recordings"])
+@pytest.mark.parametrize("name", LIGHT_TOO)
 def test_the_light_theme(name: str, folder: Path, tmp_path: Path) -> None:
     draw(name, folder, tmp_path, SMALL, LIGHT.name)
 

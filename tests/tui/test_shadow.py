@@ -114,7 +114,7 @@ def test_the_residual_has_a_gap_between_stretches_and_lies_at_its_time() -> None
 
 @pytest.mark.extended
 @pytest.mark.parametrize("size", [(80, 24), (160, 50)])
-def test_m_chooses_a_model_shows_it_and_takes_it_away(
+def test_b_chooses_a_model_shows_it_and_takes_it_away(
     folder: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
 ) -> None:
     monkeypatch.setattr(shadow, "Helper", StillHelper)
@@ -124,7 +124,7 @@ def test_m_chooses_a_model_shows_it_and_takes_it_away(
         async with app.run_test(size=size) as pilot:
             await pilot.press("2")
             await pilot.pause(0.3)
-            await pilot.press("m")
+            await pilot.press("b")
             await until(pilot, lambda: isinstance(app.screen, Choose))
             listed = app.screen.query_one(OptionList)
             assert listed.option_count == 2
@@ -141,7 +141,7 @@ def test_m_chooses_a_model_shows_it_and_takes_it_away(
             assert view.region.bottom <= app.size.height - 1
             await pilot.press("question_mark")
             await until(pilot, lambda: bool(app.screen.query(HelpPanel)))
-            await pilot.press("question_mark", "m")
+            await pilot.press("question_mark", "b")
             await until(pilot, lambda: view.state is None)
             assert not view.display
             await app.workers.wait_for_complete()
@@ -151,13 +151,13 @@ def test_m_chooses_a_model_shows_it_and_takes_it_away(
 
 
 @pytest.mark.extended
-def test_without_a_result_m_says_what_is_needed(tmp_path: Path) -> None:
+def test_without_a_result_b_says_what_is_needed(tmp_path: Path) -> None:
     async def go() -> None:
         app = LabApp(tmp_path, StillLab(), theme=DARK.name)  # type: ignore[arg-type]
         async with app.run_test(size=(80, 24)) as pilot:
             await pilot.press("2")
             await pilot.pause(0.3)
-            await pilot.press("m")
+            await pilot.press("b")
             await until(pilot, lambda: bool(app._notifications))
             told = next(iter(app._notifications)).message
             assert "a fit or a diagnosis in this folder" in told
@@ -196,7 +196,7 @@ def test_a_model_beside_a_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
                 await pilot.press("2")
                 await until(pilot, lambda: bool(lab.signal_sources()))
                 await pilot.pause(0.5)
-                await pilot.press("m")
+                await pilot.press("b")
                 await until(pilot, lambda: isinstance(app.screen, Choose))
                 await pilot.press("enter")
                 view = app.base.query_one(ShadowView)
