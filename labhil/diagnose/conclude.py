@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 
 from labhil.diagnose.adequacy import MAX_RMS_IN_NOISE, exceeds_noise, residual_rms
-from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.force_curve import ForceCurve, state_curve
 from labhil.diagnose.joint_curves import fit_joint_curves
 from labhil.diagnose.judge import Data
@@ -64,14 +63,12 @@ class Conclusion:
         """Remaining excess and number of claims, which lower the probability of a claim; (1, 1) of an arm."""
         if self.data.model.metric is Metric.INVERSE_DYNAMICS:
             return 1.0, 1
-        return self.after.excess, len(self.result.missing) + len(self.curves)
+        return self.after.excess, len(self.claims)
 
     @property
-    def probabilities(self) -> dict[str, float]:
-        """Probability of each claim by the key of its term, that it or a rival beside it is right."""
-        claims = [(step.terms[0], step.evidence) for step in self.result.missing]
-        claims += [(curve.term, curve.evidence) for curve in self.curves]
-        return {term: claim_probability(evidence, *self.doubts) for term, evidence in claims}
+    def claims(self) -> tuple[str, ...]:
+        """Keys of the named terms, and names of the curves."""
+        return (*(step.terms[0] for step in self.result.missing), *(curve.term for curve in self.curves))
 
     @property
     def on_shorter_windows(self) -> tuple[Score, Score] | None:
@@ -93,6 +90,14 @@ class Conclusion:
         """
         shorter = self.on_shorter_windows
         return shorter is not None and shorter[1].rmse >= shorter[0].rmse
+
+    @property
+    def explains_nothing(self) -> bool:
+        """Whether the named effects leave more than noise, and an error on held-out data that is no smaller.
+
+        They may be the best that the catalogue has for something else: what drives a rig unrecorded.
+        """
+        return bool(self.claims) and self.excess_remains and self.after.rmse >= self.before.rmse
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +145,7 @@ def conclude(
         progress: is called with a line of text at each stage.
 
     Returns:
-        The conclusion; without claims where the final model predicts worse than the baseline, and where each
-        claim is less probable than not.
+        The conclusion; without claims where the final model predicts worse than the baseline.
     """
     progress("scores, intervals and exclusion limits")
     scores = HeldOutScores.of(data, result)
@@ -152,19 +156,27 @@ def conclude(
     conclusion = Conclusion(data, result, curves, more, scores.before, scores.after, scores.sigma)
     if curves:
         conclusion = replace(conclusion, after=scores.score_of(*conclusion.accepted))
-    elif conclusion.predicts_worse:
-        return _without_claims(conclusion, result.without_claims, progress)
-    probabilities = conclusion.probabilities
-    if probabilities and max(probabilities.values()) < 0.5:
-        return _without_claims(conclusion, result.with_doubtful(probabilities), progress)
-    return conclusion
+    return withdraw_claims(conclusion, progress)
 
 
-def _without_claims(
-    conclusion: Conclusion, baseline: SearchResult, progress: Callable[[str], None]
-) -> Conclusion:
-    """The conclusion of a result whose claims were withdrawn."""
-    return conclude(conclusion.data, baseline, residual_rms(conclusion.data, baseline.final), progress)
+def withdraw_claims(conclusion: Conclusion, progress: Callable[[str], None]) -> Conclusion:
+    """Withdraw claims that held-out data refute, or that explain nothing of these.
+
+    Args:
+        conclusion: a conclusion with claims or without.
+        progress: is called with a line of text at each stage.
+
+    Returns:
+        The conclusion of the same search without claims; the same conclusion where they may stay.
+    """
+    result = conclusion.result
+    if not conclusion.curves and conclusion.predicts_worse:
+        result = result.without_claims
+    elif conclusion.explains_nothing:
+        result = result.with_doubtful(conclusion.claims)
+    else:
+        return conclusion
+    return conclude(conclusion.data, result, residual_rms(conclusion.data, result.final), progress)
 
 
 def more_than_noise_remains(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -94,7 +94,7 @@ class SearchResult:
         open: terms that are about as likely as not.
         disturbed: whether the evidence favours a lasting disturbance beside the likeliest structure.
         alternatives: the likeliest structure and all others that were refitted.
-        doubtful: probability of terms that were to be named, by key, where each is less probable than not.
+        doubtful: terms that were to be named, but explain nothing of held-out data.
     """
 
     baseline: Fitted
@@ -111,16 +111,16 @@ class SearchResult:
     open: tuple[str, ...] = ()
     disturbed: bool = False
     alternatives: tuple[Alternative, ...] = ()
-    doubtful: Mapping[str, float] = field(default_factory=dict)
+    doubtful: tuple[str, ...] = ()
 
     @property
     def without_claims(self) -> SearchResult:
         """The same search without named terms."""
         return replace(self, final=self.baseline, missing=(), rivals=())
 
-    def with_doubtful(self, probabilities: Mapping[str, float]) -> SearchResult:
-        """The same search with neither named terms nor a curve, as each is less probable than not."""
-        return replace(self.without_claims, curve=None, doubtful=probabilities)
+    def with_doubtful(self, terms: Sequence[str]) -> SearchResult:
+        """The same search with neither named terms nor a curve; ``terms`` are doubtful instead."""
+        return replace(self.without_claims, curve=None, doubtful=tuple(terms))
 
     def with_steps(self, final: Fitted, steps: tuple[Step, ...]) -> SearchResult:
         """Keep some of the named terms and their rivals.

@@ -169,13 +169,9 @@ def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
 
 
 def doubtful_terms(result: SearchResult) -> tuple[Undecided, ...]:
-    """Entries of terms that were to be named, but are less probable than not."""
-    return tuple(
-        Undecided(
-            *unkeyed(term), (), f"the best explanation found, but less probable than not ({100.0 * p:.0f} %)"
-        )
-        for term, p in result.doubtful.items()
-    )
+    """Entries of terms that were to be named, but explain nothing of held-out data."""
+    reason = "the best explanation found, but held-out data are predicted no better with it"
+    return tuple(Undecided(*unkeyed(term), (), reason) for term in result.doubtful)
 
 
 def open_terms(result: SearchResult) -> tuple[Undecided, ...]:
