@@ -59,16 +59,14 @@ class Conclusion:
         return self.data.model, self.result.final.theta
 
     @property
-    def doubts(self) -> tuple[float, int]:
-        """Remaining excess and number of claims, which lower the probability of a claim; (1, 1) of an arm."""
-        if self.data.model.metric is Metric.INVERSE_DYNAMICS:
-            return 1.0, 1
-        return self.after.excess, len(self.claims)
-
-    @property
     def claims(self) -> tuple[str, ...]:
         """Keys of the named terms, and names of the curves."""
         return (*(step.terms[0] for step in self.result.missing), *(curve.term for curve in self.curves))
+
+    @property
+    def claims_together(self) -> int:
+        """Number of claims that stand or fall together; each joint of an arm has its own."""
+        return 1 if self.data.model.metric is Metric.INVERSE_DYNAMICS else len(self.claims)
 
     @property
     def on_shorter_windows(self) -> tuple[Score, Score] | None:

@@ -116,7 +116,7 @@ def _answer(
 ) -> Diagnosis:
     """The answer of a search, without faults of the data and duration."""
     model, result = data.model, conclusion.result
-    curves, doubts = sort_by_heldout_gain(conclusion.curves), conclusion.doubts
+    curves, claims = sort_by_heldout_gain(conclusion.curves), conclusion.claims_together
     complete, held_out_fit = result.complete, None
     try:
         held_out_fit = refit_to_held_out(conclusion)
@@ -143,10 +143,10 @@ def _answer(
         collapsed=result.collapsed,
         location=statements.location(result, before, after, test, curves, augmented=wider),
         missing=(
-            *(statements.missing_term(model, step, result, final, *doubts) for step in result.missing),
-            *(statements.missing_curve(curve, *doubts) for curve in curves),
+            *(statements.missing_term(model, step, result, final, claims) for step in result.missing),
+            *(statements.missing_curve(curve, claims) for curve in curves),
         ),
-        rivals=tuple(statements.rival_term(model, rival, result, *doubts) for rival in result.rivals),
+        rivals=tuple(statements.rival_term(model, rival, result, claims) for rival in result.rivals),
         undecided=(
             *statements.doubtful_terms(result),
             *statements.minor_terms(result),

@@ -32,7 +32,7 @@ AUGMENTED_SEARCH = (
 
 
 def missing_term(
-    model: Model, step: Step, result: SearchResult, final: list[Estimate], excess: float, claims: int
+    model: Model, step: Step, result: SearchResult, final: list[Estimate], claims: int
 ) -> Missing:
     """The entry of a missing term.
 
@@ -41,7 +41,6 @@ def missing_term(
         step: the step of the search that added it.
         result: the result of the search.
         final: rows of the final parameter table.
-        excess: final RMSE over the noise floor, of the worst output.
         claims: number of claims of the diagnosis.
     """
     (key,) = step.terms
@@ -55,7 +54,7 @@ def missing_term(
         joint=term.joint,
         statement=f"The model leaves out {term.statement}{at}: {sizes}.{_size_note(result.final, rows)}",
         equation=term.equation,
-        probability=claim_probability(step.evidence, excess, claims) * posterior,
+        probability=claim_probability(step.evidence, claims) * posterior,
         parameters=rows,
         evidence=step.evidence,
     )
@@ -111,7 +110,7 @@ def _short(row: Estimate) -> str:
     return keyed(row.name.partition(".")[2], None, row.recording)
 
 
-def missing_curve(force_curve: ForceCurve, excess: float, claims: int) -> Missing:
+def missing_curve(force_curve: ForceCurve, claims: int) -> Missing:
     """The entry of a force that no named term explains; arguments as of :func:`missing_term`."""
     formula = f"; about {force_curve.formula}" if force_curve.formula else ""
     return Missing(
@@ -119,8 +118,7 @@ def missing_curve(force_curve: ForceCurve, excess: float, claims: int) -> Missin
         joint=force_curve.joint,
         statement=force_curve.statement,
         equation=f"a curve over {', '.join(force_curve.depends_on)}{formula}",
-        probability=claim_probability(force_curve.evidence, excess, claims)
-        * (force_curve.probability or 1.0),
+        probability=claim_probability(force_curve.evidence, claims) * (force_curve.probability or 1.0),
         parameters=[],
         evidence=force_curve.evidence,
     )
@@ -143,7 +141,7 @@ def curve_entry(force_curve: ForceCurve) -> Curve:
     )
 
 
-def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, claims: int) -> RivalTerm:
+def rival_term(model: Model, rival: Rival, result: SearchResult, claims: int) -> RivalTerm:
     """The entry of a rival, with the excitation that would decide; arguments as of :func:`missing_term`."""
     step = result.step(rival.instead_of)
     term = model.terms[rival.term]
@@ -151,7 +149,7 @@ def rival_term(model: Model, rival: Rival, result: SearchResult, excess: float, 
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=claim_probability(step.evidence, excess, claims) * rival.probability,
+        probability=claim_probability(step.evidence, claims) * rival.probability,
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",

@@ -22,7 +22,6 @@ from labhil.campaign.trials.score import open_sealed_answer
 from labhil.campaign.trials.stated_answer import SCHEMA, read_stated_answer
 from labhil.diagnose.claim_probability import WEIGHTS, features
 from labhil.errors import UsageError
-from labhil.physics.model import Metric
 from labhil.signals import FloatArray
 
 RIDGE = 0.1
@@ -31,7 +30,7 @@ RIDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Claimed:
-    """A claim by its features (4,), and whether it, or one of the rivals beside it, was right."""
+    """A claim by its features (3,), and whether it, or one of the rivals beside it, was right."""
 
     features: FloatArray
     right: bool
@@ -39,7 +38,7 @@ class Claimed:
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """Weights (4,) with their standard errors (4,), and how many claims they were fitted to."""
+    """Weights (3,) with their standard errors (3,), and how many claims they were fitted to."""
 
     weights: FloatArray
     errors: FloatArray
@@ -66,15 +65,9 @@ def _claims(answer: Answer, path: Path) -> list[Claimed]:
     if not stated.named:
         return []
     detectable = [effect for effect in answer.effects if effect.oracle_gain >= MIN_DETECTABLE_GAIN]
-    rows = [
-        row
-        for row in result["improvement"]["per_channel"]
-        if row["metric"] == Metric.WINDOWED_SIMULATION.value
-    ]
-    excess = max((row["rmse_after"] / row["noise_floor"] for row in rows), default=1.0)
     return [
         Claimed(
-            features(entry["evidence"]["delta_bic"], excess, len(stated.named)),
+            features(entry["evidence"]["delta_bic"], len(stated.named)),
             any(is_right_name(effect, name) for effect in detectable for name in named.names),
         )
         for named, entry in zip(stated.named, result["missing"], strict=True)
