@@ -32,4 +32,6 @@ def test_three_rigs_move_together_into_one_recording(tmp_path):
         assert data.clock.device_clock
         assert np.ptp(data.t) > 5.0
         assert np.ptp(data[moved[device]]) > 0.0
+    # the devices are prepared side by side, and the recording begins when all are ready: none idles in it
+    assert np.ptp([data.t_acq_ns[0] for data in states.values()]) < 1e9
     assert np.ptp([data.t[-1] for data in states.values()]) < 1.0
