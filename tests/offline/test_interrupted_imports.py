@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,14 @@ ROOT = Path(__file__).parents[2]
 RECORDING = ROOT / "recordings" / "ball_beam_identify.mcap"
 AT_FIRST = ("labhil.interrupted", "typer.core", "labhil.commands.analysis", "labhil.commands.tui")
 IN_THE_COMMAND = ("numpy", "pydantic", "labhil.recording.reader")
+
+
+@pytest.fixture(autouse=True)
+def not_in_the_background() -> Iterator[None]:
+    """A process that a shell has put into the background ignores Ctrl+C, and so do those that it starts."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def strike_after(module: str) -> tuple[int, str]:

@@ -63,6 +63,8 @@ def test_a_list_of_recordings_shows_no_half_words(folder: Path) -> None:
             await pilot.pause(SETTLED)
             pane = app.query_one(RecordingsPane)
             pane.show_entries([FAILED, replace(FAILED, path=Path("b.mcap"), status="done")])
+            app.query_one("#recordings-table", DataTable).focus()
+            await pilot.pause(SETTLED)
             await pilot.press("down")
             pane.show_entries([FAILED, replace(FAILED, path=Path("b.mcap"), status="growing")])
             await pilot.pause(SETTLED)
