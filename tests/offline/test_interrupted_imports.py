@@ -61,10 +61,8 @@ def test_the_entry_point_imports_nothing_before_it_can_answer() -> None:
     code = (
         "import sys; before = set(sys.modules); import labhil.cli; print(*sorted(set(sys.modules) - before))"
     )
-    done = subprocess.run(
-        [sys.executable, "-P", "-S", "-c", code], check=True, capture_output=True, text=True
-    )
-    assert done.stdout.split() == ["__future__", "labhil", "labhil.cli", "labhil.version"]
+    done = subprocess.run([sys.executable, "-P", "-c", code], check=True, capture_output=True, text=True)
+    assert set(done.stdout.split()) - {"__future__"} == {"labhil", "labhil.cli", "labhil.version"}
 
 
 @pytest.mark.extended
