@@ -46,7 +46,13 @@ def missing_term(
     (key,) = step.terms
     term = model.terms[key]
     rows = [row for row in final if (row.term, row.joint) == (term.name, term.joint)]
-    sizes = ", ".join(f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip() for row in rows)
+    some_are_known = any(row.identifiable for row in rows)
+    sizes = ", ".join(
+        f"{_short(row)} = {row.value:.4g} {_unit(row)}".rstrip()
+        if row.identifiable or not some_are_known
+        else f"{_short(row)} is not determined by these data"
+        for row in rows
+    )
     posterior = 1.0 if step.probability is None else step.probability
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
