@@ -53,12 +53,14 @@ def missing_term(
         else f"{_short(row)} is not determined by these data"
         for row in rows
     )
+    is_negative = bool(term.statement_if_negative) and rows[0].value < 0.0
+    lacks = term.statement_if_negative if is_negative else term.statement
     posterior = 1.0 if step.probability is None else step.probability
     at = "" if term.joint is None else f" of joint {term.joint}"
     return Missing(
         term=term.name,
         joint=term.joint,
-        statement=f"The model leaves out {term.statement}{at}: {sizes}.{_size_note(result.final, rows)}",
+        statement=f"The model leaves out {lacks}{at}: {sizes}.{_size_note(result.final, rows)}",
         equation=term.equation,
         probability=claim_probability(step.evidence, claims) * posterior,
         parameters=rows,

@@ -139,6 +139,7 @@ def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
         ),
         with_terms=("coulomb_friction",),
         narrow="static_friction",
+        statement_if_negative="dry friction that is smaller as motion sets in and rises to its full value",
     )
 
 

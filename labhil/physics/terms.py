@@ -127,6 +127,7 @@ class Term:
         narrow: Key of the term that it becomes at the lower bound of its shape parameter (a Stribeck peak of
             zero width is static friction); "" if there is none.
         known: Constants of the machine, used at their ``scale`` and not estimated.
+        statement_if_negative: The statement where its first parameter is negative; "" if that is the same.
     """
 
     name: str
@@ -141,6 +142,7 @@ class Term:
     joint: int | None = None
     narrow: str = ""
     known: tuple[Parameter, ...] = ()
+    statement_if_negative: str = ""
 
     @property
     def key(self) -> str:
