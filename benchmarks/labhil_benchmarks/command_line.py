@@ -154,6 +154,6 @@ def trial_calibrate(
 
     fitted = calibrate([claim for folder in folders for claim in claimed_in(folder)])
     show(f"{fitted.claims} claims, {fitted.right} of them right")
-    names = ("a single claim, ΔBIC −100, nothing left", "ln (what is left)", "each further claim", "lg ΔBIC")
+    names = ("a single claim", "each further claim")
     for name, weight, error, used in zip(names, fitted.weights, fitted.errors, WEIGHTS, strict=True):
-        show(f"{name:42} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")
+        show(f"{name:20} {weight:7.2f} ± {error:.2f}   in use: {used:.2f}")

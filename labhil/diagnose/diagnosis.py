@@ -146,7 +146,7 @@ def _answer(
             *(statements.missing_term(model, step, result, final, claims) for step in result.missing),
             *(statements.missing_curve(curve, claims) for curve in curves),
         ),
-        rivals=tuple(statements.rival_term(model, rival, result, claims) for rival in result.rivals),
+        rivals=tuple(statements.rival_term(model, rival, claims) for rival in result.rivals),
         undecided=(
             *statements.doubtful_terms(result),
             *statements.minor_terms(result),

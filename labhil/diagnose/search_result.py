@@ -172,11 +172,3 @@ class SearchResult:
         """Keys of terms that may be present though not named: rivals, open, minor and doubtful ones."""
         rivals = (rival.term for rival in self.rivals)
         return frozenset((*rivals, *self.open, *self.doubtful, *(minor.term for minor in self.minor)))
-
-    def step(self, term: str) -> Step:
-        """The step that added a term.
-
-        Raises:
-            StopIteration: if no step added it.
-        """
-        return next(step for step in self.missing if step.terms[0] == term)

@@ -62,7 +62,7 @@ def missing_term(
         joint=term.joint,
         statement=f"The model leaves out {lacks}{at}: {sizes}.{_size_note(result.final, rows)}",
         equation=term.equation,
-        probability=claim_probability(step.evidence, claims) * posterior,
+        probability=claim_probability(claims) * posterior,
         parameters=rows,
         evidence=step.evidence,
     )
@@ -126,7 +126,7 @@ def missing_curve(force_curve: ForceCurve, claims: int) -> Missing:
         joint=force_curve.joint,
         statement=force_curve.statement,
         equation=f"a curve over {', '.join(force_curve.depends_on)}{formula}",
-        probability=claim_probability(force_curve.evidence, claims) * (force_curve.probability or 1.0),
+        probability=claim_probability(claims) * (force_curve.probability or 1.0),
         parameters=[],
         evidence=force_curve.evidence,
     )
@@ -149,15 +149,14 @@ def curve_entry(force_curve: ForceCurve) -> Curve:
     )
 
 
-def rival_term(model: Model, rival: Rival, result: SearchResult, claims: int) -> RivalTerm:
+def rival_term(model: Model, rival: Rival, claims: int) -> RivalTerm:
     """The entry of a rival, with the excitation that would decide; arguments as of :func:`missing_term`."""
-    step = result.step(rival.instead_of)
     term = model.terms[rival.term]
     return RivalTerm(
         term=term.name,
         instead_of=rival.instead_of,
         joint=term.joint,
-        probability=claim_probability(step.evidence, claims) * rival.probability,
+        probability=claim_probability(claims) * rival.probability,
         delta_bic=rival.delta_bic,
         distinguishable=False,
         experiment=f"excite with {term.revealed_by}",

@@ -15,11 +15,11 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from labhil.campaign.trials.answer import Answer
-from labhil.campaign.trials.folder import Results, read_index, read_json_object
+from labhil.campaign.trials.folder import Results, read_index
 from labhil.campaign.trials.judge import MIN_DETECTABLE_GAIN, is_right_name
 from labhil.campaign.trials.make import answers_beside
 from labhil.campaign.trials.score import open_sealed_answer
-from labhil.campaign.trials.stated_answer import SCHEMA, read_stated_answer
+from labhil.campaign.trials.stated_answer import read_stated_answer
 from labhil.diagnose.claim_probability import WEIGHTS, features
 from labhil.errors import UsageError
 from labhil.signals import FloatArray
@@ -30,15 +30,15 @@ RIDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Claimed:
-    """A claim by its features (3,), and whether it, or one of the rivals beside it, was right."""
+    """A claim by its features (2), and whether it, or one of the rivals beside it, was right."""
 
-    features: FloatArray
+    features: tuple[float, float]
     right: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """Weights (3,) with their standard errors (3,), and how many claims they were fitted to."""
+    """Weights (2,) with their standard errors (2,), and how many claims they were fitted to."""
 
     weights: FloatArray
     errors: FloatArray
@@ -61,16 +61,14 @@ def claimed_in(folder: Path) -> list[Claimed]:
 
 
 def _claims(answer: Answer, path: Path) -> list[Claimed]:
-    stated, result = read_stated_answer(path), read_json_object(path, SCHEMA)
+    stated = read_stated_answer(path)
     if not stated.named:
         return []
     detectable = [effect for effect in answer.effects if effect.oracle_gain >= MIN_DETECTABLE_GAIN]
+    own = features(len(stated.named))
     return [
-        Claimed(
-            features(entry["evidence"]["delta_bic"], len(stated.named)),
-            any(is_right_name(effect, name) for effect in detectable for name in named.names),
-        )
-        for named, entry in zip(stated.named, result["missing"], strict=True)
+        Claimed(own, any(is_right_name(effect, name) for effect in detectable for name in named.names))
+        for named in stated.named
     ]
 
 
