@@ -12,7 +12,7 @@ import pytest
 import labhil as lh
 from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.analysis.patching import patch
-from labhil.errors import ModelFileError, UsageError
+from labhil.errors import ModelFileError, RecordingError, UsageError
 from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
@@ -149,6 +149,29 @@ def test_a_result_in_python_is_put_into_the_file_by_itself(
     assert found.left == ()
     with pytest.raises(UsageError, match="nothing is overwritten"):
         fit.patch("rod.xml", tmp_path / "fixed.xml", rig="rig.toml")
+
+
+@pytest.mark.extended
+def test_a_result_takes_the_simulator_that_it_was_found_with(
+    fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signals have other names than in the file; the simulator says which is which."""
+    monkeypatch.chdir(fitted)
+    names = {"inputs": {"torque": "motor"}, "outputs": {"angle": "encoder"}}
+    rod = lh.mujoco_simulator("rod.xml", **names)
+    fit = lh.fit("run.mcap", rod, terms=["viscous_friction", "added_inertia"])
+    with pytest.raises(
+        RecordingError, match=r"expected the signals encoder, motor|expected a recording of rod"
+    ):
+        fit.patch("rod.xml", tmp_path / "none.xml")
+    found = fit.patch("rod.xml", tmp_path / "fixed.xml", rig=rod)
+    by_file = fit.patch("rod.xml", tmp_path / "same.xml", rig="rig.toml")
+    assert (tmp_path / "fixed.xml").read_bytes() == (tmp_path / "same.xml").read_bytes()
+    assert found.attempts[-1].ratio == by_file.attempts[-1].ratio <= MAX_ERROR_RATIO
+    model = lh.model(rod, known={"gear": 1.0})
+    assert lh.fit("run.mcap", model, terms=["viscous_friction"]).patch(
+        "rod.xml", tmp_path / "known.xml", rig=model
+    )
 
 
 @pytest.mark.extended
