@@ -21,6 +21,7 @@ from labhil.analysis.patch_check import PatchCheck, companion_force, refusal_of_
 from labhil.analysis.patch_source import PatchSource, read_patch_source
 from labhil.analysis.python_patching import PythonBench, split_name
 from labhil.errors import UsageError
+from labhil.physics.rigs import keeping_declarations
 from labhil.rig import RigFile
 from labhil.simulators.mjcf_file import load_model
 
@@ -55,13 +56,14 @@ def patch(
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
     source = read_patch_source(result)
-    if into.suffix == FMU_SUFFIX:
-        return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)
-    if (named := split_name(into)) is not None:
-        return _repair(PythonBench.read(*named, rig_file), source, out, holdout, progress)
-    if load_model(into).njnt > 1:
-        return repair_arm(source, into, out, rig_file, holdout, progress)
-    return _repair(MujocoBench.read(into, rig_file), source, out, holdout, progress)
+    with keeping_declarations():
+        if into.suffix == FMU_SUFFIX:
+            return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)
+        if (named := split_name(into)) is not None:
+            return _repair(PythonBench.read(*named, rig_file), source, out, holdout, progress)
+        if load_model(into).njnt > 1:
+            return repair_arm(source, into, out, rig_file, holdout, progress)
+        return _repair(MujocoBench.read(into, rig_file), source, out, holdout, progress)
 
 
 def _repair(

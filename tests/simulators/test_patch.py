@@ -13,6 +13,7 @@ import labhil as lh
 from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.analysis.patching import patch
 from labhil.errors import ModelFileError, RecordingError, UsageError
+from labhil.physics.rigs import model_for
 from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
@@ -157,21 +158,18 @@ def test_a_result_takes_the_simulator_that_it_was_found_with(
 ) -> None:
     """The signals have other names than in the file; the simulator says which is which."""
     monkeypatch.chdir(fitted)
-    names = {"inputs": {"torque": "motor"}, "outputs": {"angle": "encoder"}}
-    rod = lh.mujoco_simulator("rod.xml", **names)
-    fit = lh.fit("run.mcap", rod, terms=["viscous_friction", "added_inertia"])
-    with pytest.raises(
-        RecordingError, match=r"expected the signals encoder, motor|expected a recording of rod"
-    ):
+    fit = lh.load("fit.json")
+    assert isinstance(fit, lh.Fit)
+    with pytest.raises(RecordingError, match="needs encoder and motor in one stream"):
         fit.patch("rod.xml", tmp_path / "none.xml")
+    rod = lh.mujoco_simulator("rod.xml", inputs={"torque": "motor"}, outputs={"angle": "encoder"})
+    before = [parameter.key for parameter in model_for(rod.rig_file).parameters]
     found = fit.patch("rod.xml", tmp_path / "fixed.xml", rig=rod)
-    by_file = fit.patch("rod.xml", tmp_path / "same.xml", rig="rig.toml")
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
+    # the repaired file has parameters that the simulator has not, and the same name
+    assert [parameter.key for parameter in model_for(rod.rig_file).parameters] == before
+    fit.patch("rod.xml", tmp_path / "same.xml", rig=lh.model(rod, known={"gear": 1.0}))
     assert (tmp_path / "fixed.xml").read_bytes() == (tmp_path / "same.xml").read_bytes()
-    assert found.attempts[-1].ratio == by_file.attempts[-1].ratio <= MAX_ERROR_RATIO
-    model = lh.model(rod, known={"gear": 1.0})
-    assert lh.fit("run.mcap", model, terms=["viscous_friction"]).patch(
-        "rod.xml", tmp_path / "known.xml", rig=model
-    )
 
 
 @pytest.mark.extended
