@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from labhil.simulators.columns import SimulatedOutput, simulated_output
     from labhil.simulators.fmu import fmu_simulator
     from labhil.simulators.mjcf import mujoco_simulator
+    from labhil.simulators.several_columns import SimulatedOutputs, simulated_outputs
     from labhil.simulators.simulator import Coordinate, Simulator, simulator
 
 __all__ = [
@@ -72,6 +73,7 @@ __all__ = [
     "RunContext",
     "Score",
     "SimulatedOutput",
+    "SimulatedOutputs",
     "Simulation",
     "Simulator",
     "Terms",
@@ -93,6 +95,7 @@ __all__ = [
     "remove_law",
     "run",
     "simulated_output",
+    "simulated_outputs",
     "simulator",
     "verify",
 ]

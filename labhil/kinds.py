@@ -188,6 +188,11 @@ def declare_kind(kind: RigKind) -> None:
     _DECLARED[kind.name] = kind
 
 
+def declared_kinds() -> tuple[RigKind, ...]:
+    """The kinds of users' own simulators that are known in this process."""
+    return tuple(_DECLARED.values())
+
+
 def kind_names() -> tuple[str, ...]:
     """Names of all rig kinds, ours first; nothing is imported."""
     plugged = {point.name for point in entry_points(group=PLUGGED)} - set(KINDS)

@@ -39,6 +39,7 @@ WHERE = {
     "labhil.simulators.columns": ("SimulatedOutput", "simulated_output"),
     "labhil.simulators.fmu": ("fmu_simulator",),
     "labhil.simulators.mjcf": ("mujoco_simulator",),
+    "labhil.simulators.several_columns": ("SimulatedOutputs", "simulated_outputs"),
     "labhil.simulators.simulator": ("Coordinate", "Simulator", "simulator"),
 }
 MODULE_OF = {name: module for module, names in WHERE.items() for name in names}

@@ -48,7 +48,7 @@ READERS = {
 }
 """What reads such a file; imported where a rig file names one."""
 
-COLUMNS = ("labhil.simulators.columns", "simulated_output")
+COLUMNS = ("labhil.simulators.several_columns", "simulated_outputs")
 """What takes columns of simulated output for a rig."""
 
 
@@ -235,9 +235,7 @@ def _kind_of(section: ModelSection, path: Path) -> RigKind:
     try:
         if section.simulated is not None:
             module, name = COLUMNS
-            made = getattr(import_module(module), name)(
-                stated, section.simulated[stated], beside=section.beside
-            )
+            made = getattr(import_module(module), name)(section.simulated, beside=section.beside)
         elif key in READERS:
             module, name = READERS[key]
             reader = getattr(import_module(module), name)

@@ -39,8 +39,8 @@ class ModelSection(Section):
 
     Either ``python``, a Python file and a name in it, or ``mujoco``, an MJCF or URDF file, or ``fmu``, an
     FMU. Of the last two, ``inputs`` and ``outputs`` give actuators, joints and sensors, or variables of the
-    FMU, by the names of the recorded signals. Where the simulation cannot be called, ``simulated`` gives a
-    measured signal with its unit, of which the channel ``simulated_…`` holds what was simulated, and
+    FMU, by the names of the recorded signals. Where the simulation cannot be called, ``simulated`` gives
+    measured signals with their units, of which the channels ``simulated_…`` hold what was simulated, and
     ``beside`` the units of other recorded signals.
     """
 
@@ -49,7 +49,7 @@ class ModelSection(Section):
     fmu: str | None = None
     inputs: dict[str, str] | None = None
     outputs: dict[str, str] | None = None
-    simulated: Annotated[dict[str, str], Field(min_length=1, max_length=1)] | None = None
+    simulated: Annotated[dict[str, str], Field(min_length=1)] | None = None
     beside: dict[str, str] = {}
 
     @model_validator(mode="after")
@@ -57,7 +57,7 @@ class ModelSection(Section):
         if sum(value is not None for value in (self.python, self.mujoco, self.fmu, self.simulated)) != 1:
             raise ValueError(
                 'give either python = "FILE.py:NAME", mujoco = "FILE.xml", fmu = "FILE.fmu" or '
-                'simulated = { SIGNAL = "UNIT" }, and no other'
+                'simulated = { SIGNAL = "UNIT", … }, and no other'
             )
         if (self.mujoco, self.fmu) == (None, None) and (self.inputs or self.outputs):
             raise ValueError("inputs and outputs are for mujoco and fmu; others state their own")

@@ -1,6 +1,7 @@
 /* A pendulum as an FMU, FMI 2 (-DFMI=2) and FMI 3 (-DFMI=3): model exchange and co-simulation.
  *
- * The FMU under test, written against the standard's headers alone. Co-simulation makes Euler's steps of 0.1 ms.
+ * The FMU under test, written against the standard's headers alone. Co-simulation makes Euler's steps of 0.1 ms, or
+ * of -DSTEP s and then no others, as exported solvers of a fixed step do; -DHEUN makes them by Heun's method.
  * -DSTARTS are the starts of the variables in the order of their value references; the rates start at 0.
  * -DDRY adds Coulomb friction with a state event, which a table of accelerations cannot hold.
  */
@@ -45,13 +46,33 @@ static void derive(Rod *rod) {
     v[RATE_OF_RATE] = (v[TORQUE] - v[GRAVITY] * sin(v[ANGLE]) - v[DRAG] * v[RATE] - dry) / v[INERTIA];
 }
 
-static void go(Rod *rod, double length) {
+static void euler(Rod *rod, double h) {
+    derive(rod);
+    rod->v[ANGLE] += h * rod->v[RATE_OF_ANGLE];
+    rod->v[RATE] += h * rod->v[RATE_OF_RATE];
+}
+
+static void step(Rod *rod, double h) {
+#ifdef HEUN
+    const double angle = rod->v[ANGLE], rate = rod->v[RATE];
+    euler(rod, h);
+    euler(rod, h);
+    rod->v[ANGLE] = 0.5 * (angle + rod->v[ANGLE]);
+    rod->v[RATE] = 0.5 * (rate + rod->v[RATE]);
+#else
+    euler(rod, h);
+#endif
+}
+
+static Status go(Rod *rod, double length) {
+#ifdef STEP
+    int parts = (int)(length / STEP + 0.5);
+    if (parts < 1 || fabs(length - parts * STEP) > 1e-9) return FAILED;
+#else
     int parts = (int)(length / 1e-4 + 0.5);
-    for (int k = 0; k < parts; k++) {
-        derive(rod);
-        rod->v[ANGLE] += length / parts * rod->v[RATE_OF_ANGLE];
-        rod->v[RATE] += length / parts * rod->v[RATE_OF_RATE];
-    }
+#endif
+    for (int k = 0; k < parts; k++) step(rod, length / parts);
+    return OK;
 }
 
 static Status put(Rod *rod, const unsigned *vr, size_t n, const Real *x) {
@@ -126,8 +147,7 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n) {
 }
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real length, fmi2Boolean none) {
     (void)t; (void)none;
-    go(c, length);
-    return OK;
+    return go(c, length);
 }
 #else
 static Instance made(fmi3String token) {
@@ -181,9 +201,8 @@ fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 dx[], s
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 length, fmi3Boolean none, fmi3Boolean *event,
                       fmi3Boolean *end, fmi3Boolean *early, fmi3Float64 *last) {
     (void)none;
-    go(c, length);
     *event = *end = *early = 0;
     *last = t + length;
-    return OK;
+    return go(c, length);
 }
 #endif

@@ -42,12 +42,16 @@ def built(
     version: int,
     kinds: str = "me cs",
     dry: bool = False,
+    step: float = 0.0,
+    heun: bool = False,
     variables: Sequence[Variable] = VARIABLES,
     **changes: str,
 ) -> Path:
     """An FMU in a folder; ``changes`` replace names of its description.
 
-    ``variables`` may have other names, units and starts than those of the pendulum, in the same order.
+    ``step`` (s) is that of a co-simulation whose solver makes no other, and that states it, ``heun`` that
+    it goes by Heun's method and not by Euler's. ``variables`` may have other names, units
+    and starts than those of the pendulum, in the same order.
     """
     tree = folder / f"fmi{version}"
     platform = fmpy.platform if version == 2 else fmpy.platform_tuple
@@ -56,12 +60,15 @@ def built(
     library = binaries / f"rod{fmpy.sharedLibraryExtension}"
     starts = ", ".join(start for _, _, _, start, *_ in variables)
     flags = [f"-DFMI={version}", f"-DSTARTS={starts}", *(["-DDRY"] if dry else [])]
+    flags += [f"-DSTEP={step}"] * (step > 0.0) + ["-DHEUN"] * heun
     rest = tree / "rest.c"
     rest.write_text(_rest(version), encoding="utf-8")
     sources = [str(SOURCE), str(rest)]
     command = ["cc", "-O2", "-shared", "-fPIC", f"-I{HEADERS}", *flags, *sources, "-o", str(library), "-lm"]
     subprocess.run(command, check=True)
     text = (_second if version == 2 else _third)(kinds.split(), variables, events=int(dry))
+    if step:
+        text = _with_step(text, version, step)
     for old, new in changes.items():
         assert f'name="{old}"' in text
         text = text.replace(f'name="{old}"', f'name="{new}"')
@@ -70,6 +77,13 @@ def built(
         packed.writestr("modelDescription.xml", text)
         packed.write(library, f"binaries/{platform}/{library.name}")
     return path
+
+
+def _with_step(text: str, version: int, step: float) -> str:
+    """The description with the length of the solver's steps: FMI 2 has no other place than its experiment."""
+    if version == 3:
+        return text.replace("<CoSimulation ", f'<CoSimulation fixedInternalStepSize="{step}" ')
+    return text.replace("<ModelVariables>", f'<DefaultExperiment stepSize="{step}"/><ModelVariables>')
 
 
 def _rest(version: int) -> str:

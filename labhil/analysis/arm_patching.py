@@ -58,7 +58,7 @@ class ArmBench:
     rig: RigFile
 
     @classmethod
-    def read(cls, into: Path, rig_file: Path | None) -> ArmBench:
+    def read(cls, into: Path, rig_file: Path | RigFile | None) -> ArmBench:
         """Read a file with the signal names of a rig file, or with its own."""
         stated = StatedNames.read(rig_file)
         simulator = arm_simulator(into, None, stated.outputs, stated.name)
@@ -75,7 +75,7 @@ def repair_arm(
     source: PatchSource,
     into: Path,
     out: Path,
-    rig_file: Path | None,
+    rig_file: Path | RigFile | None,
     holdout: float,
     progress: Callable[[str], None],
 ) -> Patch:
@@ -85,7 +85,7 @@ def repair_arm(
         source: The result.
         into: The file.
         out: The new file.
-        rig_file: The rig file of the diagnosis, where it had one.
+        rig_file: The rig file of the diagnosis, or its path, where it had one.
         holdout: The share that was held out.
         progress: Called with a line of text before each stage.
 

@@ -39,7 +39,7 @@ class MujocoBench:
     run_by: str = "MuJoCo"
 
     @classmethod
-    def read(cls, path: Path, rig_file: Path | None) -> MujocoBench:
+    def read(cls, path: Path, rig_file: Path | RigFile | None) -> MujocoBench:
         """Read a file with the signal names of a rig file, or with its own."""
         stated = StatedNames.read(rig_file)
         described = read_mechanism(path, stated.inputs, stated.outputs, stated.name)

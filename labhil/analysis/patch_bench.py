@@ -34,11 +34,11 @@ class StatedNames(NamedTuple):
     name: str
 
     @classmethod
-    def read(cls, rig_file: Path | None) -> StatedNames:
+    def read(cls, rig_file: Path | RigFile | None) -> StatedNames:
         """Read a rig file, where there is one."""
         if rig_file is None:
             return cls(None, None, None, "")
-        rig = load_rig(rig_file)
+        rig = rig_file if isinstance(rig_file, RigFile) else load_rig(rig_file)
         if rig.model is None:
             return cls(rig, None, None, rig.kind.name)
         return cls(rig, rig.model.inputs, rig.model.outputs, rig.kind.name)
@@ -96,6 +96,7 @@ class Candidate:
         parameters: Values that a program has to set.
         firm: Whether the user has to make the dry friction of the file firm after loading.
         substeps: Number by which the time step of the simulation is divided.
+        own_solver: Whether it is run by its own solver; otherwise its accelerations are integrated.
     """
 
     content: bytes
@@ -108,6 +109,7 @@ class Candidate:
     parameters: Mapping[str, float] = field(default_factory=dict)
     firm: bool = False
     substeps: int = 1
+    own_solver: bool = True
 
     @cached_property
     def effects(self) -> SortedEffects:

@@ -21,6 +21,8 @@ from labhil.analysis.patch_check import PatchCheck, companion_force, refusal_of_
 from labhil.analysis.patch_source import PatchSource, read_patch_source
 from labhil.analysis.python_patching import PythonBench, split_name
 from labhil.errors import UsageError
+from labhil.physics.rigs import keeping_declarations
+from labhil.rig import RigFile
 from labhil.simulators.mjcf_file import load_model
 
 
@@ -28,7 +30,7 @@ def patch(
     result: Path,
     into: Path,
     out: Path,
-    rig_file: Path | None = None,
+    rig_file: Path | RigFile | None = None,
     *,
     holdout: float = 0.3,
     progress: Callable[[str], None] = lambda text: None,
@@ -39,7 +41,7 @@ def patch(
         result: JSON of a diagnosis or a fit on that file.
         into: The file: MJCF, URDF, an FMU, or Python (``bench.py:pendulum``).
         out: The new file; nothing may be there.
-        rig_file: The rig file of the diagnosis, where it had one.
+        rig_file: The rig file of the diagnosis, or its path, where it had one.
         holdout: The share that was held out.
         progress: Called with a line of text before each stage.
 
@@ -54,13 +56,14 @@ def patch(
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
     source = read_patch_source(result)
-    if into.suffix == FMU_SUFFIX:
-        return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)
-    if (named := split_name(into)) is not None:
-        return _repair(PythonBench.read(*named, rig_file), source, out, holdout, progress)
-    if load_model(into).njnt > 1:
-        return repair_arm(source, into, out, rig_file, holdout, progress)
-    return _repair(MujocoBench.read(into, rig_file), source, out, holdout, progress)
+    with keeping_declarations():
+        if into.suffix == FMU_SUFFIX:
+            return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)
+        if (named := split_name(into)) is not None:
+            return _repair(PythonBench.read(*named, rig_file), source, out, holdout, progress)
+        if load_model(into).njnt > 1:
+            return repair_arm(source, into, out, rig_file, holdout, progress)
+        return _repair(MujocoBench.read(into, rig_file), source, out, holdout, progress)
 
 
 def _repair(

@@ -56,7 +56,7 @@ class PythonBench:
     run_by: str = "Python"
 
     @classmethod
-    def read(cls, file: Path, name: str, rig_file: Path | None) -> PythonBench:
+    def read(cls, file: Path, name: str, rig_file: Path | RigFile | None) -> PythonBench:
         """Run a file and take a simulator from it; the only one where the name is empty.
 
         Raises:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
 
-from labhil.api.inputs import PathLike, path_of
+from labhil.api.inputs import PathLike, path_of, rig_file
 from labhil.api.render import WIDTH, data_frame, data_set, html_of, text_of
 from labhil.atomic_file import write_json_file
 from labhil.errors import ModelFileError, UsageError
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from labhil.analysis.patch import Patch
     from labhil.analysis.saved_model import SavedModel
     from labhil.analysis.schema import Parameters, Source
+    from labhil.api.model import Model
+    from labhil.rig import RigFile
 
 
 class Result(ABC):
@@ -192,7 +194,12 @@ class ComputedResult(Result, Generic[P, S]):
         return self.as_reference
 
     def patch(
-        self, into: PathLike, out: PathLike, *, rig: PathLike | None = None, holdout: float = 0.3
+        self,
+        into: PathLike,
+        out: PathLike,
+        *,
+        rig: PathLike | Model | RigFile | None = None,
+        holdout: float = 0.3,
     ) -> Patch:
         """Write a repaired copy of the file that was fitted or diagnosed, like ``labhil patch``.
 
@@ -202,7 +209,8 @@ class ComputedResult(Result, Generic[P, S]):
         Args:
             into: The original MJCF, URDF, FMU or Python file (``bench.py:pendulum``).
             out: The new file; it must not exist.
-            rig: The rig file of the fit or diagnosis, where it had one.
+            rig: The rig file, the simulator or the :func:`labhil.model` of the fit or diagnosis, where it had
+                one.
             holdout: The share of the recordings that was held out.
 
         Returns:
@@ -218,8 +226,7 @@ class ComputedResult(Result, Generic[P, S]):
 
         with TemporaryDirectory() as folder:
             result = self.save(Path(folder) / "result.json")
-            rig_file = None if rig is None else path_of(rig, "rig")
-            return patch(result, path_of(into, "into"), path_of(out, "out"), rig_file, holdout=holdout)
+            return patch(result, path_of(into, "into"), path_of(out, "out"), rig_file(rig), holdout=holdout)
 
     @property
     def study(self) -> S:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -10,7 +11,7 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from labhil.errors import RecordingError, UnknownNameError, UsageError
-from labhil.kinds import RigKind
+from labhil.kinds import RigKind, declare_kind, declared_kinds
 from labhil.physics.facts import Fact
 from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
 from labhil.recording.recording import Recording
@@ -100,6 +101,21 @@ _DECLARED: dict[str, RigModel] = {}
 def declare_model(kind: str, model: RigModel) -> None:
     """Register the model of a user's simulator as rig kind ``kind`` in this process."""
     _DECLARED[kind] = model
+
+
+@contextmanager
+def keeping_declarations() -> Iterator[None]:
+    """Declare the kinds and models of users' simulators again at the end, as they were at the beginning.
+
+    For work that reads a changed copy of a simulator's file, which replaces the simulator of the same name.
+    """
+    kinds, models = declared_kinds(), dict(_DECLARED)
+    try:
+        yield
+    finally:
+        for kind in kinds:
+            declare_kind(kind)
+        _DECLARED.update(models)
 
 
 def rig_model(kind: str) -> RigModel:

@@ -21,7 +21,8 @@ from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.model import Record
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Term, keyed
-from labhil.rig import RigFile, parse_rig
+from labhil.rig import RigFile, default_rig
+from labhil.rig_sections import ModelSection
 from labhil.signals import FloatArray, Signal
 from labhil.simulators.arm_file import ArmFile, read_arm
 from labhil.simulators.mjcf_file import load_model, names_of
@@ -48,6 +49,7 @@ class ArmSimulator:
         name: Name of the rig kind.
         output: Name of the measured signal.
         measures: Its quantity, ``"current"`` or ``"torque"``.
+        section: The table ``[model]`` of a rig file that states the same file and names.
 
     Example:
         >>> import labhil as lh
@@ -60,6 +62,7 @@ class ArmSimulator:
     name: str
     output: str
     measures: str
+    section: ModelSection | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -101,8 +104,8 @@ class ArmSimulator:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file with the kind alone."""
-        return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"rig {self.name}"))
+        """A rig file with the kind, and the file that the arm was read from."""
+        return default_rig(self.name).model_copy(update={"model": self.section})
 
     @property
     def initial_terms(self) -> tuple[str, ...]:
@@ -133,7 +136,8 @@ def arm_simulator(
     arm = read_arm(path, model, names)
     model_name = bytes(model.names).split(b"\0", 1)[0].decode("utf-8", "replace")
     rig_name = identifier(name or (path.stem if model_name in ("", "MuJoCo Model") else model_name))
-    simulator = ArmSimulator(arm, rig_name, identifier(output), measures)
+    section = ModelSection(mujoco=str(path), outputs={output: measures})
+    simulator = ArmSimulator(arm, rig_name, identifier(output), measures, section)
     declare_kind(simulator.kind)
 
     def make_model(rig: RigFile, record: Record | None) -> ArmFileModel:

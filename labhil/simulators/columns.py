@@ -8,7 +8,7 @@ over the simulated value, its rate and further recorded columns; the column does
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -86,12 +86,35 @@ class SimulatedOutput:
     @property
     def rig_file(self) -> RigFile:
         """A rig file with this description; recordings contain it."""
-        sections: dict[str, Any] = {"model": {"simulated": {self.output: self.unit}}}
-        if self.beside:
-            sections["model"]["beside"] = dict(self.beside)
-        if self.horizon is not None:
-            sections["metric"] = {"horizon": self.horizon}
+        sections = column_sections({self.output: self.unit}, self.beside, self.horizon)
         return parse_rig(to_toml(sections), Path(f"{self.column}.toml"))
+
+
+def column_sections(
+    outputs: Mapping[str, str], beside: Mapping[str, str], horizon: float | None
+) -> dict[str, Any]:
+    """Return the tables of a rig file that describe columns of simulated outputs."""
+    sections: dict[str, Any] = {"model": {"simulated": dict(outputs)}}
+    if beside:
+        sections["model"]["beside"] = dict(beside)
+    if horizon is not None:
+        sections["metric"] = {"horizon": horizon}
+    return sections
+
+
+def check_column_names(outputs: Iterable[str], beside: Iterable[str]) -> None:
+    """Check the names of outputs, of their simulated columns and of what is recorded beside them.
+
+    Raises:
+        UsageError: There is no output, a name is not an identifier, or one occurs twice.
+    """
+    names = [*outputs, *(f"simulated_{name}" for name in outputs), *beside]
+    invalid = [name for name in names if not name.isidentifier()]
+    if not names or invalid or len(set(names)) < len(names):
+        raise UsageError(
+            "simulated output: expected names of letters, digits and _, each once, found "
+            f"{', '.join(names) or 'none'}"
+        )
 
 
 def simulated_output(
@@ -127,12 +150,7 @@ def simulated_output(
         0.03
     """
     simulated = SimulatedOutput(output, unit, dict(beside or {}), horizon)
-    names = [output, simulated.column, *simulated.beside]
-    invalid = [name for name in names if not name.isidentifier()]
-    if invalid or len(set(names)) < len(names):
-        raise UsageError(
-            f"simulated output: expected names of letters, digits and _, each once, found {', '.join(names)}"
-        )
+    check_column_names([output], simulated.beside)
     declare_kind(simulated.kind)
     declare_model(
         simulated.column, RigModel(lambda rig, record: SimulatedOutputModel(simulated, rig, record), (), ())
@@ -149,7 +167,10 @@ class SimulatedOutputModel:
     state_scale = np.empty(0)
     _extra: ExtraForce | None = None
 
-    def __init__(self, simulated: SimulatedOutput, rig: RigFile, record: Record | None = None) -> None:
+    def __init__(
+        self, simulated: SimulatedOutput, rig: RigFile, record: Record | None = None, column: int = 0
+    ) -> None:
+        self._column = column
         self.simulated, self.kind = simulated, simulated.column
         self.fixed: dict[str, float] = {}
         self.force_unit = simulated.unit
@@ -157,7 +178,7 @@ class SimulatedOutputModel:
         forces = dict.fromkeys((*friction, "constant_force", "spring_force"), NO_PORT)
         self.unobservable_terms: Mapping[str, str] = {**EQUIVALENT_TERMS, **forces}
         self.rate = f"{simulated.column}_rate"
-        x = np.array([1.0, -1.0]) if record is None else record.inputs[:, 0]
+        x = np.array([1.0, -1.0]) if record is None else record.inputs[:, column]
         self.terms: Mapping[str, Term] = _catalogue(simulated, float(np.ptp(x)) or 1.0)
         self.parameters = tuple(p for term in self.terms.values() for p in term.parameters)
         self.horizon = rig.metric.horizon or DEFAULT_HORIZON
@@ -191,7 +212,7 @@ class SimulatedOutputModel:
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Return the outputs with all effects, (N, 1)."""
-        x = self._after_input_path(theta, record, windows)
+        x = self.after_input_path(theta, record, windows)
         y = self._values.apply_sensor(theta, record, windows, x)
         return (y + self._difference(record)[windows.rows])[:, None]
 
@@ -199,22 +220,26 @@ class SimulatedOutputModel:
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray
     ) -> Mapping[str, FloatArray]:
         """Return the simulated value, its rate and the further recorded signals, (N,) each."""
-        coordinates = {
-            self.simulated.column: record.inputs[windows.rows, 0],
-            self.rate: _rate_of_change(record)[windows.rows],
+        coordinates = self.along(record, windows)
+        return {**coordinates, **self.drive_coordinates(theta, record, windows, coordinates)}
+
+    def along(self, record: Record, windows: Windows) -> dict[str, FloatArray]:
+        """Return the coordinates that no effect changes, (N,) each."""
+        return {
+            self.simulated.column: record.inputs[windows.rows, self._column],
+            self.rate: self._rate_of_change(record)[windows.rows],
             **{
                 name: record.auxiliary[name][windows.rows]
                 for name in self.simulated.beside
                 if name in record.auxiliary
             },
         }
-        return {**coordinates, **self.drive_coordinates(theta, record, windows, coordinates)}
 
     def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, coordinates: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
         """Return the simulated value after delay, backlash and limits, (N,)."""
-        return {"passed_on": self._after_input_path(theta, record, windows)}
+        return {"passed_on": self.after_input_path(theta, record, windows)}
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Return the output at these coordinates, with the lag to first order, (N,)."""
@@ -226,7 +251,7 @@ class SimulatedOutputModel:
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
         """Return the sizes of which starts are fractions, from this recording."""
-        x, rate = record.inputs[:, 0], _rate_of_change(record)
+        x, rate = record.inputs[:, self._column], self._rate_of_change(record)
         return {
             CharacteristicScale.UNIT: 1.0,
             CharacteristicScale.INPUT: float(np.abs(x).max()) or 1.0,
@@ -235,12 +260,12 @@ class SimulatedOutputModel:
             CharacteristicScale.SPEED: float(np.sqrt(np.mean(rate**2))) or 1.0,
         }
 
-    def _after_input_path(self, theta: FloatArray, record: Record, windows: Windows) -> FloatArray:
+    def after_input_path(self, theta: FloatArray, record: Record, windows: Windows) -> FloatArray:
         """Return the simulated value after backlash.
 
         Limits and clock offset at the samples of windows, (N,).
         """
-        nodes, values = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
+        nodes, values = self._path.nodes(record, self._column, lambda name: self._values.of(theta, name))
         shift = self._values.of(theta, "clock_offset.offset")
         return np.interp(record.t[windows.rows] - shift, nodes, values)
 
@@ -251,17 +276,18 @@ class SimulatedOutputModel:
             return np.zeros(len(record))
         if force.course is not None:
             return force.course
-        x, rate = record.inputs[:, 0], _rate_of_change(record)
+        x, rate = record.inputs[:, self._column], self._rate_of_change(record)
         is_of_rate = force.acts in (CurveArgument.VELOCITY, CurveArgument.SPEED_AGAINST)
         argument = rate if is_of_rate else x
         argument = np.abs(argument) if force.acts is CurveArgument.SPEED_AGAINST else argument
         curve = np.interp(argument, force.grid, force.values)
         return along_positive(force.acts, curve, rate, np.sign(rate))
 
-
-def _rate_of_change(record: Record) -> FloatArray:
-    """Rate of change of the simulated value, (n,)."""
-    return np.concatenate([np.gradient(part.inputs[:, 0], part.t) for part in record.recordings()])
+    def _rate_of_change(self, record: Record) -> FloatArray:
+        """Rate of change of the simulated value, (n,)."""
+        return np.concatenate(
+            [np.gradient(part.inputs[:, self._column], part.t) for part in record.recordings()]
+        )
 
 
 def _catalogue(simulated: SimulatedOutput, span: float) -> dict[str, Term]:

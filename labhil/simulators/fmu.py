@@ -6,7 +6,7 @@ The calls are in :mod:`labhil.simulators.fmu_file`, the acceleration in ``fmu_me
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +21,24 @@ from labhil.simulators.fmu_file import (
     convert_fmi_errors,
 )
 from labhil.simulators.fmu_mechanism import CoSimulationMechanism, ModelExchangeMechanism
+from labhil.simulators.fmu_solver import (
+    PROBED_INPUT,
+    PROBED_STATES,
+    SolverStep,
+    find_step,
+    steps_that_fail,
+    steps_to_try,
+)
 from labhil.simulators.names import identifier
 from labhil.simulators.probing import FROM_SOLVER, FROM_STEPS, is_damped, probe
-from labhil.simulators.simulator import UNDAMPED, Coordinate, RightHandSide, Simulator, declare
-
-PROBED_STATES = ((0.1, 0.3), (-0.2, 0.7))
-"""States at which the order of position and velocity is determined."""
-
-PROBED_INPUT = 0.25
+from labhil.simulators.simulator import (
+    UNDAMPED,
+    Coordinate,
+    RightHandSide,
+    Simulator,
+    declare,
+    stated_section,
+)
 
 _EXPONENT = re.compile(r"(?<=[^\W\d_])-?\d+|(?<=\))-?\d+")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -50,11 +60,13 @@ class FmuAccess(NamedTuple):
         pair: Position and velocity.
         read: State (position, velocity) and value references to the values of those variables.
         make: Value references of parameters to the mechanism.
+        note: What a user should know of its solver; empty for nothing.
     """
 
     pair: Pair
     read: Callable[[tuple[float, float], list[int]], list[float]]
     make: Callable[[list[int]], Mechanism]
+    note: str = ""
 
 
 def fmu_simulator(
@@ -115,6 +127,8 @@ def fmu_simulator(
         None,
         mechanism,
         {n: quantity.start for n, quantity in quantities.items()},
+        notes=(access.note,) if access.note else (),
+        section=stated_section("fmu", file.path, inputs, outputs),
     )
     tolerances = FROM_STEPS if isinstance(mechanism, ModelExchangeMechanism) else FROM_SOLVER
     probe(rig, tolerances)
@@ -213,7 +227,7 @@ def _access_stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], sta
             )
     for pair in (Pair(*states), Pair(*states[::-1])):
         fmu = CoSimulationFmu(file, drive.valueReference, [v.valueReference for v in pair])
-        step = next((step for step in _steps(file) if _is_rate(fmu, starts, step)), None)
+        step = find_step(fmu, file, starts)
         if step is None:
             continue
 
@@ -223,43 +237,36 @@ def _access_stepping(file: FmuFile, drive: Any, starts: Mapping[int, float], sta
             fmu.start(starts, state, PROBED_INPUT)
             return fmu.read_values(references)
 
-        def make(used: list[int], fmu: CoSimulationFmu = fmu, step: float = step) -> Mechanism:
+        def make(used: list[int], fmu: CoSimulationFmu = fmu, step: SolverStep = step) -> Mechanism:
             return CoSimulationMechanism(fmu, file, used, step)
 
-        return FmuAccess(pair, read, make)
-    raise _no_velocity(file, states)
-
-
-def _steps(file: FmuFile, *, usual: Sequence[float] = (1e-3, 1e-2, 1e-4)) -> list[float]:
-    """Return the lengths of a step to try, s: the FMU's own first, then ``usual`` ones."""
-    fixed = file.description.coSimulation.fixedInternalStepSize
-    default = file.description.defaultExperiment
-    stated = None if default is None else default.stepSize
-    return [float(x) for x in (fixed, *usual, stated) if x]
-
-
-def _is_rate(
-    fmu: CoSimulationFmu, starts: Mapping[int, float], step: float, *, tolerance: float = 0.05
-) -> bool:
-    """Whether the position moves with the velocity within a step, up to a share of the velocity."""
-    for position, velocity in PROBED_STATES:
-        fmu.start(starts, (position, velocity), PROBED_INPUT)
-        try:
-            after = fmu.step(PROBED_INPUT, step)[0]
-        except Exception as error:
-            if type(error).__name__ != "FMICallException":
-                raise
-            return False  # the FMU cannot make this step
-        mean = 0.5 * (velocity + fmu.states()[1])
-        if abs(after - position - step * mean) > tolerance * step * abs(velocity):
-            return False
-    return True
+        return FmuAccess(pair, read, make, step.note(file))
+    raise _no_step(file, states, steps_that_fail(fmu, file, starts))
 
 
 def _no_velocity(file: FmuFile, states: list[Any]) -> UsageError:
     return file.refusal(
         "that one of the two states is the rate of the other",
         f"{' and '.join(v.name for v in states)}, of which none is",
+    )
+
+
+def _no_step(file: FmuFile, states: list[Any], refused: list[float]) -> UsageError:
+    """Make the error of a co-simulation in whose steps no variable is the rate of the other."""
+    tried = steps_to_try(file)
+    if len(refused) == len(tried):
+        return file.refusal(
+            "a co-simulation that makes steps of one length out of "
+            f"{', '.join(f'{length:g}' for length in tried)} s, or that states its own (stepSize of "
+            "DefaultExperiment), or model exchange",
+            "one that returns an error in each",
+        )
+    made = ", ".join(f"{length:g}" for length in tried if length not in refused)
+    return file.refusal(
+        "that one of the two states is the rate of the other",
+        f"{' and '.join(v.name for v in states)}, of which none is in steps of {made} s; where its solver "
+        "is too coarse to show it, export the FMU with shorter steps (stepSize of DefaultExperiment), or as "
+        "model exchange",
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from threading import Lock
 
@@ -11,9 +12,9 @@ import numpy as np
 from labhil.physics.model import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import CoSimulationFmu, FmuFile, ModelExchangeFmu, convert_fmi_errors
+from labhil.simulators.fmu_solver import PROBED_INPUT, PROBED_STATES, SolverStep
 from labhil.simulators.pointwise import (
     accelerations_at,
-    extrapolate_rates,
     runge_kutta,
     step_under_force,
     step_windows,
@@ -103,6 +104,10 @@ class ModelExchangeMechanism:
             self._current_values = values
 
 
+class _RefusedStepError(Exception):
+    """A co-simulation does not make steps of this length."""
+
+
 class CoSimulationMechanism:
     """An FMU for co-simulation, whose acceleration is taken from two short steps from each state.
 
@@ -112,15 +117,20 @@ class CoSimulationMechanism:
         fmu: The instance; one thread uses it at a time.
         file: The file, for messages.
         parameters: Value references of the parameters.
-        step: Length of the short steps, s.
+        step: How its solver steps.
+
+    Attributes:
+        own_solver: Whether a roll-out is the FMU's own; otherwise its rates are integrated.
     """
 
     non_smooth = NonSmooth(rounding=SOLVER_ROUNDING)
 
-    def __init__(self, fmu: CoSimulationFmu, file: FmuFile, parameters: Sequence[int], step: float) -> None:
+    def __init__(
+        self, fmu: CoSimulationFmu, file: FmuFile, parameters: Sequence[int], step: SolverStep
+    ) -> None:
         self._fmu, self._file, self._parameters, self._step = fmu, file, tuple(parameters), step
         self._lock = Lock()
-        self.added_force = AddedForce()
+        self.added_force, self.own_solver = AddedForce(), True
 
     def rates(self, numbers: Sequence[float], t: float, state: Sequence[float], drive: float) -> list[float]:
         """Return the rates of position and velocity; the time is always 0."""
@@ -144,7 +154,11 @@ class CoSimulationMechanism:
     def roll_out(
         self, numbers: Sequence[float], record: Record, nodes: Nodes, windows: Windows, states: FloatArray
     ) -> FloatArray:
-        """Step all windows from sample to sample under the mean of the input, (N, 2)."""
+        """Step all windows from sample to sample under the mean of the input, (N, 2).
+
+        The FMU's accelerations are integrated instead where it refuses steps of that length, or
+        ``own_solver`` is False.
+        """
         starts = self._start_values(numbers)
 
         def start(state: FloatArray, drive: float) -> None:
@@ -152,24 +166,41 @@ class CoSimulationMechanism:
                 self._fmu.start(starts, state.tolist(), drive)
 
         def step(_: FloatArray, drive: float, length: float) -> Sequence[float]:
-            return self._fmu.step(drive, length)
+            after = self._fmu.try_step(drive, length)
+            if after is None:
+                raise _RefusedStepError
+            return after
 
         def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            with convert_fmi_errors(self._file, f"steps of up to {length:g} s"):
-                return step_under_force(step, self.added_force, state, drive, length)
+            return step_under_force(step, self.added_force, state, drive, length)
+
+        def integrate(state: FloatArray, drive: float, length: float) -> FloatArray:
+            def rates(at: FloatArray) -> list[float]:
+                return self._rates(starts, at.tolist(), drive + self.added_force.at(at, drive))
+
+            return runge_kutta(rates, state, length, self.added_force.parts(length))
 
         with self._lock:
-            return step_windows(record, nodes, windows, states, advance, start)
+            if self.own_solver:
+                with suppress(_RefusedStepError):
+                    return step_windows(record, nodes, windows, states, advance, start)
+            return step_windows(record, nodes, windows, states, integrate)
+
+    def makes_steps_of(self, numbers: Sequence[float], length: float) -> bool:
+        """Whether the FMU makes a step of ``length`` s."""
+        with self._lock:
+            self._fmu.start(self._start_values(numbers), PROBED_STATES[0], PROBED_INPUT)
+            return self._fmu.try_step(PROBED_INPUT, length) is not None
 
     def _rates(self, starts: Mapping[int, float], state: Sequence[float], drive: float) -> list[float]:
-        h = self._step
+        h = self._step.length
         with convert_fmi_errors(
             self._file, f"two steps of {h:g} s from states {list(state)}, input {drive:g}"
         ):
             self._fmu.start(starts, state, drive)
             first = np.asarray(state, dtype=np.float64)
             once, twice = (np.array(self._fmu.step(drive, h)) for _ in range(2))
-        return [float(x) for x in extrapolate_rates(first, once, twice, h)]
+        return list(self._step.rates(first, once, twice))
 
     def _start_values(self, numbers: Sequence[float]) -> dict[int, float]:
         return {k: float(x) for k, x in zip(self._parameters, numbers, strict=False)}

@@ -30,7 +30,7 @@ from labhil.simulators.mjcf_file import MechanismFile, Names, load_model, names_
 from labhil.simulators.mjcf_unsupported import notes_on, refuse_unsupported, sensor_delay
 from labhil.simulators.names import identifier
 from labhil.simulators.rollouts import Actuation
-from labhil.simulators.simulator import Coordinate, Simulator, declare
+from labhil.simulators.simulator import Coordinate, Simulator, declare, stated_section
 from labhil.simulators.stepped import NonSmooth
 
 VISCOUS = "viscous_friction"
@@ -125,6 +125,7 @@ def read_mechanism(
         {value.name: value.start for value in values}
         | {name: strength for name, strength in effects.items() if name.partition(".")[0] in initial_terms},
         notes_on(model, names, actuation.actuator, sensors),
+        stated_section("mujoco", file, inputs, outputs),
     )
     declare(simulator, initial_terms)
     return MechanismFile(file, model, simulator, mechanism, actuation.actuator)

@@ -17,7 +17,8 @@ from labhil.errors import UsageError, suggestion
 from labhil.kinds import Known, RigKind, declare_kind
 from labhil.physics.quantity import Quantity
 from labhil.physics.rigs import RigModel, declare_model
-from labhil.rig import RigFile, parse_rig
+from labhil.rig import RigFile, default_rig
+from labhil.rig_sections import ModelSection
 from labhil.signals import Direction, Hold, Signal
 from labhil.simulators.pointwise import one_at_a_time
 from labhil.simulators.probing import (
@@ -88,6 +89,7 @@ class Simulator:
         stepped: The simulator that is called point by point; None where ``f`` is compiled.
         nominal: Values of a file, by key, as in ``[nominal]`` of a rig file.
         notes: Parts of a file that are not part of the fitted model.
+        section: The table ``[model]`` of a rig file that states the same file and names; None without a file.
 
     Example:
         >>> import labhil as lh
@@ -114,6 +116,7 @@ class Simulator:
     stepped: SteppedSimulator | None = None
     nominal: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    section: ModelSection | None = None
 
     @property
     def kind(self) -> RigKind:
@@ -139,8 +142,8 @@ class Simulator:
 
     @property
     def rig_file(self) -> RigFile:
-        """A rig file with the kind alone."""
-        return parse_rig(f'[rig]\nkind = "{self.name}"\n', Path(f"rig {self.name}"))
+        """A rig file with the kind, and the file that the simulator was read from."""
+        return default_rig(self.name).model_copy(update={"model": self.section})
 
     @property
     def force_unit(self) -> str:
@@ -271,6 +274,22 @@ def _with_rollout(rig: Simulator, f: Any) -> Simulator:
     probe_once(with_rates)
     stepped.choose_step(start_numbers(rig))
     return with_rates
+
+
+def stated_section(
+    key: str, file: Path, inputs: Mapping[str, str] | None, outputs: Mapping[str, str] | None
+) -> ModelSection:
+    """Make the table ``[model]`` that states a file, and the names in it by recorded signal.
+
+    Args:
+        key: ``"mujoco"`` or ``"fmu"``.
+        file: The file.
+        inputs: Names in the file by recorded input; None where the file's own are used.
+        outputs: Names in the file by recorded output; None likewise.
+    """
+    names = {"inputs": inputs, "outputs": outputs}
+    stated = {what: dict(pairs) for what, pairs in names.items() if pairs is not None}
+    return ModelSection.model_validate({key: str(file), **stated})
 
 
 def declare(rig: Simulator, baseline: tuple[str, ...]) -> None:

@@ -35,6 +35,7 @@ NAMES = [
     "RunContext",
     "Score",
     "SimulatedOutput",
+    "SimulatedOutputs",
     "Simulation",
     "Simulator",
     "Terms",
@@ -56,6 +57,7 @@ NAMES = [
     "remove_law",
     "run",
     "simulated_output",
+    "simulated_outputs",
     "simulator",
     "verify",
 ]

@@ -71,6 +71,11 @@ def test_objects_that_cannot_be_read_are_named_with_what_to_do_in_matlab(tmp_pat
         TableError, match="by_duration: an object of the class timetable; in MATLAB: S = table2"
     ):
         import_table(tmp_path / "a.mat", rig("", "by_duration.ball_position", "u.Data"))
+    with pytest.raises(
+        TableError,
+        match=r"x: an object of the class timeseries; in MATLAB: S = struct\('t', x.Time, 'x', x.Data\)",
+    ):
+        import_table(tmp_path / "a.mat", rig("x.Time", "x.Data", "u.Data"))
 
 
 def _variables_of(data):

@@ -148,7 +148,8 @@ def test_a_table_with_both_columns_is_imported_and_fitted_on_the_command_line(tm
 @pytest.mark.parametrize(
     ("section", "expected"),
     [
-        ('simulated = { angle = "rad", speed = "rad/s" }', "at most 1"),
+        ("simulated = {}", "at least 1"),
+        ('simulated = { angle = "rad", simulated_angle = "rad" }', "each once"),
         ('simulated = { angle = "rad" }\nmujoco = "arm.xml"', "give either"),
         ('python = "bench.py:arm"\nbeside = { torque = "N" }', "beside is for simulated"),
         ('simulated = { "an angle" = "rad" }', "expected names of letters, digits and _"),
@@ -176,3 +177,58 @@ def test_names_are_held_apart() -> None:
     with pytest.raises(UsageError, match="each once, found angle, simulated_angle, angle"):
         lh.simulated_output("angle", "rad", beside={"angle": "rad"})
     assert parse_rig(RIG, Path("rig.toml")).kind.name == "simulated_angle"
+
+
+def measured_both(seed: int = 1) -> lh.Recording:
+    """An angle with a gain of 1.05, and its rate, which is 30 ms late and a thousand times as large."""
+    rig = lh.simulated_outputs({"angle": "rad", "rate": "mrad/s"}, beside={"torque": "N·m"})
+    rate = 1000.0 * np.gradient(SIMULATED, T)
+    noise = np.random.default_rng(seed).normal(0.0, 1.0, (2, len(T)))
+    return lh.recording(
+        T,
+        {"simulated_angle": SIMULATED, "simulated_rate": rate},
+        {"angle": 1.05 * SIMULATED + NOISE * noise[0], "rate": np.interp(T - 0.03, T, rate) + 5.0 * noise[1]},
+        rig=rig,
+        others={"torque": np.cos(3.0 * T)},
+    )
+
+
+def test_two_outputs_are_fitted_together_each_with_effects_of_its_own() -> None:
+    terms = ["angle_sensor_gain", "rate_clock_offset"]
+    fit = lh.fit(measured_both(), terms=terms, holdout=0.0, estimator="nlse", intervals="wald")
+    for name, value in (("angle_sensor_gain.gain", 0.05), ("rate_clock_offset.offset", 0.03)):
+        row = fit.parameters[name]
+        assert abs(row.value - value) < max(5.0 * row.std_error, 0.01 * value)
+
+
+@pytest.mark.extended
+def test_a_diagnosis_of_two_outputs_names_what_each_of_them_has() -> None:
+    found = lh.diagnose(measured_both())
+    assert {effect.term for effect in found.missing} == {"angle_sensor_gain", "rate_clock_offset"}
+    assert found.improvement is not None
+    errors = {row.channel: row for row in found.improvement.after.scored}
+    assert errors["angle"].rmse < 1.1 * NOISE
+    assert errors["rate"].rmse < 1.1 * 5.0
+
+
+@pytest.mark.extended
+def test_two_equal_columns_are_no_mismatch() -> None:
+    rig = lh.simulated_outputs({"angle": "rad", "rate": "rad/s"})
+    rate = np.gradient(SIMULATED, T)
+    noise = np.random.default_rng(2).normal(0.0, NOISE, (2, len(T)))
+    inputs = {"simulated_angle": SIMULATED, "simulated_rate": rate}
+    rec = lh.recording(T, inputs, {"angle": SIMULATED + noise[0], "rate": rate + noise[1]}, rig=rig)
+    assert lh.diagnose(rec).verdict == "no_mismatch"
+
+
+def test_a_rig_file_with_two_outputs_comes_along_in_a_recording(tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(RIG.replace('angle = "rad" }', 'angle = "rad", rate = "rad/s" }', 1), encoding="utf-8")
+    kind = load_rig(rig).kind
+    assert [signal.name for signal in kind.inputs] == ["simulated_angle", "simulated_rate"]
+    assert [signal.name for signal in kind.outputs] == ["angle", "rate"]
+    path = tmp_path / "both.mcap"
+    measured_both().save(path)
+    command = [sys.executable, "-c", f"import labhil as lh; print(lh.read({str(path)!r}).model)"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "Model of simulated_angle_and_rate" in said

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-import labhil as lh
 from labhil.errors import UsageError
 from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, read_cogging
 from labhil.simulators.mjcf import read_mechanism
@@ -17,13 +16,7 @@ from labhil.simulators.patches import patch_mjcf
 from labhil.simulators.xml_text import XmlText
 
 sys.path.insert(0, str(Path(__file__).parent))
-from motor_file import FILE, rig_of, turned, with_motor
-
-RIG = """[model]
-mujoco = "motor.xml"
-inputs = { voltage = "motor" }
-outputs = { angle = "shaft" }
-"""
+from motor_file import FILE, rig_of, with_motor
 
 
 def written(tmp_path: Path, text: str) -> Path:
@@ -75,19 +68,3 @@ def test_cogging_that_a_result_does_without_is_taken_out(tmp_path: Path) -> None
 def test_a_motor_with_a_state_of_its_own_is_refused_with_a_remedy(tmp_path: Path, attribute: str) -> None:
     with pytest.raises(UsageError, match="leave inductance, thermal and lugre out"):
         rig_of(written(tmp_path, with_motor(attribute)))
-
-
-@pytest.mark.long
-@pytest.mark.timeout(1800)
-def test_cogging_and_dry_friction_by_bristles_are_named_and_the_file_is_repaired(tmp_path: Path) -> None:
-    path, rig = written(tmp_path, FILE), tmp_path / "rig.toml"
-    rig.write_text(RIG, encoding="utf-8")
-    recording = turned('cogging="0.0006 12 0.4" lugre="30 0.001 0.0006 0.0006 0.5"', rig_of(path), seed=1)
-    recording.save(tmp_path / "run.mcap")
-    found = lh.diagnose(tmp_path / "run.mcap", rig)
-    assert {effect.term for effect in found.missing} == {"cogging_torque", "coulomb_friction"}
-    fixed = found.patch(path, tmp_path / "fixed.xml", rig=rig)
-    assert fixed.attempts[-1].ratio <= 1.05
-    model = mujoco.MjModel.from_xml_path(str(tmp_path / "fixed.xml"))
-    np.testing.assert_allclose(model.actuator_biasprm[0][:3], [0.0006, 12.0, 0.4], rtol=0.05)
-    assert model.dof_frictionloss[0] == pytest.approx(0.0006, rel=0.05)

@@ -126,6 +126,62 @@ def test_an_output_that_is_the_position_may_be_another_variable(tmp_path: Path) 
     assert tuple(rod.states) == ("angle", "tacho")
 
 
+AT = np.array([0.3, -1.0]), np.array([0.4, 2.0]), np.array([0.1, -0.2])
+
+
+def exact_acceleration() -> np.ndarray:
+    """That of the pendulum's equations, at ``AT``."""
+    return (AT[2] - 0.45 * np.sin(AT[0]) - 0.012 * AT[1]) / 0.025
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_solver_of_coarse_euler_steps_is_used_with_a_note(tmp_path: Path, version: int) -> None:
+    """It makes steps of 20 ms and no others; its accelerations are exact all the same."""
+    rod = lh.fmu_simulator(built(tmp_path, version=version, kinds="cs", step=0.02))
+    assert rod.stepped is not None
+    own = rod.stepped.acceleration_at([0.025, 0.45, 0.012, 0.3])(*AT)
+    assert own == pytest.approx(exact_acceleration(), rel=1e-9)
+    (note,) = rod.notes
+    assert "its solver makes Euler's steps of 0.02 s, which are coarse" in note
+
+
+def test_a_coarse_solver_of_another_method_is_used_with_a_note_of_its_error(tmp_path: Path) -> None:
+    rod = lh.fmu_simulator(built(tmp_path, version=3, kinds="cs", step=0.05, heun=True))
+    assert rod.stepped is not None
+    own = rod.stepped.acceleration_at([0.025, 0.45, 0.012, 0.3])(*AT)
+    assert own == pytest.approx(exact_acceleration(), rel=0.2)
+    (note,) = rod.notes
+    assert "its solver is coarse: in steps of 0.05 s the rate of its position is off by" in note
+    assert "Export it with shorter steps" in note
+    assert not lh.fmu_simulator(built(tmp_path, version=3, kinds="cs", step=0.001, heun=True)).notes
+
+
+def test_steps_that_an_fmu_neither_makes_nor_states_are_listed(tmp_path: Path) -> None:
+    path, odd = built(tmp_path, version=2, kinds="cs", step=0.03), tmp_path / "odd.fmu"
+    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(odd, "w") as packed:
+        text = whole.read("modelDescription.xml").decode()
+        packed.writestr("modelDescription.xml", text.replace('<DefaultExperiment stepSize="0.03"/>', ""))
+        for name in set(whole.namelist()) - {"modelDescription.xml"}:
+            packed.writestr(name, whole.read(name))
+    with pytest.raises(
+        UsageError, match=r"makes steps of one length out of 0\.001, 0\.01, 0\.0001 s, or that states its own"
+    ):
+        lh.fmu_simulator(odd)
+
+
+@pytest.mark.extended
+@pytest.mark.parametrize("step", [0.01, 0.02])
+def test_a_fit_of_a_coarse_solver_finds_the_plant(tmp_path: Path, step: float) -> None:
+    """With samples 10 ms apart: an FMU that makes steps of 20 ms cannot go from one to the next by itself."""
+    rod = lh.fmu_simulator(built(tmp_path, version=3, kinds="cs", step=step))
+    fit = lh.fit(swing(rod, seconds=8.0), rod, terms=["coulomb_friction"])
+    found = {each.name: each.value for each in fit.parameters}
+    assert found["inertia"] == pytest.approx(0.025, rel=0.01)
+    assert found["gravity_torque"] == pytest.approx(0.45, rel=0.01)
+    assert found["drag"] == pytest.approx(0.012, rel=0.05)
+    assert any("Euler's steps" in note for note in fit.to_dict()["notes"])
+
+
 def test_dry_friction_inside_an_fmu_is_refused_with_what_to_do(tmp_path: Path) -> None:
     rod = lh.fmu_simulator(built(tmp_path, version=2, kinds="me", dry=True))
     with pytest.raises(UsageError, match="smooth in its velocity, found one with a corner or a jump"):

@@ -12,7 +12,8 @@ import pytest
 import labhil as lh
 from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.analysis.patching import patch
-from labhil.errors import ModelFileError, UsageError
+from labhil.errors import ModelFileError, RecordingError, UsageError
+from labhil.physics.rigs import model_for
 from labhil.simulators.companion import Usage, companion_text, sort_effects
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
@@ -149,6 +150,26 @@ def test_a_result_in_python_is_put_into_the_file_by_itself(
     assert found.left == ()
     with pytest.raises(UsageError, match="nothing is overwritten"):
         fit.patch("rod.xml", tmp_path / "fixed.xml", rig="rig.toml")
+
+
+@pytest.mark.extended
+def test_a_result_takes_the_simulator_that_it_was_found_with(
+    fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The signals have other names than in the file; the simulator says which is which."""
+    monkeypatch.chdir(fitted)
+    fit = lh.load("fit.json")
+    assert isinstance(fit, lh.Fit)
+    with pytest.raises(RecordingError, match="needs encoder and motor in one stream"):
+        fit.patch("rod.xml", tmp_path / "none.xml")
+    rod = lh.mujoco_simulator("rod.xml", inputs={"torque": "motor"}, outputs={"angle": "encoder"})
+    before = [parameter.key for parameter in model_for(rod.rig_file).parameters]
+    found = fit.patch("rod.xml", tmp_path / "fixed.xml", rig=rod)
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
+    # the repaired file has parameters that the simulator has not, and the same name
+    assert [parameter.key for parameter in model_for(rod.rig_file).parameters] == before
+    fit.patch("rod.xml", tmp_path / "same.xml", rig=lh.model(rod, known={"gear": 1.0}))
+    assert (tmp_path / "fixed.xml").read_bytes() == (tmp_path / "same.xml").read_bytes()
 
 
 @pytest.mark.extended

@@ -14,6 +14,7 @@ import pytest
 from fmpy.validation import validate_fmu
 
 import labhil as lh
+from labhil.analysis.fmu_patching import INTEGRATED
 from labhil.analysis.patch import MAX_ERROR_RATIO
 from labhil.errors import UsageError
 from labhil.python_file import module_of
@@ -93,6 +94,22 @@ def test_the_repaired_fmu_keeps_the_promise_and_fmpy_runs_it(
         fit.patch(path, fixed)
     with pytest.raises(UsageError, match=r"new\.xml: expected a new file that ends in \.fmu"):
         fit.patch(path, tmp_path / "new.xml")
+
+
+@pytest.mark.extended
+@pytest.mark.timeout(600)
+def test_where_the_own_solver_is_coarse_its_accelerations_keep_the_promise(tmp_path: Path) -> None:
+    """Euler's steps of 10 ms, whose error is far beyond the noise: the attempts say so."""
+    path = built(tmp_path, version=3, kinds="cs", step=PERIOD)
+    rod = lh.fmu_simulator(path)
+    recording = recorded(rod, tmp_path / "run.mcap", seconds=8.0)
+    fit = lh.fit(recording, rod, terms=["coulomb_friction", "time_delay"])
+    found = fit.patch(path, tmp_path / "fixed.fmu", rig=rod)
+    assert found.attempts[-1].beside.startswith(INTEGRATED)
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
+    functions = module_of(tmp_path / "fixed_effects.py")
+    expected = {"inertia": INERTIA, "gravity_torque": GRAVITY, "drag": DRAG}
+    assert pytest.approx(expected, rel=0.05) == functions.PARAMETERS
 
 
 def rms_of_fmpy(path: Path, functions: ModuleType | None) -> float:

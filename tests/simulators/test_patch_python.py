@@ -110,6 +110,20 @@ def test_the_repaired_file_and_its_functions_keep_the_promise(tmp_path: Path, ki
     assert not list(tmp_path.glob("__pycache__"))
 
 
+@pytest.mark.extended
+def test_a_result_takes_the_simulator_or_the_model_that_it_was_found_with(tmp_path: Path) -> None:
+    """A known value of the model is used as it is in a rig file: it goes into the repaired file."""
+    path, rig = written(tmp_path, "rates")
+    found = fitted(rig, tmp_path).patch(f"{path}:pendulum", tmp_path / "fixed.py", rig=rig)
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
+    model = lh.model(rig, known={"gravity_torque": GRAVITY})
+    fit = lh.fit(tmp_path / "run.mcap", model, terms=["coulomb_friction", "time_delay"])
+    assert "gravity_torque" not in fit.parameters
+    known = fit.patch(f"{path}:pendulum", tmp_path / "known.py", rig=model)
+    assert known.attempts[-1].ratio <= MAX_ERROR_RATIO
+    assert f"{GRAVITY:g}" in {change.after for change in known.changes}
+
+
 def simulated_error(rig: lh.Simulator, functions: object) -> float:
     """RMS error, rad, of a program of a user's that calls the functions, beside the plant without noise."""
     p = {name: quantity.start for name, quantity in rig.parameters.items()}
