@@ -195,7 +195,7 @@ def test_a_position_in_millimetres_is_larger_than_such_a_rig() -> None:
     import labhil as lh
     from labhil.recording.reader import read_recording
 
-    recording = Path(lh.__file__).parents[1] / "recordings" / "ball_beam_identify.mcap"
+    recording = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
     (stream,) = [s for s in read_recording(recording).streams if "ball_position" in s.stream.names()]
     samples = Samples(stream.stream, stream.t, stream.values)
     rig = lh.model("ball_beam").rig_file
