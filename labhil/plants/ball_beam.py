@@ -214,9 +214,9 @@ def run(
             segment = delayed_command(times, values, counters, t, p.delay, tolerance_s, False)
             angle, slope, remaining = pass_through(memory, segment, p)
             lasts = max(min(remaining, end - t), tolerance_s)
-            pieces = math.ceil(lasts / period * substeps - TIME_TOLERANCE) if substeps > 1 else 1
-            h = lasts / max(pieces, 1)
-            for piece in range(max(pieces, 1)):
+            pieces = max(math.ceil(lasts / period * substeps - TIME_TOLERANCE), 1)
+            h = lasts / pieces
+            for piece in range(pieces):
                 before, position = angle + piece * h * slope, ball[POSITION]
                 turned = apply_lag(crank[0], before, before + h * slope, h, p.lag)
                 move(ball, crank[0], turned, h, m, f)
