@@ -158,13 +158,31 @@ def simulated_output(
     return simulated
 
 
-class SimulatedOutputModel:
-    """The output effects between a simulated column and the measured one (a ``physics.model.Model``)."""
+class WithoutStates:
+    """What models between recorded columns share: no states, and records as they are."""
 
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = True
     state_names: tuple[str, ...] = ()
     state_scale = np.empty(0)
+    horizon: float
+
+    def horizon_at(self, theta: FloatArray) -> float:
+        """Return the scored horizon, s."""
+        return self.horizon
+
+    def prepare(self, record: Record) -> Record:
+        """Return the record as it is."""
+        return record
+
+    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
+        """Return no states, (w, 0)."""
+        return np.empty((len(windows), 0))
+
+
+class SimulatedOutputModel(WithoutStates):
+    """The output effects between a simulated column and the measured one (a ``physics.model.Model``)."""
+
     _extra: ExtraForce | None = None
 
     def __init__(
@@ -197,18 +215,6 @@ class SimulatedOutputModel:
         forced = copy.copy(self)
         forced._extra = force
         return forced
-
-    def horizon_at(self, theta: FloatArray) -> float:
-        """Return the scored horizon, s."""
-        return self.horizon
-
-    def prepare(self, record: Record) -> Record:
-        """Return the record as it is."""
-        return record
-
-    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Return no states, (w, 0)."""
-        return np.empty((len(windows), 0))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Return the outputs with all effects, (N, 1)."""

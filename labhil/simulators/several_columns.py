@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.kinds import RigKind, declare_kind
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Record, Windows
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.rig import RigFile, parse_rig
@@ -22,6 +22,7 @@ from labhil.signals import FloatArray
 from labhil.simulators.columns import (
     SimulatedOutput,
     SimulatedOutputModel,
+    WithoutStates,
     check_column_names,
     column_sections,
     simulated_output,
@@ -124,13 +125,8 @@ class _Column(NamedTuple):
     place: slice
 
 
-class SimulatedOutputsModel:
+class SimulatedOutputsModel(WithoutStates):
     """The output effects between simulated and measured columns (a ``physics.model.Model``)."""
-
-    metric = Metric.WINDOWED_SIMULATION
-    fading_memory = True
-    state_names: tuple[str, ...] = ()
-    state_scale = np.empty(0)
 
     def __init__(self, simulated: SimulatedOutputs, rig: RigFile, record: Record | None = None) -> None:
         self.simulated, self.kind = simulated, simulated.name
@@ -152,18 +148,6 @@ class SimulatedOutputsModel:
         self.coordinate_units: Mapping[str, str] = {
             k: v for m in models for k, v in m.coordinate_units.items()
         }
-
-    def horizon_at(self, theta: FloatArray) -> float:
-        """Return the scored horizon, s."""
-        return self.horizon
-
-    def prepare(self, record: Record) -> Record:
-        """Return the record as it is."""
-        return record
-
-    def initial_states(self, record: Record, windows: Windows) -> FloatArray:
-        """Return no states, (w, 0)."""
-        return np.empty((len(windows), 0))
 
     def simulate(self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray) -> FloatArray:
         """Return the outputs with all effects, (N, outputs)."""
