@@ -28,7 +28,7 @@ from labhil.diagnose.structures.enumerate import (
     with_disturbance,
 )
 from labhil.diagnose.structures.responses import compute_responses, linearise_to_flatter_side
-from labhil.diagnose.structures.state import RefittedStructure, SearchState, smallest_relevance
+from labhil.diagnose.structures.state import Exchange, RefittedStructure, SearchState, smallest_relevance
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
@@ -125,6 +125,7 @@ class StructureSearch:
             self._refit_single_terms(state)
         if state.best not in (frozenset(), state.likeliest):
             self._refit_shapes(state, state.best)
+            self._refit_exchanges(state)
         return state
 
     def _linearise_until_stable(self, state: SearchState) -> None:
@@ -254,6 +255,21 @@ class StructureSearch:
         starts = [start for term in shaped for start in starts_for_added_terms(near, [term])]
         for fitted in side_by_side(lambda start: self._fit_from(near, near.terms, [start]), starts):
             self._record(state, fitted)
+
+    def _refit_exchanges(self, state: SearchState) -> None:
+        """Refit the likeliest structure with the rivals of the best one's terms in their place.
+
+        The best structure lacks the terms of too little relevance. Two terms with nearly the same effect may
+        differ more beside the error that these leave than beside these.
+        """
+        best, likeliest = state.best, state.likeliest
+        relevant = state.relevant
+        rivals = [e for s in relevant if (e := Exchange.between(best, s)) and e.applies_to(likeliest)]
+        rivals.sort(key=lambda e: -relevant[e.of(best)].log_evidence)
+        for exchange in rivals[: self.options.max_refits]:
+            estimates = relevant[exchange.of(best)].fitted.estimates
+            values = {p.key: estimates[p.key] for p in self.data.model.terms[exchange.added].parameters}
+            self._refit_and_record(state, state.refitted[likeliest].fitted, exchange.of(likeliest), values)
 
     def _linearisation_at(self, fitted: Fitted, absent: Sequence[str] | None = None) -> Enumeration:
         """The linearisation at a fit, with its own terms and all others, or those in ``absent`` only."""

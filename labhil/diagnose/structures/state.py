@@ -205,23 +205,62 @@ def undecided_terms(state: SearchState, *, min_probability: float = 0.1) -> tupl
     return tuple(open_terms)
 
 
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """A term that takes the place of another one in a structure."""
+
+    added: str
+    removed: str
+
+    @classmethod
+    def between(cls, structure: Structure, other: Structure) -> Exchange | None:
+        """The exchange that makes one structure of another; None where more than one term differs."""
+        added, removed = other - structure, structure - other
+        return cls(*added, *removed) if len(added) == len(removed) == 1 else None
+
+    def applies_to(self, structure: Structure) -> bool:
+        """Whether a structure has the term that goes, and lacks the one that comes."""
+        return self.removed in structure and self.added not in structure
+
+    def of(self, structure: Structure) -> Structure:
+        """The structure after the exchange."""
+        return (structure - {self.removed}) | {self.added}
+
+
 def rivals_of(state: SearchState, best: Structure, *, max_log_odds_in_nats: float = 5.0) -> tuple[Rival, ...]:
-    """Structures that are nearly as probable with another term in the place of one.
+    """Terms with which a structure is nearly as probable as with one of the best structure's terms.
+
+    Two terms are compared in the best structure, and in likelier ones that were refitted with either: those
+    have also terms of too little relevance to be claimed.
 
     Args:
         state: a finished search.
         best: the structure to compare with.
-        max_log_odds_in_nats: a rival is behind the best structure by less than this, a Bayes factor of about
+        max_log_odds_in_nats: a structure with a rival is behind by less than this, a Bayes factor of about
             150.
 
     Returns:
         The rivals, the most probable first.
     """
-    log_evidence, rivals, probabilities = state.log_evidence(), [], inclusion_probabilities(state)
-    for structure, value in log_evidence.items():
-        removed, added = best - structure, structure - best
-        deficit = log_evidence[best] - value
-        if len(removed) == 1 and len(added) == 1 and deficit < max_log_odds_in_nats:
-            rival = next(iter(added))
-            rivals.append(Rival(rival, next(iter(removed)), 2.0 * deficit, probabilities[rival]))
-    return tuple(sorted(rivals, key=lambda r: r.delta_bic))
+    log_evidence, probabilities = state.log_evidence(), inclusion_probabilities(state)
+    deficits = _exchange_deficits(log_evidence, best)
+    likelier = {s: r.log_evidence for s, r in state.refitted.items() if r.log_evidence > log_evidence[best]}
+    for structure in sorted(likelier, key=lambda s: likelier[s]):
+        deficits |= _exchange_deficits(likelier, structure)
+    rivals = [
+        Rival(
+            e.added,
+            e.removed,
+            2.0 * max(deficit, 0.0),
+            max(probabilities.get(e.added, 0.0), float(expit(-deficit))),
+        )
+        for e, deficit in deficits.items()
+        if e.applies_to(best) and deficit < max_log_odds_in_nats
+    ]
+    return tuple(sorted(rivals, key=lambda rival: rival.delta_bic))
+
+
+def _exchange_deficits(log_evidence: Mapping[Structure, float], of: Structure) -> dict[Exchange, float]:
+    """Log evidence that a structure loses by each exchange."""
+    exchanges = {Exchange.between(of, other): value for other, value in log_evidence.items()}
+    return {e: log_evidence[of] - value for e, value in exchanges.items() if e is not None}
