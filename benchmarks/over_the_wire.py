@@ -24,7 +24,7 @@ import numpy as np
 
 from labhil.analysis.dataset import load_dataset
 from labhil.identify.fitted import start_theta
-from labhil.physics.model import Windows
+from labhil.physics.record import Windows
 from labhil_benchmarks.reference import published
 from labhil_benchmarks.reference.known_start import KnownStart
 from labhil_benchmarks.reference.levels import Levels

@@ -31,7 +31,8 @@ from labhil.errors import OptionError, RecordingError, UsageError
 from labhil.identify.adequacy import adequacy_of
 from labhil.identify.score import ChannelScore, Score, score, scored_horizon
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Metric, Record
+from labhil.physics.model import Metric
+from labhil.physics.record import Record
 from labhil.recording.recording import Recording
 from labhil.rig import RigFile
 from labhil.signals import FloatArray

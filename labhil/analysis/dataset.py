@@ -24,7 +24,8 @@ from labhil.identify.windows import split
 from labhil.physics.arm import ArmModel
 from labhil.physics.joining import join_records
 from labhil.physics.measured_input import smoothing_notes
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.physics.several import model_of_one, several
 from labhil.physics.solenoid import SolenoidModel

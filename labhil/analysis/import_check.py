@@ -8,7 +8,7 @@ from dataclasses import replace
 from labhil.diagnose.hold import detect_hold
 from labhil.diagnose.timing import detect_all_faults, estimate_hold
 from labhil.identify.windows import FEWEST_SAMPLES, with_least_noise
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for, record_of_samples, unusable_values
 from labhil.recording.tables import ImportedTable
 from labhil.signals import Hold

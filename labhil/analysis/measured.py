@@ -13,7 +13,7 @@ from labhil.errors import OptionError, RecordingError
 from labhil.identify.windows import FEWEST_SAMPLES, with_least_noise
 from labhil.physics.joining import join_records
 from labhil.physics.measured_input import with_input_smoothing
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import record_of
 from labhil.recording.recording import Recording
 from labhil.rig import RigFile

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from labhil.errors import RecordingError
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Metric, Record
+from labhil.physics.model import Metric
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 Flags = NDArray[np.bool_]

@@ -20,7 +20,8 @@ from labhil.errors import RecordingError
 from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.score import score
 from labhil.identify.windows import FEWEST_SAMPLES, ScoredWindows, noise_of
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import record_of_samples
 from labhil.physics.terms import keyed
 from labhil.rig import RigFile

@@ -18,7 +18,8 @@ from labhil.errors import ModelFileError, OptionError, UnknownNameError
 from labhil.identify.fitted import start_theta, with_only
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of, with_noise_scales
-from labhil.physics.model import Model, Record, index_of
+from labhil.physics.model import Model, index_of
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import RigFile
 from labhil.signals import FloatArray

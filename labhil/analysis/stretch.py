@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.errors import OptionError
 from labhil.identify.windows import FEWEST_SAMPLES
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.recording.recording import Recording
 from labhil.signals import FloatArray
 

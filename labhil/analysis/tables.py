@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from labhil.analysis.import_check import check_table
+from labhil.recording.import_report import describe_import
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Recording
-from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
+from labhil.recording.tables import ImportedTable, import_table, write_import
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Stream
 

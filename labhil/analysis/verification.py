@@ -26,7 +26,7 @@ from labhil.diagnose.verify import ALPHA, Verification, verify
 from labhil.errors import ModelFileError, OptionError, RecordingError
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.windows import FEWEST_SAMPLES
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.recording.reader import read_recording
 from labhil.rig import RigFile

@@ -106,8 +106,9 @@ def import_(
     """Make a recording of a table of measured data."""
     from labhil.analysis.doubts import doubts_in
     from labhil.analysis.import_check import check_table
+    from labhil.recording.import_report import describe_import
     from labhil.recording.reader import read_recording
-    from labhil.recording.tables import describe_import, import_table, with_episode, write_import
+    from labhil.recording.tables import import_table, with_episode, write_import
     from labhil.rig import load_rig
 
     table = import_table(data, with_episode(load_rig(rig), episode))

@@ -12,16 +12,8 @@ from labhil.device_check.small_step import Answer
 from labhil.doctor.finding import Finding, broken
 from labhil.errors import UnknownNameError
 from labhil.extras import require_analysis
-from labhil.physics.model import (
-    Metric,
-    Model,
-    Record,
-    Windows,
-    index_of,
-    start_values,
-    starts_of,
-    terms_named,
-)
+from labhil.physics.model import Metric, Model, index_of, start_values, starts_of, terms_named
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for, record_of_samples, rig_model
 from labhil.rig import RigFile
 from labhil.signals import FloatArray

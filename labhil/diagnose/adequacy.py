@@ -19,7 +19,8 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.window_states import estimate_states
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 
 MAX_RMS_IN_NOISE = 1.2

@@ -15,7 +15,7 @@ from labhil.diagnose.remainder import Remainder
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 

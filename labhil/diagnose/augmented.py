@@ -24,7 +24,7 @@ from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.joining import join_records
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

@@ -15,7 +15,8 @@ from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_briefly, fit_by_continuation, start_theta
 from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.windows import noise_of, with_noise_scales
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 
 
 def prepare_data(

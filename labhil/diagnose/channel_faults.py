@@ -21,7 +21,7 @@ from labhil.diagnose.fault import (
     format_spans,
 )
 from labhil.diagnose.wraps import Wraps
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import IntArray
 
 

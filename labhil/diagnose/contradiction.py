@@ -12,7 +12,8 @@ from scipy import stats
 from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score
 from labhil.identify.window_products import without_states
-from labhil.physics.model import Metric, Record
+from labhil.physics.model import Metric
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

@@ -28,7 +28,7 @@ from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
 from labhil.identify.statistics import inverse_information
 from labhil.identify.table import ParameterTable, table_of
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import BoolArray, FloatArray
 
 

@@ -39,7 +39,8 @@ from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, with_forces
 from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
-from labhil.physics.model import Model, Record, terms_named
+from labhil.physics.model import Model, terms_named
+from labhil.physics.record import Record
 from labhil.physics.terms import unkeyed
 
 VERDICT_ALPHA = 5e-4
@@ -147,13 +148,7 @@ def _answer(
             *(statements.missing_curve(curve, claims) for curve in curves),
         ),
         rivals=tuple(statements.rival_term(model, rival, claims) for rival in result.rivals),
-        undecided=(
-            *statements.doubtful_terms(result),
-            *statements.minor_terms(result),
-            *statements.open_terms(result),
-            *unseen,
-            *statements.unobservable_terms(model),
-        ),
+        undecided=(*statements.undecided_terms(result), *unseen, *statements.unobservable_terms(model)),
         excluded=excluded,
         data="heldout",
         held_out=test,

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

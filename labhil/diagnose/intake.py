@@ -47,7 +47,7 @@ from labhil.diagnose.wraps import detect_wraps
 from labhil.identify.quantiser import converter_step
 from labhil.identify.windows import noise_of
 from labhil.physics.measured_input import MEASURED_INPUTS
-from labhil.physics.model import UNREAD, Record
+from labhil.physics.record import UNREAD, Record
 from labhil.signals import BoolArray, FloatArray, IntArray
 
 NOT_OF_SAMPLES = (FaultKind.GAP, FaultKind.NO_EXCITATION, FaultKind.UNDERSAMPLED)

@@ -15,7 +15,8 @@ from scipy import stats
 from labhil.diagnose.evidence import Evidence, bic, effective_samples
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score, score
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 VERY_STRONG_DELTA_BIC = -10.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 RATE_OF_POSITION: Mapping[str, str] = {"position": "velocity", "angle": "speed", "actual_q": "actual_qd"}

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import stats
 
 from labhil.diagnose.hold import level_changes
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, Hold, IntArray
 
 MIN_LEAD_SAMPLES: Mapping[Hold, float] = {Hold.ZERO: 0.5, Hold.LINEAR: 1.5}

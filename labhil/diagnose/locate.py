@@ -13,7 +13,8 @@ import numpy as np
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.physics.extra_force import AcceptsExtraForce
-from labhil.physics.model import Metric, Model, Record, Windows, index_of
+from labhil.physics.model import Metric, Model, index_of
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
 

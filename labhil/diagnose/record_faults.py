@@ -19,7 +19,7 @@ from labhil.diagnose.lag import detect_lag_changes
 from labhil.diagnose.lead import detect_lead
 from labhil.identify.sampling import scattering_statement
 from labhil.identify.windows import MIN_HOLE_IN_PERIODS
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import BoolArray, FloatArray
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 from labhil.diagnose.locate import HeldOut, Regime, regimes
 from labhil.identify.score import Score
-from labhil.physics.model import Model, Record, unit_of
+from labhil.physics.model import Model, unit_of
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 

@@ -21,7 +21,8 @@ from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.terms import Enters, Term, keyed, unkeyed
 from labhil.signals import FloatArray
 
@@ -163,7 +164,7 @@ def rival_term(model: Model, rival: Rival, claims: int) -> RivalTerm:
     )
 
 
-def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
+def _minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
     """Entries of terms that explain no more than an imperfect law of a larger effect leaves."""
     share = f"{100.0 * MIN_EXPLAINED_SHARE:.0f} %"
     reason = (
@@ -173,17 +174,22 @@ def minor_terms(result: SearchResult) -> tuple[Undecided, ...]:
     return tuple(Undecided(*term, (), reason) for term in terms)
 
 
-def doubtful_terms(result: SearchResult) -> tuple[Undecided, ...]:
+def _doubtful_terms(result: SearchResult) -> tuple[Undecided, ...]:
     """Entries of terms that were to be named, but explain nothing of held-out data."""
     reason = "the best explanation found, but held-out data are predicted no better with it"
     return tuple(Undecided(*unkeyed(term), (), reason) for term in result.doubtful)
 
 
-def open_terms(result: SearchResult) -> tuple[Undecided, ...]:
+def _open_terms(result: SearchResult) -> tuple[Undecided, ...]:
     """Entries of terms that are about as likely as not, and neither named nor rivals."""
     listed = {*result.final.terms, *result.doubtful, *(rival.term for rival in result.rivals)}
     reason = "these data speak neither for nor against"
     return tuple(Undecided(*unkeyed(term), (), reason) for term in result.open if term not in listed)
+
+
+def undecided_terms(result: SearchResult) -> tuple[Undecided, ...]:
+    """Entries of all terms that a search leaves undecided."""
+    return (*_doubtful_terms(result), *_minor_terms(result), *_open_terms(result))
 
 
 def unobservable_terms(model: Model) -> tuple[Undecided, ...]:

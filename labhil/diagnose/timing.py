@@ -25,7 +25,8 @@ from labhil.errors import UsageError
 from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.windows import noise_of
 from labhil.physics.measured_input import MEASURED_INPUTS
-from labhil.physics.model import Metric, Model, Record
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, Hold
 
 

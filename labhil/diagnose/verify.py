@@ -27,7 +27,8 @@ from labhil.identify.score import Score, score
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.window_states import estimate_states
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.model import Metric, Model, Record
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray
 

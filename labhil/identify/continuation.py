@@ -30,7 +30,8 @@ from labhil.identify.predictability import predictability_horizon
 from labhil.identify.problem import Problem
 from labhil.identify.shapes import profile_shapes, refit_from_rivals
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ import numpy as np
 
 from labhil.identify.spline import Spline
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, MovedPart, along_positive
-from labhil.physics.model import Metric, Model, PartlyLinear, Record, Windows, unit_of
+from labhil.physics.model import Metric, Model, PartlyLinear, unit_of
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.signals import FloatArray
 

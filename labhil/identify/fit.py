@@ -30,7 +30,8 @@ from labhil.identify.sampling import hold_shifts, sampling_notes
 from labhil.identify.score import Score, score, with_forces
 from labhil.identify.table import ParameterTable, table_of, widen
 from labhil.identify.windows import noise_of, with_noise_scales
-from labhil.physics.model import Metric, Model, Record, terms_named
+from labhil.physics.model import Metric, Model, terms_named
+from labhil.physics.record import Record
 from labhil.physics.rigs import by_inverse_dynamics
 from labhil.signals import FloatArray
 

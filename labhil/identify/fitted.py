@@ -17,7 +17,8 @@ from labhil.identify.least_squares import TOLERANCE, Solution, least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
 from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record, index_of, start_values, starts_of, terms_named
+from labhil.physics.model import Model, index_of, start_values, starts_of, terms_named
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 MAX_RESIDUAL_GROWTH = 1.3

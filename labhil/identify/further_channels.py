@@ -15,7 +15,8 @@ from labhil.identify.fitted import Fitted, covariances
 from labhil.identify.identifiability import Identifiability, identifiability, with_helpful_options
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
-from labhil.physics.model import Record, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.physics.several import names_per_recording
 from labhil.physics.terms import Parameter, keyed

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from labhil.identify.problem import Linearised, Point, Problem
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

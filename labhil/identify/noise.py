@@ -17,7 +17,8 @@ import numpy as np
 from labhil.identify.problem import Point, Problem
 from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows, noise_of
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 
 THIRD_DIFFERENCE = (20.0, -30.0, 12.0, -2.0)

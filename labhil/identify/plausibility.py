@@ -17,7 +17,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from labhil.physics.facts import TIME, Fact
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import rig_model
 from labhil.rig import RigFile
 from labhil.rig_sections import Channel

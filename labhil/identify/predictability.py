@@ -13,7 +13,8 @@ import numpy as np
 from labhil.identify.problem import Problem
 from labhil.identify.window_states import FIRST_SECTION_IN_HORIZONS
 from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 PERTURBATION = 1e-4

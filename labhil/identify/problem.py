@@ -17,7 +17,8 @@ from labhil.ending import checkpoint
 from labhil.identify.rounding import effective_fractions
 from labhil.identify.window_products import window_products, without_states
 from labhil.identify.windows import noise_at
-from labhil.physics.model import UNREAD, Model, PartlyLinear, Record, Windows
+from labhil.physics.model import Model, PartlyLinear
+from labhil.physics.record import UNREAD, Record, Windows
 from labhil.signals import BoolArray, FloatArray, IntArray
 
 STATE_STEP = 1e-5

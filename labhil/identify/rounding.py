@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 
 from labhil.compiled import compiled
 from labhil.identify.quantiser import converter_step
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, IntArray
 
 TABLE_SIZE = 256

@@ -15,7 +15,7 @@ from labhil.identify.adequacy import NOISE_FLOOR_FACTOR
 from labhil.identify.fitted import Fitted
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import converter_step, uneven_step
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray, Hold
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from labhil.identify.extended import Coordinate
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce, with_place
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 

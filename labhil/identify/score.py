@@ -19,7 +19,8 @@ from labhil.identify.window_products import without_states
 from labhil.identify.window_states import estimate_states_at
 from labhil.identify.windows import ScoredWindows, noise_at, scored_windows, whole_recordings
 from labhil.physics.drive_balance import HasInverseDynamics
-from labhil.physics.model import Metric, Model, Record
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, IntArray
 
 QUANTISER_PHASES = np.arange(16) / 16.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from labhil.compiled import compiled
 from labhil.identify.problem import Problem
-from labhil.physics.model import Windows
+from labhil.physics.record import Windows
 from labhil.signals import BoolArray, FloatArray, IntArray
 
 

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify.problem import Point, Problem
-from labhil.physics.model import Model, Record, Windows
+from labhil.physics.model import Model
+from labhil.physics.record import Record, Windows
 from labhil.signals import BoolArray, FloatArray, IntArray
 
 ANGLE_SUFFIX = "_angle"

@@ -15,7 +15,8 @@ import numpy as np
 from labhil.errors import RecordingError
 from labhil.identify.quantiser import converter_step, held_samples, uneven_step
 from labhil.physics.joining import join_records
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 FEWEST_SAMPLES = 20

@@ -8,7 +8,7 @@ from math import pi
 import numpy as np
 
 from labhil.physics.facts import Fact, amplitude_fact, derivative_fact, sampling_rate_fact
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

@@ -21,8 +21,9 @@ from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.guesses import characteristic_scales_of, states_from_line_fit
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
 from labhil.physics.path_terms import input_terms, output_terms
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.rig import RigFile

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import inf
 
 from labhil.physics.facts import Fact, derivative_fact, sampling_rate_fact, second_order_gain
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 
 def facts(record: Record, known: Mapping[str, float], *, mass_factor: float = 4.0) -> list[Fact]:

@@ -16,7 +16,8 @@ import numpy as np
 from labhil.physics.axis import AxisModel
 from labhil.physics.drive_balance import DriveMotion
 from labhil.physics.driven import effective_input
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Term
 from labhil.signals import FloatArray, Hold
 

@@ -19,8 +19,9 @@ from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.guesses import states_from_line_fit
 from labhil.physics.measured_input import without_noise
-from labhil.physics.model import Metric, Record, Windows, start_values
+from labhil.physics.model import Metric, start_values
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile

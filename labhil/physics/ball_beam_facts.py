@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import pi
 
 from labhil.physics.facts import Fact, amplitude_fact, sampling_rate_fact, second_order_gain
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 ROLLING_GAIN = 9.81 / 1.4
 """Acceleration g/(1 + 2/5) of a solid ball per radian of a small slope, m/s²."""

@@ -20,7 +20,8 @@ from labhil.physics.dc_motor_terms import REFERENCE_TEMPERATURE, Sizes, catalogu
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.guesses import characteristic_scales_of
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.rig import RigFile

@@ -16,7 +16,7 @@ from labhil.physics.facts import (
     running_integral,
     sampling_rate_fact,
 )
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 RATIO_FACTOR = 4.0

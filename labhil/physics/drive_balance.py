@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from labhil.errors import RecordingError
 from labhil.physics.arm.motion import MAX_GAP_IN_PERIODS, MIN_SAMPLES, ROWS_PER_CUT_OFF_PERIOD, LowPass
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, IntArray
 
 DEFAULT_CUT_OFF = 20.0

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from labhil.physics import input_path
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray, Hold
 
 INPUT_PATH_PARAMETERS = (

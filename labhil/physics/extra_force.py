@@ -19,8 +19,9 @@ import numpy as np
 from labhil.compiled import inlined, specialised
 from labhil.physics.friction import MAX_STEP_SHARE
 from labhil.physics.friction_law import FASTEST, GRID, PER_OCTAVE, SLOWEST, SLOWEST_POWER
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
 from labhil.physics.moving_part import TINY, Course, Follows, Laws, Motion, Part
+from labhil.physics.record import Record
 from labhil.physics.terms import Enters
 from labhil.signals import FloatArray
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 TIME = "t"

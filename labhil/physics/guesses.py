@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale
 from labhil.signals import FloatArray
 

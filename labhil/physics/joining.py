@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from labhil.errors import RecordingError
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 CHANNEL_KINDS = ("inputs", "hold of the inputs", "outputs", "units", "joints", "other channels")
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.smoothing import WIDTHS, Smoothing
 from labhil.signals import Hold
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labhil.errors import UsageError
-from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.model import Metric, index_of
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.rig import RigFile
 from labhil.signals import FloatArray, Hold

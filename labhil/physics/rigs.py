@@ -13,7 +13,8 @@ import numpy as np
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.kinds import RigKind, declare_kind, declared_kinds
 from labhil.physics.facts import Fact
-from labhil.physics.model import Begin, Metric, Model, Record, Windows, index_of, start_values, starts_of
+from labhil.physics.model import Metric, Model, index_of, start_values, starts_of
+from labhil.physics.record import Begin, Record, Windows
 from labhil.recording.recording import Recording
 from labhil.rig import RigFile, default_rig
 from labhil.signals import FloatArray, Stream

@@ -16,7 +16,8 @@ import numpy as np
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.physics.extra_force import AcceptsExtraForce, ExtraForce
 from labhil.physics.joining import join_records
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed, unkeyed
 from labhil.signals import FloatArray, IntArray
 

@@ -26,8 +26,9 @@ from labhil.physics.force_map import read_force_map
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.guesses import states_from_line_fit
 from labhil.physics.measured_input import without_noise
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.rig import RigFile

@@ -10,7 +10,8 @@ from labhil.physics import friction
 from labhil.physics.driven import apply_sensor_lag
 from labhil.physics.extra_force import NO_FORCE, CompiledForce, ExtraForce
 from labhil.physics.friction_law import GRID, laws
-from labhil.physics.model import Record, Windows, index_of
+from labhil.physics.model import index_of
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import Parameter
 from labhil.rig import RigFile
 from labhil.signals import FloatArray

@@ -1,9 +1,10 @@
 """Recordings as MCAP files: write, read, recover and export them; import foreign tables as recordings."""
 
 from labhil.recording.export import export, export_csv
+from labhil.recording.import_report import describe_import
 from labhil.recording.reader import read_recording
 from labhil.recording.recording import Event, Recording, StreamData
-from labhil.recording.tables import ImportedTable, describe_import, import_table, write_import
+from labhil.recording.tables import ImportedTable, import_table, write_import
 from labhil.recording.writer import RecordingWriter
 
 __all__ = [

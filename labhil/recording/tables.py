@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from labhil.bounds import read_file
 from labhil.errors import DiskFailedError, RecordingFailedError, TableError, suggestion
-from labhil.recording.bad_rows import REASONS, find_bad_rows, finite_rows
+from labhil.recording.bad_rows import find_bad_rows, finite_rows
 from labhil.recording.channel_keys import apply_channel_keys, with_declared_hold
 from labhil.recording.format_detection import read_foreign_table
 from labhil.recording.formats.time_text import TimeKind
@@ -206,43 +206,6 @@ def write_import(table: ImportedTable, out: Path) -> Path:
                 f"{out}: the disk failed, nothing was imported: {failure.__cause__}; make room and try again"
             ) from failure
     return out
-
-
-def describe_import(table: ImportedTable, *, max_rate_difference: float = 0.02) -> list[str]:
-    """Describe an import for users.
-
-    Args:
-        table: the imported table.
-        max_rate_difference: relative difference of mean and median rate from which both are shown.
-
-    Returns:
-        Lines of text.
-    """
-    signals = ", ".join(f"{signal.name} [{signal.unit}]" for signal in table.stream.signals)
-    extent = f"{table.t[-1]:.6g} s at {table.stream.rate:.6g} Hz"
-    mean = (len(table) - 1) / table.t[-1]
-    if abs(mean / table.stream.rate - 1.0) > max_rate_difference:
-        extent += f" (by the median step; {mean:.4g} rows a second on average)"
-    lines = [f"{table.source}: {len(table)} of {table.rows} rows, {extent}", f"signals: {signals}"]
-    lines += table.notes
-    why = {
-        **REASONS,
-        EDGE: "before the first or after the last sample of a slower channel",
-        PART: "in other parts",
-    }
-    lines += [
-        f"dropped: {count} rows {why[reason]}{_first_bad(table, reason)}"
-        for reason, count in table.dropped.items()
-        if count
-    ]
-    lines += [
-        f"outside [limits], kept: {count} rows of {name}" for name, count in table.outside.items() if count
-    ]
-    return lines
-
-
-def _first_bad(table: ImportedTable, reason: str) -> str:
-    return f", the first in {table.first_bad[reason]}" if reason in table.first_bad else ""
 
 
 def _read_content(path: Path) -> tuple[bytes, str]:

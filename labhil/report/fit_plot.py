@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from labhil.identify.fit import Fit
 from labhil.identify.score import ChannelScore
 from labhil.identify.statistics import autocorrelation, recording_slices
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, MEASURED, figure_of, finish
 from labhil.report.plots import time_axis, with_gaps

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from labhil.diagnose import locate
 from labhil.diagnose.answer import Curve, Diagnosis
 from labhil.identify.score import Score
-from labhil.physics.model import Metric, Record
+from labhil.physics.model import Metric
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import AFTER, BEFORE, MEASURED, figure_of, finish
 from labhil.signals import FloatArray

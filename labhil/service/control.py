@@ -79,8 +79,7 @@ class DeviceControl:
         self._violation: str | None = None
         rate = spec.stream.rate * info.speed
         self._contact = Contact(config, driver, rate)
-        self._is_silent = False
-        self._is_recovering = False
+        self._is_silent = self._is_recovering = False
         self._continuation = Continuation(rate, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -198,12 +197,11 @@ class DeviceControl:
         refuse_another(self._config.address, self._info, info)
         same_boot = info.boot_id == self._info.boot_id
         boot = "the same boot" if same_boot else "it has booted again"
-        self._info = info
-        self._is_silent = False
+        self._info, self._is_silent = info, False
         self._contact.restart()
         self._continuation.note_new_connection(same_boot=same_boot)
-        gap = time.monotonic() - lost_at
-        self._note_return(f"after {gap:.2f} s the device is back, its configuration sent again: {boot}")
+        gap = f"after {time.monotonic() - lost_at:.2f} s"
+        self._note_return(f"{gap} the device is back, its configuration sent again: {boot}")
 
     def _note_return(self, message: str) -> None:
         state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED
@@ -244,9 +242,9 @@ class DeviceControl:
             if self._violation is None and self.state in STEADY:
                 self._note_return("the device can be commanded again")
 
-    # requests from the bus, in the threads of the bus
-
     def _handler(self, name: str) -> Callable[[Any], dict[str, Any]]:
+        """What answers a command in the bus' thread: a stop acts at once, the rest waits for its turn."""
+
         def handle(payload: Any) -> dict[str, Any]:
             is_stop = isinstance(payload, EstopRequest) and payload.action == "press"
             if is_stop:
@@ -256,8 +254,6 @@ class DeviceControl:
             return self._inbox.ask(name, payload)
 
         return handle
-
-    # the control thread again
 
     def _answer_requests(self, now: float, patience: float) -> None:
         """Answer the requests in the inbox; where there are none, wait up to ``patience`` s for the first."""

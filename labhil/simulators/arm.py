@@ -18,7 +18,7 @@ from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.first_estimate import LAWS
 from labhil.physics.arm.motion import PreparedRecord
 from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import Term, keyed
 from labhil.rig import RigFile, default_rig

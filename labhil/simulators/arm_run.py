@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.extras import load_optional
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 from labhil.simulators.arm import ArmFileModel, ArmSimulator

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
-from labhil.physics.model import Record
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
+from labhil.physics.record import Record
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
 from labhil.signals import FloatArray
 

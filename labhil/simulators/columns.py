@@ -20,8 +20,9 @@ from labhil.kinds import RigKind, declare_kind
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import CurveArgument, ExtraForce, MovedPart, along_positive
 from labhil.physics.friction_terms import friction_terms
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 

@@ -9,7 +9,7 @@ from threading import Lock
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.fmu_file import CoSimulationFmu, FmuFile, ModelExchangeFmu, convert_fmi_errors
 from labhil.simulators.fmu_solver import PROBED_INPUT, PROBED_STATES, SolverStep

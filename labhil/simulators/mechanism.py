@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from labhil.extras import load_optional
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.rollouts import Actuation, roll_out
 from labhil.simulators.stepped import JointForce, Nodes, NonSmooth

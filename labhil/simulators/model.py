@@ -19,8 +19,9 @@ from labhil.physics.at_port import Course, Pushes
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart, Pushed, PushedCourse
 from labhil.physics.guesses import characteristic_scales_of
-from labhil.physics.model import Metric, Record, Windows, index_of, start_values
+from labhil.physics.model import Metric, index_of, start_values
 from labhil.physics.moving_part import Stops
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.physics.values import Values, known_numbers
 from labhil.rig import RigFile

@@ -9,7 +9,7 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.rollouts import interval_means
 from labhil.simulators.stepped import AddedForce, Nodes

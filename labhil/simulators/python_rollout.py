@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from labhil.errors import UsageError
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_under_force, step_windows
 from labhil.simulators.python_step import parameter_named

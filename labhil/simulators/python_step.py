@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.pointwise import accelerations_at, extrapolate_rates, step_under_force, step_windows
 from labhil.simulators.stepped import AddedForce, Nodes, NonSmooth

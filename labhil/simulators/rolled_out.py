@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from labhil.errors import UsageError
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 from labhil.simulators.model import SimulatorModel

@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.extras import load_optional
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.stepped import JointForce, Nodes
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.kinds import RigKind, declare_kind
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import RigModel, declare_model
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.rig import RigFile, parse_rig

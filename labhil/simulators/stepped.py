@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray
 from labhil.simulators.tables import ROUNDING, Acceleration
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.rig import parse_rig
 

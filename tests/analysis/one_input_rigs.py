@@ -10,7 +10,8 @@ import numpy as np
 
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
-from labhil.physics.model import Model, Record, Windows, index_of, start_values
+from labhil.physics.model import Model, index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for
 from labhil.plants.rigs import PLANT_DEFINITIONS, plant_of
 from labhil.rig import RigFile, parse_rig

@@ -17,7 +17,7 @@ from labhil.physics.arm.controller_constants import controller_constants
 from labhil.physics.arm.grouped import group_parameters
 from labhil.physics.arm.links import PER_LINK, inertial_of, load_links
 from labhil.physics.arm.rigid_body import gravity_in_base, regressor
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
 from labhil_benchmarks.statistics import arm

@@ -13,7 +13,8 @@ from labhil.errors import RecordingError, UnknownNameError
 from labhil.identify.fit import fit
 from labhil.physics.arm import ArmModel
 from labhil.physics.arm.motion import REST_VELOCITY, PreparedRecord
-from labhil.physics.model import Record, Windows, index_of, start_values, terms_named
+from labhil.physics.model import index_of, start_values, terms_named
+from labhil.physics.record import Record, Windows
 from labhil.plants.arm import ArmPlant
 from labhil.rig import parse_rig
 

@@ -14,7 +14,8 @@ from labhil.analysis.schema import FitPart, validate
 from labhil.errors import RecordingError, UsageError
 from labhil.identify.fit import Options, fit
 from labhil.identify.score import score, with_forces
-from labhil.physics.model import Metric, Record, index_of
+from labhil.physics.model import Metric, index_of
+from labhil.physics.record import Record
 from labhil.physics.rigs import by_inverse_dynamics, model_for
 from labhil.report.html.fit import fit_page
 from labhil.report.html.picture import Album

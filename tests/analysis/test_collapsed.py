@@ -23,7 +23,8 @@ from labhil.identify.statistics import estimates_from_errors
 from labhil.identify.windows import split
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.dc_motor import DcMotorModel
-from labhil.physics.model import Record, index_of
+from labhil.physics.model import index_of
+from labhil.physics.record import Record
 from labhil.physics.terms import Parameter
 from labhil.rig import parse_rig
 from labhil.signals import Hold

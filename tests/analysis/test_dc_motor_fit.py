@@ -7,7 +7,7 @@ import pytest
 
 from labhil.identify.fit import fit
 from labhil.identify.further_channels import suggest_measurements
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.dc_motor import DcMotorPlant
 from labhil.rig import default_rig

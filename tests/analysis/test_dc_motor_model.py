@@ -12,7 +12,8 @@ from scipy.stats import chi2
 
 from labhil.identify.problem import Point, Problem
 from labhil.physics.dc_motor import DcMotorModel
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.rig import default_rig
 from labhil.signals import Hold
 

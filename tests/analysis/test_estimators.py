@@ -17,7 +17,8 @@ from labhil.identify.estimators.coordinates import Coordinates
 from labhil.identify.estimators.search import Box
 from labhil.identify.estimators.swarm import reference_swarm
 from labhil.identify.problem import Problem
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import Parameter
 
 SIGMA = np.array([0.05])

@@ -10,7 +10,7 @@ from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.discrepancy import absent_effects
 from labhil.diagnose.exclusions import exclusions
 from labhil.identify.fitted import fit_terms
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 from labhil_benchmarks.statistics.cases import driven, held_ball, levels

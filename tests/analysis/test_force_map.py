@@ -10,7 +10,8 @@ import pytest
 from labhil.errors import RigFileError
 from labhil.physics.force_map import read_force_map
 from labhil.physics.mapped import charted_force, charted_slope
-from labhil.physics.model import Record, Windows, start_values
+from labhil.physics.model import start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.solenoid import SolenoidModel
 from labhil.rig import KnownFile, parse_rig
 

@@ -17,7 +17,8 @@ import labhil as lh
 from labhil.errors import UsageError
 from labhil.physics.arm import ArmModel
 from labhil.physics.friction_law import BUILT_IN, laws
-from labhil.physics.model import Model, Record, Windows, index_of, start_values
+from labhil.physics.model import Model, index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
 from labhil.signals import Hold

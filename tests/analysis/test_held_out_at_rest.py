@@ -14,7 +14,7 @@ from one_input_rigs import rig_of
 
 from labhil.diagnose.diagnosis import diagnose
 from labhil.identify.windows import split
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.signals import Hold
 

@@ -23,7 +23,7 @@ from labhil.identify.identifiability import invariants
 from labhil.identify.score import score
 from labhil.identify.windows import fit_windows, noise_of, scored_windows
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.rig import parse_rig
 from labhil_benchmarks.statistics.cases import CASES
 from labhil_benchmarks.statistics.trial import run_trial

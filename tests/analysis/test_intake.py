@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from labhil.diagnose.frozen import detect_clipping_levels
 from labhil.diagnose.intake import Fault, FaultKind, assess_usability, detect_recording_faults
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil_benchmarks.statistics.arm import arm
 from labhil_benchmarks.statistics.cases import STEP, driven, held_ball, levels
 from labhil_benchmarks.statistics.noise import noise_like

@@ -12,7 +12,7 @@ from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults, r
 from labhil.identify.plausibility import doubts_of
 from labhil.identify.problem import Problem
 from labhil.identify.windows import MIN_HOLE_IN_PERIODS, fit_windows, noise_of, scored_windows, split
-from labhil.physics.model import UNREAD, Record
+from labhil.physics.record import UNREAD, Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 from labhil.signals import Hold

@@ -17,7 +17,8 @@ from labhil.ending import Deadline
 from labhil.identify.problem import Problem
 from labhil.identify.quantiser import held_samples, uneven_step
 from labhil.identify.windows import fit_windows, noise_of, with_least_noise
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.right_hand_side import RightHandSide
 from labhil.physics.rigs import model_for
 from labhil.physics.terms import Parameter

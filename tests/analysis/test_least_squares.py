@@ -20,7 +20,8 @@ from labhil.identify.problem import Problem
 from labhil.identify.score import score
 from labhil.identify.window_states import estimate_states, evaluate, refine
 from labhil.identify.windows import split
-from labhil.physics.model import Metric, Record, Windows
+from labhil.physics.model import Metric
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import Parameter
 
 COUNT, LENGTH = 6, 50

@@ -28,7 +28,7 @@ from labhil.identify.linear.filters import stabilise, stable_polynomial, unconst
 from labhil.identify.linear.polynomial import PolynomialModel, fit_box_jenkins
 from labhil.identify.linear.study import resample_evenly
 from labhil.identify.linear.transfer_function import TransferFunctionModel
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, Hold
 
 PERIOD = 0.01

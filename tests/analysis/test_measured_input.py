@@ -14,7 +14,7 @@ from labhil.identify.windows import noise_of, with_noise_scales
 from labhil.physics.ball_beam import BallBeamModel
 from labhil.physics.joining import join_records
 from labhil.physics.measured_input import smoothing_notes
-from labhil.physics.model import Begin, Record
+from labhil.physics.record import Begin, Record
 from labhil.physics.rigs import model_for
 from labhil.plants.rigs import plant_of
 from labhil.rig import default_rig

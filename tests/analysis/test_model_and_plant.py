@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from labhil.physics import driven, input_path
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.plants.ball_beam import BallBeamPlant
 
 MASS = 0.261 * 1.4

@@ -14,7 +14,7 @@ from labhil.identify.fitted import start_theta
 from labhil.identify.noise import CORRELATIONS, estimate_coloured_noise
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.windows import noise_of
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 TERMS = ("viscous_friction",)
 TRUTH = {"viscous_friction.coefficient": 0.26}

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from labhil.errors import UsageError
-from labhil.physics.model import Windows, index_of, starts_of, terms_named
+from labhil.physics.model import index_of, starts_of, terms_named
+from labhil.physics.record import Windows
 from labhil.physics.rigs import model_for
 from labhil.physics.solenoid import AMPLIFIER_TERMS
 from labhil.plants.rigs import effects_of

@@ -16,7 +16,7 @@ from test_arm_model import acquired
 
 from labhil.identify.plausibility import doubts_of
 from labhil.physics.joining import join_records
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.rig import parse_rig
 
 BEAM = "ball_mass = 0.261\nball_radius = 0.02\ncrank_radius = 0.08\nbeam_length = 0.40\n"

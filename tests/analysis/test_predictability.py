@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from labhil.identify.predictability import predictability_horizon
-from labhil.physics.model import Model, Record, start_values
+from labhil.physics.model import Model, start_values
+from labhil.physics.record import Record
 from labhil.physics.right_hand_side import RightHandSide
 from labhil.physics.terms import Parameter
 from labhil.rig import default_rig

@@ -8,7 +8,8 @@ import pytest
 from labhil.diagnose.remainder import find_remainder
 from labhil.identify.score import score
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.rig import parse_rig
 
 TRUE = {"viscous_friction.coefficient": 0.25, "coulomb_friction.level": 0.02}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from labhil.identify.fit import Options, fit
-from labhil.physics.model import Record, Windows
+from labhil.physics.record import Record, Windows
 from labhil.physics.right_hand_side import RightHandSide
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.rig import default_rig

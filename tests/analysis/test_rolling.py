@@ -9,7 +9,8 @@ from labhil.identify.problem import Problem
 from labhil.identify.window_states import evaluate, fit_states, rescue_states
 from labhil.physics import input_path, rolling
 from labhil.physics.ball_beam import BallBeamModel
-from labhil.physics.model import Record, Windows, index_of, start_values, starts_of
+from labhil.physics.model import index_of, start_values, starts_of
+from labhil.physics.record import Record, Windows
 from labhil.plants.ball_beam import BallBeamPlant
 
 T = 0.01 * np.arange(301)

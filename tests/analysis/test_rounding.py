@@ -9,7 +9,7 @@ import pytest
 
 from labhil.diagnose.evidence import independent_samples
 from labhil.identify.rounding import Rounding, effective_fractions
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 STEP = 0.02
 

@@ -28,7 +28,8 @@ from labhil.identify.windows import (
 )
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
 from labhil.physics.joining import join_records
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for
 from labhil.physics.several import for_every_recording, several
 from labhil.rig import parse_rig

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from labhil.identify.problem import Point, Problem
-from labhil.physics.model import Record, Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 

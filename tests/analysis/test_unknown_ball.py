@@ -10,7 +10,7 @@ import pytest
 from labhil.identify.fitted import start_theta
 from labhil.identify.windows import fit_windows
 from labhil.physics.ball_beam import SOLID_BALL_ACCELERATION, BallBeamModel
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.rig import parse_rig
 
 SIZES = {"ball_mass": 0.261, "ball_radius": 0.02, "crank_radius": 0.08, "beam_length": 0.40}

@@ -22,7 +22,7 @@ from labhil.identify.fitted import Fitted, fit_by_continuation, start_theta
 from labhil.identify.saved_curve import ModelUnderCurves
 from labhil.identify.windows import fit_windows, noise_of
 from labhil.physics.extra_force import AcceptsExtraForce, CurveArgument, ExtraForce
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
 from labhil.rig import parse_rig

@@ -27,7 +27,8 @@ from labhil.identify.score import score
 from labhil.kinds import JOINTS
 from labhil.physics.arm import ArmModel
 from labhil.physics.extra_force import CurveArgument, ExtraForce
-from labhil.physics.model import Record, Windows, terms_named
+from labhil.physics.model import terms_named
+from labhil.physics.record import Record, Windows
 from labhil.report.figure import save
 from labhil.report.plots import diagnosis_figure
 from labhil.rig import parse_rig

@@ -9,7 +9,7 @@ from labhil.diagnose.augmented import adds_certain_terms, exceeds_search_residua
 from labhil.diagnose.begin import prepare_data
 from labhil.diagnose.evidence import Evidence
 from labhil.diagnose.search_result import Step
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
 

@@ -11,7 +11,7 @@ import labhil as lh
 from labhil.analysis.dataset import load_dataset
 from labhil.analysis.stretch import liveliest_stretch
 from labhil.errors import UsageError
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 
 RECORDING = Path(__file__).parents[2] / "recordings" / "ball_beam_identify.mcap"
 TERMS = ["viscous_friction", "coulomb_friction"]

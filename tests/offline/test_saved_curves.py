@@ -16,7 +16,7 @@ from labhil.identify.saved_curve import ModelUnderCurves, SavedCurve
 from labhil.identify.windows import fit_windows
 from labhil.physics.axis import AxisModel
 from labhil.physics.extra_force import CurveArgument
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.axis import AxisPlant
 from labhil.rig import parse_rig

@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 
 from labhil.physics.arm import ArmModel
-from labhil.physics.model import Windows, index_of, start_values, terms_named
+from labhil.physics.model import index_of, start_values, terms_named
+from labhil.physics.record import Windows
 from labhil.physics.rigs import record_of
 from labhil.recording.reader import read_recording
 from labhil.rig import load_rig

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.recording import import_table, write_import
 from labhil.rig import parse_rig
 from labhil_benchmarks.statistics.cases import driven, levels

@@ -14,7 +14,8 @@ from fmpy.validation import validate_fmu
 
 import labhil as lh
 from labhil.errors import MissingExtraError, RecordingError, UsageError
-from labhil.physics.model import Windows, start_values
+from labhil.physics.model import start_values
+from labhil.physics.record import Windows
 from labhil.physics.rigs import model_for, record_of
 from labhil.simulators.fmu import _unit
 from labhil.simulators.model import SimulatorModel

@@ -14,7 +14,8 @@ import labhil as lh
 from labhil.analysis.dataset import load_dataset
 from labhil.analysis.study import reference_values
 from labhil.errors import RecordingError, RigFileError, UsageError
-from labhil.physics.model import Windows, start_values
+from labhil.physics.model import start_values
+from labhil.physics.record import Windows
 from labhil.physics.rigs import model_for, record_of
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.model import SimulatorModel

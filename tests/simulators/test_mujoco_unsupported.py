@@ -11,7 +11,8 @@ import pytest
 
 import labhil as lh
 from labhil.errors import UsageError
-from labhil.physics.model import Windows, start_values
+from labhil.physics.model import start_values
+from labhil.physics.record import Windows
 from labhil.physics.rigs import model_for, record_of
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.model import SimulatorModel

@@ -14,7 +14,8 @@ import pytest
 
 import labhil as lh
 from labhil.errors import UsageError
-from labhil.physics.model import Windows, index_of, start_values
+from labhil.physics.model import index_of, start_values
+from labhil.physics.record import Windows
 from labhil.physics.rigs import model_for, record_of
 from labhil.simulators.model import SimulatorModel
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.arm import ArmPlant
 from labhil.signals import FloatArray
 from labhil_benchmarks.reference import published

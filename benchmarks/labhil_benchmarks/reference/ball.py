@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.signals import FloatArray
 from labhil_benchmarks.reference import published

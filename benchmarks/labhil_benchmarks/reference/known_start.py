@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.signals import FloatArray
 

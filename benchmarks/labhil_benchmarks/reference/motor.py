@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from labhil.experiment.excitation import prms, sample
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.dc_motor import DcMotorPlant
 from labhil.plants.trajectory import Trajectory
 from labhil.signals import FloatArray, Hold

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.solenoid import SolenoidPlant
 from labhil.plants.trajectory import Trajectory
 from labhil.signals import FloatArray

@@ -11,7 +11,8 @@ import numpy as np
 from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.linear import Figures, figures_of
 from labhil.identify.problem import Problem
-from labhil.physics.model import Metric, Model, Record, Windows
+from labhil.physics.model import Metric, Model
+from labhil.physics.record import Record, Windows
 from labhil.physics.rigs import model_for
 from labhil.physics.terms import keyed
 from labhil.rig import parse_rig

@@ -10,7 +10,7 @@ import numpy as np
 
 from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.plants.arm import ArmPlant
 from labhil.plants.arm.effects import BARE_ARM, EFFECTS, Overrides

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from labhil.kinds import KINDS
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.plants.ball_beam import BallBeamPlant
 from labhil.plants.rigs import plant_of
 from labhil.signals import FloatArray

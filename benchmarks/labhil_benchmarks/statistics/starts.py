@@ -18,7 +18,8 @@ from labhil.identify.fitted import free_parameter_indices, start_theta
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Problem
 from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray

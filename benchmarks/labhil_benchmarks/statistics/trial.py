@@ -14,7 +14,8 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.score import score
 from labhil.identify.window_states import fit_states
 from labhil.identify.windows import fit_windows
-from labhil.physics.model import Model, Record, index_of
+from labhil.physics.model import Model, index_of
+from labhil.physics.record import Record
 from labhil.physics.rigs import model_for
 from labhil.rig import parse_rig
 from labhil.signals import FloatArray

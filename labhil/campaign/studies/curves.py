@@ -18,7 +18,7 @@ from labhil.signals import FloatArray
 if TYPE_CHECKING:
     from labhil.analysis.study import DiagnosisResult, FitResult
     from labhil.identify.score import Score
-    from labhil.physics.model import Record
+    from labhil.physics.record import Record
 
 MAX_POINTS = 20_000
 """Points of a channel; more than any terminal has columns."""

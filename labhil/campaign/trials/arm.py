@@ -14,7 +14,8 @@ from labhil.campaign.trials.sizes import draw_factor, draw_size, strength_expone
 from labhil.errors import UsageError
 from labhil.experiment.excitation import evaluate_motion, fourier
 from labhil.kinds import JOINTS, KINDS
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import keyed, unkeyed
 from labhil.plants.arm import ArmPlant

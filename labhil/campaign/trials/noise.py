@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from labhil.physics.arm.motion import PreparedRecord
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, IntArray
 
 

@@ -17,7 +17,8 @@ from labhil.campaign.trials.secret import DrawnEffect, Secret, SimulatedRun
 from labhil.campaign.trials.sizes import draw_factor, draw_size, strength_exponent
 from labhil.errors import UsageError
 from labhil.kinds import KINDS
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.rigs import rig_model
 from labhil.plants.definition import CARRIERS, PlantDefinition
 from labhil.plants.rigs import PLANT_DEFINITIONS, Plant, effects_of, plant_of

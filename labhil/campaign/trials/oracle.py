@@ -17,7 +17,8 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.score import Score, score
 from labhil.identify.window_states import estimate_states, estimate_states_at
 from labhil.identify.windows import fit_windows, whole_recordings
-from labhil.physics.model import Model, Record, Windows, terms_named
+from labhil.physics.model import Model, terms_named
+from labhil.physics.record import Record, Windows
 from labhil.signals import FloatArray, IntArray
 
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from labhil.campaign.trials.disturbance import Disturbance
 from labhil.campaign.trials.noise import TrueNoise
-from labhil.physics.model import Model, Record
+from labhil.physics.model import Model
+from labhil.physics.record import Record
 from labhil.physics.rigs import rig_model
 from labhil.physics.terms import keyed
 from labhil.signals import FloatArray, Signal

@@ -11,7 +11,7 @@ import numpy as np
 from labhil.errors import RecordingError
 from labhil.identify.linear.baselines import BASELINES, fit_linear
 from labhil.identify.linear.data import Figures, LinearModel, Orders, Sampled, figures_of
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray, Hold
 
 

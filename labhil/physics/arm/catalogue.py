@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.kinds import JOINTS
 from labhil.physics.friction_law import laws
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.terms import Enters, Parameter, Term
 from labhil.signals import FloatArray
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labhil.physics.arm.grouped import variance_inflation
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 

@@ -26,7 +26,8 @@ from labhil.physics.arm.own_parameters import TYPICAL_CONSTANT, arm_parameters
 from labhil.physics.arm.rigid_body import PER_LINK, gravity_in_base
 from labhil.physics.arm.view import RecordViews, View
 from labhil.physics.extra_force import ExtraForce, MovedPart
-from labhil.physics.model import Metric, Record, Windows, index_of
+from labhil.physics.model import Metric, index_of
+from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term, keyed
 from labhil.rig import RigFile
 from labhil.signals import FloatArray

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import signal
 
 from labhil.errors import RecordingError
-from labhil.physics.model import WHITE_NOISE_AUTOCORRELATION, Record
+from labhil.physics.record import WHITE_NOISE_AUTOCORRELATION, Record
 from labhil.signals import FloatArray
 
 REST_VELOCITY = 0.01

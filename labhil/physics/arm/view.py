@@ -13,7 +13,7 @@ from labhil.physics.arm.chain import Chain
 from labhil.physics.arm.joint_laws import JointMotion, Law, directions
 from labhil.physics.arm.motion import Motion, PreparedRecord, unfiltered_motion
 from labhil.physics.extra_force import CurveArgument, ExtraForce, along_positive
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.signals import FloatArray
 
 LAW_CACHE_SIZE = 15 * JOINTS

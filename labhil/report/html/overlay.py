@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from labhil.analysis.comparison import ComparisonResult
 from labhil.identify.score import Score
-from labhil.physics.model import Record
+from labhil.physics.record import Record
 from labhil.physics.terms import keyed
 from labhil.report.figure import MEASURED, figure_of, finish
 from labhil.report.formatting import format_quantity
