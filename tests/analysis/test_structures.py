@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from labhil.diagnose.structures.marginal import (
     log_evidence,
 )  # fmt: skip
 from labhil.diagnose.structures.stages import search_structures
+from labhil.diagnose.structures.state import Exchange, RefittedStructure, SearchState, rivals_of
 
 ROOT = Path(__file__).parents[2]
 
@@ -153,3 +155,41 @@ def test_the_terms_of_a_shipped_recording_are_found() -> None:
     data = prepare_data(dataset.model, dataset.train, dataset.test)
     found = search_structures(data, fit_baseline(data, ["viscous_friction"]), lambda text: None)
     assert {step.terms[0] for step in found.missing} == {"coulomb_friction", "stribeck_friction", "dead_zone"}
+
+
+def test_a_term_takes_the_place_of_another() -> None:
+    exchange = Exchange.between(frozenset({"a", "b"}), frozenset({"a", "c"}))
+    assert exchange == Exchange(added="c", removed="b")
+    assert exchange.of(frozenset({"b", "d"})) == {"c", "d"}
+    assert exchange.applies_to(frozenset({"b", "d"}))
+    assert not exchange.applies_to(frozenset({"b", "c"}))
+    assert not exchange.applies_to(frozenset({"d"}))
+    assert Exchange.between(frozenset({"a"}), frozenset({"a", "b"})) is None
+    assert Exchange.between(frozenset({"a", "b"}), frozenset({"c", "d"})) is None
+
+
+def state_of(log_evidence: dict[str, float], relevance: dict[str, float]) -> SearchState:
+    """A finished search; structures by the letters of their terms."""
+    nothing = cast(Any, None)
+    return SearchState(
+        min_relevance=1.0,
+        refitted={
+            frozenset(terms): RefittedStructure(
+                nothing, value, value, (), nothing, {term: relevance[term] for term in terms}
+            )
+            for terms, value in log_evidence.items()
+        },
+    )
+
+
+def test_terms_that_differ_only_beside_an_error_that_others_explain_are_rivals() -> None:
+    relevance = {"a": 2.0, "b": 2.0, "c": 0.3, "d": 0.2, "e": 0.1}
+    alone = {"a": -100.0, "b": -150.0}
+    assert rivals_of(state_of(alone, relevance), frozenset("a")) == ()
+    together = {**alone, "acd": -10.0, "bcd": -13.0}
+    (rival,) = rivals_of(state_of(together, relevance), frozenset("a"))
+    assert (rival.term, rival.instead_of, rival.delta_bic) == ("b", "a", 6.0)
+    assert rival.probability == pytest.approx(1.0 / (1.0 + np.exp(3.0)))
+    # the likeliest structures with either count, not the likeliest pair of them
+    apart = {**alone, "ace": -40.0, "bce": -41.0, "acd": -10.0, "bcd": -30.0}
+    assert rivals_of(state_of(apart, relevance), frozenset("a")) == ()
