@@ -5,7 +5,8 @@
 Draws trials with concealed effects and as many without, and searches each as it is and with one part taken
 out. Only the search is run: no intervals, no wider search, no scores. A trial is right where all that an
 oracle gains ten nats by is named, and nothing that is not there; where an effect of no list is concealed, a
-curve has to be told.
+curve has to be found. It is listed where this holds with rivals in the place of the terms that they stand
+beside.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures import disturbance, responses, search, stages
 from labhil.diagnose.structures import enumerate as beam
+from labhil.diagnose.structures.claims import Stage
 from labhil.identify.problem import Problem
 from labhil.physics.model import terms_named
 from measured import tell
@@ -47,6 +49,13 @@ def _undisturbed(candidates: int, sizes: tuple[float, ...] = ()) -> disturbance.
 
 def _noise_as_left(data: Any, fitted: Any) -> tuple[Any, Any]:
     return data, np.zeros(len(data.sigma))
+
+
+def _likeliest_fits(stage: Stage) -> list[Any]:
+    """Fits of the baseline and of the three most probable structures, whichever contain another one."""
+    refitted = stage.state.refitted
+    by_evidence = sorted(refitted, key=lambda s: -refitted[s].log_evidence)
+    return [refitted[s].fitted for s in dict.fromkeys([frozenset[str](), *by_evidence[:3]])]
 
 
 VARIANTS: dict[str, tuple[search.SearchOptions, tuple[Part, ...]]] = {
@@ -78,6 +87,14 @@ VARIANTS: dict[str, tuple[search.SearchOptions, tuple[Part, ...]]] = {
         search.SearchOptions(),
         ((search.StructureSearch, "_refit_shapes", lambda self, state, structure: None),),
     ),
+    "rivals not compared beside small terms": (
+        search.SearchOptions(),
+        ((search.StructureSearch, "_refit_exchanges", lambda self, state: None),),
+    ),
+    "larger sets of the best one carried on": (
+        search.SearchOptions(),
+        ((Stage, "leading_fits", _likeliest_fits),),
+    ),
     "held-out data not asked": (
         search.SearchOptions(),
         (
@@ -99,6 +116,7 @@ class Count:
     """Of the trials of one rig under one variant."""
 
     right: int = 0
+    listed: int = 0
     trials: int = 0
     alarms: int = 0
     nulls: int = 0
@@ -129,11 +147,24 @@ def run_search(
 
 def is_right(result: SearchResult, answer: Answer) -> bool:
     """Whether all sure effects are named and nothing else is."""
-    named = {step.terms[0] for step in result.missing}
+    return _matches({step.terms[0] for step in result.missing}, result, answer)
+
+
+def is_listed(result: SearchResult, answer: Answer) -> bool:
+    """Whether the terms named are right, or would be with one of its rivals in the place of each."""
+    listed = {effect.key for effect in answer.effects if effect.catalogue}
+    terms = {step.terms[0] for step in result.missing}
+    for rival in result.rivals:
+        if rival.term in listed and rival.instead_of in terms - listed:
+            terms = (terms - {rival.instead_of}) | {rival.term}
+    return _matches(terms, result, answer)
+
+
+def _matches(terms: set[str], result: SearchResult, answer: Answer) -> bool:
     listed = {effect.key for effect in answer.effects if effect.catalogue}
     required = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN}
     hidden = any(not e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN for e in answer.effects)
-    return required <= named <= listed and (result.curve is not None) == hidden
+    return required <= terms <= listed and (result.curve is not None) == hidden
 
 
 def read_answer(path: Path) -> Answer:
@@ -160,6 +191,7 @@ def measure_rig(rig: str, trials: int, seed: int, say: Callable[[str], None]) ->
                 if answer.effects:
                     count.trials += 1
                     count.right += is_right(result, answer)
+                    count.listed += is_listed(result, answer)
                 else:
                     count.nulls += 1
                     count.alarms += bool(result.missing or result.curve)
