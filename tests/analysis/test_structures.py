@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import integrate
 from labhil.analysis.dataset import load_dataset
 from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.structures.disturbance import Disturbance
+from labhil.diagnose.structures.enumerate import Prediction
 from labhil.diagnose.structures.marginal import (
     KAPPA_GRID,
     Batch,
@@ -170,12 +172,17 @@ def test_a_term_takes_the_place_of_another() -> None:
 
 def state_of(log_evidence: dict[str, float], relevance: dict[str, float]) -> SearchState:
     """A finished search; structures by the letters of their terms."""
-    nothing = cast(Any, None)
+    nothing = cast(Any, SimpleNamespace(responses=None))
     return SearchState(
         min_relevance=1.0,
         refitted={
             frozenset(terms): RefittedStructure(
-                nothing, value, value, (), nothing, {term: relevance[term] for term in terms}
+                cast(Any, SimpleNamespace(mean_squares=np.array([9.0 if terms == "" else 1.5]))),
+                value,
+                value,
+                (),
+                nothing,
+                {term: relevance[term] for term in terms},
             )
             for terms, value in log_evidence.items()
         },
@@ -193,3 +200,15 @@ def test_terms_that_differ_only_beside_an_error_that_others_explain_are_rivals()
     # the likeliest structures with either count, not the likeliest pair of them
     apart = {**alone, "ace": -40.0, "bce": -41.0, "acd": -10.0, "bcd": -30.0}
     assert rivals_of(state_of(apart, relevance), frozenset("a")) == ()
+
+
+def test_a_prediction_is_corrected_by_what_its_refitted_subset_is_mispredicted_by() -> None:
+    state = state_of({"": -60.0, "a": 0.0}, {"a": 2.0})
+    state.predicted = {
+        frozenset(terms): Prediction(frozenset(terms), value, value, (), np.empty(0))
+        for terms, value in {"": -1.0, "a": 0.0, "b": -2.0, "ab": -3.0}.items()
+    }
+    corrected = {"".join(sorted(s)): p.log_evidence for s, p in state.corrected_predictions().items()}
+    # the linearisation at a does not show a: without it nothing seems lost
+    assert corrected == {"": -60.0, "a": 0.0, "b": -61.0, "ab": -3.0}
+    assert rivals_of(state, frozenset("a")) == ()

@@ -23,7 +23,14 @@ from labhil.diagnose.curve import (
 from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, position_variants
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
-from labhil.diagnose.structures.enumerate import MIN_RELEVANCE, Choice, Enumeration, Structure
+from labhil.diagnose.structures.enumerate import (
+    EVIDENCES,
+    MIN_RELEVANCE,
+    Choice,
+    Enumeration,
+    Prediction,
+    Structure,
+)
 from labhil.diagnose.structures.responses import CurveResponse, compute_responses
 from labhil.identify.extended import UNMODELLED_FORCE, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only
@@ -105,17 +112,17 @@ class CurveSearch:
     def _search_part(self, fitted: Fitted, part: MovedPart) -> FittedCurve | None:
         """The most probable curve on one moved part, or None."""
         best: FittedCurve | None = None
-        log_named, choices = self._choices(fitted, part)
+        alone, choices = self._choices(fitted, part)
         for choice in choices[: self.options.max_refits]:
             if choice.log_odds < -self.options.refit_margin:
                 break
-            candidate = self._refit(fitted, choice, log_named)
+            candidate = self._refit(fitted, choice, alone)
             if best is None or candidate.log_odds > best.log_odds:
                 best = candidate
         return None if best is None or best.log_odds < self.options.min_log_odds else best
 
-    def _choices(self, fitted: Fitted, part: MovedPart) -> tuple[float, list[CurveChoice]]:
-        """Log evidence of the fit's own structure, and the structures with a curve, most probable first."""
+    def _choices(self, fitted: Fitted, part: MovedPart) -> tuple[Prediction, list[CurveChoice]]:
+        """Evidence of the fit's own structure, and the structures with a curve, most probable first."""
         model = fitted.problem.model
         assert isinstance(model, AcceptsExtraForce)
         columns = _columns(fitted, [*motion_coordinates(model, part), *given_coordinates(fitted, part)])
@@ -124,7 +131,7 @@ class CurveSearch:
         named = {
             term: enumeration.responses.variants[term][0] for term in self._named_terms(fitted, enumeration)
         }
-        log_named = enumeration.evaluate([tuple(named.values())])[0].log_evidence
+        alone = enumeration.evaluate([tuple(named.values())])[0]
         tried: list[tuple[Coordinate, Structure, Choice]] = [
             (coordinate, structure, (*(v for t, v in named.items() if t in structure), variant))
             for coordinate, curve in columns
@@ -132,14 +139,12 @@ class CurveSearch:
             for variant in enumeration.responses.variants[curve.name]
         ]
         tried = [candidate for candidate in tried if self._is_relevant(enumeration, candidate[2])]
-        logs = [
-            candidate.log_evidence for candidate in enumeration.evaluate([choice for _, _, choice in tried])
-        ]
+        odds = [_log_odds(with_curve, alone) for with_curve in enumeration.evaluate([c for _, _, c in tried])]
         best = dict[tuple[Coordinate, Structure], float]()
-        for (coordinate, structure, _), value in zip(tried, logs, strict=True):
+        for (coordinate, structure, _), value in zip(tried, odds, strict=True):
             best[coordinate, structure] = max(best.get((coordinate, structure), -np.inf), value)
-        choices = [CurveChoice(*key, value - log_named) for key, value in best.items()]
-        return log_named, sorted(self._with_fewest_terms(choices), key=lambda choice: -choice.log_odds)
+        choices = [CurveChoice(*key, value) for key, value in best.items()]
+        return alone, sorted(self._with_fewest_terms(choices), key=lambda choice: -choice.log_odds)
 
     def _is_relevant(self, enumeration: Enumeration, choice: Choice) -> bool:
         """Whether a curve, the last variant of a structure, has the smallest relevance."""
@@ -169,7 +174,7 @@ class CurveSearch:
         """Keys of the fit's added terms that the data can show."""
         return [t for t in fitted.terms if t not in self.baseline and t in enumeration.responses.variants]
 
-    def _refit(self, fitted: Fitted, choice: CurveChoice, log_named: float) -> FittedCurve:
+    def _refit(self, fitted: Fitted, choice: CurveChoice, alone: Prediction) -> FittedCurve:
         """Refit a structure with a curve, and compute its log odds on the linearisation at that fit."""
         named_fit = self._without(fitted, choice.beside)
         problem, states = named_fit.problem, named_fit.solution.point.states
@@ -183,12 +188,9 @@ class CurveSearch:
         predictions = enumeration.evaluate(
             [(*names, variant) for variant in enumeration.responses.variants[key]]
         )
-        likeliest = max(predictions, key=lambda prediction: prediction.log_evidence)
-        odds = (
-            likeliest.log_evidence - log_named
-            if self._is_relevant(enumeration, likeliest.choice)
-            else -np.inf
-        )
+        likeliest = max(predictions, key=lambda prediction: _log_odds(prediction, alone))
+        is_relevant = self._is_relevant(enumeration, likeliest.choice)
+        odds = _log_odds(likeliest, alone) if is_relevant else -np.inf
         return FittedCurve(curved, named_fit, odds)
 
     def _without(self, fitted: Fitted, kept: Structure) -> Fitted:
@@ -201,6 +203,14 @@ class CurveSearch:
             model, self.data.search, terms, fitted.window, self.data.sigma, start=start, starts=[{}],
             states=fitted.solution.point.states, held=self.data.held,
         )  # fmt: skip
+
+
+def _log_odds(with_curve: Prediction, alone: Prediction) -> float:
+    """Log odds of a structure with a curve, the smaller of those with and without a disturbance.
+
+    A curve that pays only beside a disturbance stands, with it, for noise of another colour than assumed.
+    """
+    return min(evidence(with_curve) - evidence(alone) for evidence in EVIDENCES)
 
 
 def _kept_terms(data: Data, named: list[str], max_replaced: int) -> Iterable[Structure]:

@@ -262,8 +262,7 @@ class StructureSearch:
         The best structure lacks the terms of too little relevance. Two terms with nearly the same effect may
         differ more beside the error that these leave than beside these.
         """
-        best, likeliest = state.best, state.likeliest
-        relevant = state.relevant
+        best, likeliest, relevant = state.best, state.likeliest, state.relevant
         rivals = [e for s in relevant if (e := Exchange.between(best, s)) and e.applies_to(likeliest)]
         rivals.sort(key=lambda e: -relevant[e.of(best)].log_evidence)
         for exchange in rivals[: self.options.max_refits]:
@@ -296,7 +295,8 @@ class StructureSearch:
     def _refit_promising(self, state: SearchState, evidence: Callable[[HasLogEvidence], float]) -> None:
         """Refit the structures of highest predicted evidence that were not refitted yet."""
         least = evidence(state.refitted[state.best_by(evidence)]) - self.options.refit_margin
-        new = [p for s, p in state.predicted.items() if s not in state.refitted and evidence(p) > least]
+        predicted = state.corrected_predictions().values()
+        new = [p for p in predicted if p.structure not in state.refitted and evidence(p) > least]
         promising = sorted(new, key=evidence, reverse=True)[: self.options.max_refits]
         self._refit_predicted(state, promising)
 

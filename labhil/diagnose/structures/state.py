@@ -6,7 +6,7 @@ The state is filled by search.py and read by claims.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import expit
@@ -113,9 +113,33 @@ class SearchState:
             return {}
         return self.enumeration.responses.sizes(predicted.choice, predicted.sizes)
 
+    def corrected_predictions(self) -> dict[Structure, Prediction]:
+        """The newest linearisation's predictions, corrected by the refits that were made since or before.
+
+        What a linearisation misses of a structure's largest refitted subset it misses of the structure, too.
+        At the fit of a term that its local slopes do not show, each structure without it seems as good.
+        """
+        known = [
+            s for s in self.predicted if s in self.refitted and np.isfinite(self.refitted[s].log_evidence)
+        ]
+        known.sort(key=lambda s: (len(s), self.refitted[s].log_evidence), reverse=True)
+
+        def correct(predicted: Prediction) -> Prediction:
+            subset = next((s for s in known if s <= predicted.structure), None)
+            if subset is None:
+                return predicted
+            before, refitted = self.predicted[subset], self.refitted[subset]
+            return replace(
+                predicted,
+                log_evidence=predicted.log_evidence + refitted.log_evidence - before.log_evidence,
+                undisturbed=predicted.undisturbed + refitted.undisturbed - before.undisturbed,
+            )
+
+        return {structure: correct(predicted) for structure, predicted in self.predicted.items()}
+
     def log_evidence(self) -> dict[Structure, float]:
         """Log evidence of all visited structures that are not more probable than the best relevant one."""
-        logs = {s: p.log_evidence for s, p in self.predicted.items()}
+        logs = {s: p.log_evidence for s, p in self.corrected_predictions().items()}
         logs |= {s: r.log_evidence for s, r in self.refitted.items()}
         most = self.refitted[self.best].log_evidence
         return {structure: value for structure, value in logs.items() if value <= most}
