@@ -104,7 +104,7 @@ class MissingEffect(Part):
     Example:
         >>> import labhil as lh
         >>> effect = lh.load("examples/diagnosis.json").missing[0]
-        >>> effect.term, effect.probability > 0.9
+        >>> effect.term, effect.probability > 0.8
         ('dead_zone', True)
         >>> effect.parameters.keys()
         ['dead_zone.left', 'dead_zone.right']
