@@ -198,7 +198,7 @@ def compare(
         >>> comparison = lh.compare("examples/fit.json", "examples/diagnosis.json")
         >>> model = comparison.models[comparison.best]
         >>> print(f"{model.per_channel[0].rmse:.2g} {model.per_channel[0].unit}, {model.adequacy}")
-        0.00043 m, explained
+        0.00042 m, explained
     """
     require_analysis("a comparison")
     from labhil.analysis.comparison import compare_study
