@@ -252,12 +252,14 @@ def schemas() -> dict[str, str]:
     from labhil.analysis.schema.diagnosis import DiagnosisPart
     from labhil.analysis.schema.fit import FitPart
     from labhil.analysis.schema.verification import VerificationPart
+    from labhil.device_check.report import DeviceCheck
 
     parts: Mapping[str, type[BaseModel]] = {
         "fit": FitPart,
         "diagnosis": DiagnosisPart,
         "verification": VerificationPart,
         "comparison": ComparisonPart,
+        "device_check": DeviceCheck,
     }
     return {
         f"{name}.schema.json": json.dumps(
@@ -276,12 +278,14 @@ def schema_page() -> str:
             code(f"labhil.{name.partition('.')[0]}/1"),
             code(f"labhil {made} --json"),
         )
-        for name, made in zip(schemas(), ("fit", "diagnose", "verify", "compare"), strict=True)
+        for name, made in zip(
+            schemas(), ("fit", "diagnose", "verify", "compare", "new KIND --check"), strict=True
+        )
     ]
     return page(
         "JSON schemas of results",
         "What `--json` and `.save()` write has these parts (JSON Schema 2020-12). Keys may be added within a "
-        "version; none is renamed or dropped. `labhil.load(path)` reads each.",
+        "version; none is renamed or dropped. `labhil.load(path)` reads each but that of a device check.",
         table(("schema", "`schema` in the file", "made by"), rows),
     )
 

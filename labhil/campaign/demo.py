@@ -118,6 +118,7 @@ class Recorder:
 
     A busy machine may be too late to hold the ball, or to command it at all. At half the speed it has twice
     the time for each sample; a machine that is too busy for that, too, is given a twin whose clock waits.
+    What an attempt recorded that failed so is removed: the folder holds the recordings that are analysed.
 
     Attributes:
         out: Folder of the recordings.
@@ -147,6 +148,7 @@ class Recorder:
                 return result.path
             if not isinstance(result.error, SIGNS_OF_A_BUSY_MACHINE):
                 raise RunError(f"the {role} recording failed: {_failure_of(result)}")
+            _remove_recording(result)
             self.speeds = self.speeds[1:]
             self.before_retry()
             self.say(f"this machine was too busy to hold the ball ({result.error}); {self._next(speed)}")
@@ -163,6 +165,13 @@ class Recorder:
             "waits: without wire, driver, bus and host. To see these, too, end what keeps the processors "
             "busy (`uptime` shows the load, `top` the processes) and give the command again"
         )
+
+
+def _remove_recording(result: RunResult) -> None:
+    """Remove the recording of an attempt that failed, and what its twin concealed, which lies beside it."""
+    if result.path is not None:
+        for path in (answer_path(result.path, "bench", are_several=False), result.path):
+            path.unlink(missing_ok=True)
 
 
 def _failure_of(result: RunResult) -> str:

@@ -9,17 +9,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from labhil.console import tell
+from labhil.commands.json_flag import JsonFlagCommand, JsonOption
+from labhil.console import STDOUT, refuse_unwritable, tell, write_json
 from labhil.errors import OptionError, UsageError
 from labhil.terminal import complain, show
 
 if TYPE_CHECKING:
     from labhil.device_check.small_step import SmallStep
+    from labhil.doctor.finding import Finding
 
 
 def add_new(app: typer.Typer) -> None:
     """Register this command."""
-    app.command(epilog="Example: labhil new dc_motor --address /dev/ttyACM0 --out bench")(new)
+    app.command(
+        cls=JsonFlagCommand, epilog="Example: labhil new dc_motor --address /dev/ttyACM0 --out bench"
+    )(new)
 
 
 def new(
@@ -44,6 +48,7 @@ def new(
     step: Annotated[
         float, typer.Option(metavar="PERCENT", help="Size of that step, of the range that [limits] allow.")
     ] = 5.0,
+    json_path: JsonOption = None,
 ) -> None:
     """Write a first rig file and a first experiment for a device; nothing moves without --move or a yes.
 
@@ -53,20 +58,46 @@ def new(
     The check reads every channel without a command: its range, its limits, its sample rate. After a yes, or
     with --move, each command makes a small step within the limits and goes back, and each channel is told to
     move as the model expects, or not. With --check, files that are there already are used as they are. The
-    exit status is 1 where a finding is a fault.
+    exit status is 1 where a finding is a fault. With --json, what was found of each channel is JSON.
+    """
+    if not 0.0 < step <= 100.0:
+        raise OptionError("step", f": expected more than 0 and at most 100 percent, found {step:g}")
+    if address is not None and search is not None:
+        raise OptionError("search", f": expected no --address beside it, found {address!r}; it finds one")
+    if json_path is not None and not (check or move):
+        raise OptionError("json", ": expected --check or --move beside it, as it holds what the check finds")
+    refuse_unwritable(json_path)
+    experiment, is_asked = _make_files(
+        kind, address, out, search, may_exist=check or move, quiet=json_path == STDOUT
+    )
+    if check or move or (is_asked and _is_yes("Read the device now, to check it? Nothing moves by that.")):
+        _check(experiment, json_path, may_move=move, share=step / 100.0)
+
+
+def _make_files(
+    kind: str | None, address: str | None, out: Path, search: str | None, *, may_exist: bool, quiet: bool
+) -> tuple[Path, bool]:
+    """Write the two files and print their paths; those that are there already stay.
+
+    Args:
+        kind: The driver; None to ask for it.
+        address: The device's address; None to ask for it.
+        out: Folder of the files.
+        search: Network to look for a controller in.
+        may_exist: Whether files that are there already are used as they are.
+        quiet: Whether stdout is for something else.
+
+    Returns:
+        The experiment file, and whether somebody was asked for something.
     """
     from labhil.experiment.new import check_kind, example_drivers, files_of, write_new
 
-    if not 0.0 < step <= 100.0:
-        raise OptionError("step", f": expected more than 0 and at most 100 percent, found {step:g}")
     is_asked = kind is None or address is None
     if kind is None:
         kind = _ask(f"Which device ({', '.join(example_drivers())})", None, "KIND")
     check_kind(kind)
     rig, experiment = files_of(kind, out)
-    if address is not None and search is not None:
-        raise OptionError("search", f": expected no --address beside it, found {address!r}; it finds one")
-    if (check or move) and rig.exists() and experiment.exists():
+    if may_exist and rig.exists() and experiment.exists():
         _refuse_other_address(experiment, address)
         tell((f"{rig} and {experiment} are there already and are used as they are",))
         is_asked = False
@@ -80,9 +111,9 @@ def new(
                 f"then: labhil run {experiment} --dry-run",
             )
         )
-    show(rig, experiment)
-    if check or move or (is_asked and _is_yes("Read the device now, to check it? Nothing moves by that.")):
-        _check(experiment, may_move=move, share=step / 100.0)
+    if not quiet:
+        show(rig, experiment)
+    return experiment, is_asked
 
 
 def _refuse_other_address(experiment: Path, address: str | None) -> None:
@@ -97,7 +128,7 @@ def _refuse_other_address(experiment: Path, address: str | None) -> None:
         )
 
 
-def _check(experiment: Path, *, may_move: bool, share: float) -> None:
+def _check(experiment: Path, json_path: Path | None, *, may_move: bool, share: float) -> None:
     """Check the device, and end with exit status 1 where a finding is a fault."""
     from labhil.device_check.check import Check, check_device
     from labhil.doctor.examine import format_finding
@@ -114,9 +145,18 @@ def _check(experiment: Path, *, may_move: bool, share: float) -> None:
         complain("nothing was moved; --move makes these steps")
         return False
 
+    is_quiet = json_path == STDOUT
+
+    def print_finding(finding: Finding) -> None:
+        if not is_quiet:
+            show(format_finding(finding))
+
     tell(("reading the device; nothing is commanded",))
-    if not check_device(experiment, Check(lambda finding: show(format_finding(finding)), agree, share)):
-        complain("there are faults: see the lines with FAIL")
+    found = check_device(experiment, Check(print_finding, agree, share))
+    if json_path is not None:
+        write_json(found.to_json(), json_path)
+    if not found.fine:
+        complain(f"there are faults: see the {'broken findings' if is_quiet else 'lines with FAIL'}")
         raise typer.Exit(1)
     complain("no fault was found")
 

@@ -49,7 +49,7 @@ def replay(
     """Play a recording in the terminal UI and on the bus, as if its devices ran.
 
     Only on the bus of this machine, under replay/ and not under lab/: no recorder, controller or emergency
-    stop receives it. In the terminal UI (tab 2) k pauses, < and > change the speed, j goes back.
+    stop receives it. In the terminal UI (tab 2) p pauses, < and > change the speed, j goes back.
     """
     from labhil.recording.reader import read_recording
     from labhil.service.replay import Replay

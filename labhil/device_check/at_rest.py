@@ -33,22 +33,28 @@ def findings_at_rest(samples: Samples, spec: DriverSpec, rig: RigFile) -> Iterat
         yield _channel(signal, samples, spec, rig)
 
 
-def _sample_rate(samples: Samples) -> Finding:
-    """Compare the rate by the device's clock with the stated one, and count lost samples."""
-    stated = samples.stream.rate
+def sample_rate(samples: Samples) -> tuple[float | None, int]:
+    """The rate by the device's clock, Hz (None where it stands still), and how many samples are lost."""
     periods = np.diff(samples.t)
     period = float(np.median(periods)) if len(periods) else 0.0
     if not period > 0.0:
+        return None, 0
+    return 1.0 / period, int(np.sum(np.rint(periods / period) - 1.0))
+
+
+def _sample_rate(samples: Samples) -> Finding:
+    """Compare the rate by the device's clock with the stated one, and count lost samples."""
+    stated = samples.stream.rate
+    seen, lost = sample_rate(samples)
+    if seen is None:
         return broken(
             "sample rate",
             f"found {len(samples)} samples whose clock does not advance, stated are {stated:g} Hz",
             "see the firmware or the controller: its clock stands still",
         )
-    seen = 1.0 / period
     text = f"{seen:.4g} Hz seen in {len(samples)} samples, {stated:g} Hz stated"
     if abs(seen / stated - 1.0) > MAX_RATE_ERROR:
         return broken("sample rate", text, "correct the rate that the device states, or its clock")
-    lost = int(np.sum(np.rint(periods / period) - 1.0))
     if lost:
         return note("sample rate", f"{text}; {lost} were lost", "see the line and how busy this machine is")
     return fine("sample rate", text)
@@ -64,9 +70,9 @@ def _channel(signal: Signal, samples: Samples, spec: DriverSpec, rig: RigFile) -
     if not np.isfinite(values).all():
         bad = int(np.sum(~np.isfinite(values).all(axis=1)))
         return broken(subject, f"{found}; {bad} of {len(values)} samples are no numbers", "see its sensor")
-    limits = {name: rig.limits[name] for name in (signal.name, *signal.columns()) if name in rig.limits}
+    limits = limits_of(signal, rig)
     text = f"{found}, {_describe_limits(limits, rig)}"
-    violation = _violation(samples, spec, limits)
+    violation = violation_of(samples, spec, limits)
     if violation:
         return broken(
             subject,
@@ -103,7 +109,12 @@ def _command(
     return fine(subject, f"{text}; commanded, {'at its safe value' if safe else 'holds'}")
 
 
-def _violation(samples: Samples, spec: DriverSpec, limits: dict[str, Limit]) -> str:
+def limits_of(signal: Signal, rig: RigFile) -> dict[str, Limit]:
+    """The limits that a rig file states for a signal and its columns, by name."""
+    return {name: rig.limits[name] for name in (signal.name, *signal.columns()) if name in rig.limits}
+
+
+def violation_of(samples: Samples, spec: DriverSpec, limits: dict[str, Limit]) -> str:
     """How samples leave limits, as the host of a run would find it; empty where they do not."""
     order = np.arange(len(samples), dtype=np.int64)
     batch = Batch(order, order, order, samples.values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,9 +10,10 @@ from labhil.bus.latch import read_latch
 from labhil.device_check.at_rest import findings_at_rest
 from labhil.device_check.direction import findings_of_step, movements
 from labhil.device_check.expected import implausible_sizes, simulated_answer
+from labhil.device_check.report import DeviceCheck, StepCheck, channel_checks, is_fine, rate_check, step_check
 from labhil.device_check.samples import Samples
 from labhil.device_check.small_step import ARRIVAL_TIMEOUT, Answer, SmallStep, make_step, plan_steps
-from labhil.doctor.finding import Finding, State, broken, note
+from labhil.doctor.finding import Finding, broken, note
 from labhil.errors import CommandRefusedError, MissingExtraError, RunError, UsageError
 from labhil.experiment.bench import Bench
 from labhil.experiment.device_sections import WithDevices
@@ -32,21 +33,21 @@ class Check:
         tell: Is called with every finding.
         agree: Is called with the planned steps; nothing moves unless it returns true.
         share: Size of a step, as a share of the range that the limits allow.
-        faults: How many findings were faults.
+        findings: All findings so far.
     """
 
     tell: Callable[[Finding], None]
     agree: Callable[[Sequence[SmallStep]], bool]
     share: float
-    faults: int = field(default=0, init=False)
+    findings: list[Finding] = field(default_factory=list, init=False)
 
     def report(self, finding: Finding) -> None:
-        """Count a finding, and tell it."""
-        self.faults += finding.state is State.BROKEN
+        """Keep a finding, and tell it."""
+        self.findings.append(finding)
         self.tell(finding)
 
 
-def check_device(experiment: Path, check: Check) -> bool:
+def check_device(experiment: Path, check: Check) -> DeviceCheck:
     """Check the device of an experiment file.
 
     Args:
@@ -54,7 +55,7 @@ def check_device(experiment: Path, check: Check) -> bool:
         check: Whom to tell, whom to ask, and how far to move.
 
     Returns:
-        Whether no finding is a fault.
+        What was found, of each channel and of each step.
 
     Raises:
         UsageError: The file has several devices.
@@ -73,14 +74,26 @@ def check_device(experiment: Path, check: Check) -> bool:
         for finding in implausible_sizes(rest, plan.rig):
             check.report(finding)
         steps, unmoved = plan_steps(plan.spec, plan.rig, rest, check.share)
-        if check.faults:
-            check.tell(note("step", "nothing was moved, as there are faults", "correct them and check again"))
+        if not is_fine(check.findings):
+            check.report(
+                note("step", "nothing was moved, as there are faults", "correct them and check again")
+            )
         elif check.agree(steps):
             for finding in unmoved:
                 check.report(finding)
             answers = _move(bench, steps, check)
-    _judge(answers, plan.rig, check)
-    return not check.faults
+    made = list(_judge(answers, plan.rig, check))
+    return DeviceCheck(
+        experiment=str(experiment),
+        rig_file=str(plan.rig.path),
+        rig=plan.rig.kind.name,
+        driver=plan.spec.name,
+        fine=is_fine(check.findings),
+        sample_rate=rate_check(rest),
+        channels=tuple(channel_checks(rest, plan.spec, plan.rig, made)),
+        steps=tuple(made),
+        findings=tuple(check.findings),
+    )
 
 
 def _plan(experiment: WithDevices) -> DevicePlan:
@@ -111,7 +124,7 @@ def _move(bench: Bench, steps: Sequence[SmallStep], check: Check) -> list[Answer
     return answers
 
 
-def _judge(answers: Sequence[Answer], rig: RigFile, check: Check) -> None:
+def _judge(answers: Sequence[Answer], rig: RigFile, check: Check) -> Iterator[StepCheck]:
     """Say of each step which way the channels went; nothing is connected any more."""
     for answer in answers:
         try:
@@ -119,7 +132,9 @@ def _judge(answers: Sequence[Answer], rig: RigFile, check: Check) -> None:
         except MissingExtraError as missing:
             check.report(note("model", "no direction is expected of outputs", str(missing)))
             simulated = {}
-        for finding in findings_of_step(answer, movements(answer, rig.kind, simulated)):
+        moved = movements(answer, rig.kind, simulated)
+        for finding in findings_of_step(answer, moved):
             check.report(finding)
         for finding in implausible_sizes(answer.after, rig):
             check.report(finding)
+        yield step_check(answer.step, moved)

@@ -35,24 +35,31 @@ class Moved:
     """How a column answered a step.
 
     Attributes:
+        channel: Name of its channel.
         column: Its name.
         unit: Its unit.
         change: Largest change in the direction in which it moved, in ``unit``; 0 where it did not move.
         says: What says in which direction it should move.
-        agreement: +1 where it moved as expected, −1 where the other way, 0 where nothing is expected.
+        expected: +1 where it should rise, −1 where it should fall, 0 where nothing is expected.
         follows: Whether it measures what was commanded.
         is_output: Whether it is an output of the rig kind.
         is_constant: Whether its reading never changed at all.
     """
 
+    channel: str
     column: str
     unit: str
     change: float
     says: Says
-    agreement: int
+    expected: int
     follows: bool
     is_output: bool
     is_constant: bool
+
+    @property
+    def agreement(self) -> int:
+        """+1 where it moved as expected, −1 where the other way, 0 where it stood or nothing is expected."""
+        return int(np.sign(self.change)) * self.expected
 
 
 def movements(answer: Answer, kind: RigKind, simulated: Mapping[str, FloatArray]) -> list[Moved]:
@@ -78,11 +85,12 @@ def movements(answer: Answer, kind: RigKind, simulated: Mapping[str, FloatArray]
             says, expected = Says.MODEL, _direction(simulated[column])
         moved.append(
             Moved(
+                signal.name,
                 column,
                 signal.unit,
                 change,
                 says,
-                int(np.sign(change)) * expected,
+                expected,
                 says is Says.COMMAND and signal.unit == step.signal.unit,
                 signal in kind.outputs,
                 bool(constant(np.concatenate([before, after])[:, None])[0]),
@@ -128,12 +136,22 @@ def findings_of_step(answer: Answer, moved: Sequence[Moved]) -> Iterator[Finding
     step = answer.step
     judged = [row for row in moved if row.is_output and row.agreement]
     all_wrong = len(judged) > 1 and all(row.agreement < 0 for row in judged)
-    others = {row.column for row in moved if row.is_output and row.change}
+    others = moved_outputs(moved)
     for row in moved:
         if row.change:
             yield _moving(row, step, all_wrong)
         elif row.is_output or row.follows:
             yield _still(row, step, others)
+
+
+def moved_outputs(moved: Sequence[Moved]) -> set[str]:
+    """The columns of outputs that a step moved."""
+    return {row.column for row in moved if row.is_output and row.change}
+
+
+def is_stuck(row: Moved, outputs: set[str]) -> bool:
+    """Whether an output never changed at all while others of the ``outputs`` moved."""
+    return row.is_output and row.is_constant and bool(outputs - {row.column})
 
 
 def _moving(row: Moved, step: SmallStep, all_wrong: bool) -> Finding:
@@ -169,7 +187,7 @@ def _still(row: Moved, step: SmallStep, others: set[str]) -> Finding:
             f"does not follow {command}, which changed by {size:.3g}",
             "see whether the drive is enabled and supplied, and whether the sensor is connected",
         )
-    if row.is_output and row.is_constant and others - {row.column}:
+    if is_stuck(row, others):
         return broken(
             row.column,
             f"is stuck: it never changed while {', '.join(sorted(others))} moved",

@@ -247,7 +247,9 @@ def _device_clocks(streams: list[StreamData], clocks: Mapping[int, ClockFit]) ->
 
 def _read_events(contents: Contents, origin_ns: int, streams: Sequence[StreamData]) -> tuple[Event, ...]:
     """Events in the time of their device; all in the time of the device if there is only one."""
-    devices = {data.device: data for data in streams if data.clock.map is not None and len(data)}
+    # of the streams of a device a measured one counts
+    in_order = sorted(streams, key=lambda data: data.is_measured)
+    devices = {data.device: data for data in in_order if data.clock.map is not None and len(data)}
     only = next(iter(devices.values())) if len({data.device for data in streams}) == 1 and devices else None
     start = next((data.clock_start for data in streams), 0.0)
     events = []
@@ -259,13 +261,28 @@ def _read_events(contents: Contents, origin_ns: int, streams: Sequence[StreamDat
             device, _, topic = channel.topic.strip("/").partition("/")
             host = (t_ns - origin_ns) * 1e-9
             data = devices.get(device, only)
-            t = host - start
-            if data is not None and data.clock.map is not None:
-                clock_map = data.clock.map
-                begin = float(clock_map.steady_host(np.zeros(1))[0])
-                t = (clock_map.device(host) + begin - start) * data.speed
+            t = host - start if data is None else _device_time(data, t_ns, host, start)
             events.append(Event(device, topic, t_ns, t, without_timestamp(_parse_body(payload), t_ns)))
     return tuple(sorted(events, key=lambda event: event.t_ns))
+
+
+def _device_time(data: StreamData, t_ns: int, host: float, start: float) -> float:
+    """The time of a host's moment in a device's world, s; at a speed of its own, among the samples around it.
+
+    A simulated world stands still while its machine gives it no time, and catches up later. At 20 times real
+    time a tenth of a second is 2 s of that world: no line between the clocks says where it stood.
+    """
+    clock_map = data.clock.map
+    if clock_map is None:
+        return host - start
+    begin = float(clock_map.steady_host(np.zeros(1))[0])
+    t = (clock_map.device(host) + begin - start) * data.speed
+    if data.speed == 1.0:
+        return t
+    row = int(np.searchsorted(data.t_acq_ns, t_ns, side="right"))
+    low = float(data.t[row - 1]) if row > 0 else -np.inf
+    high = float(data.t[row]) if row < len(data) else np.inf
+    return min(max(t, low), high)
 
 
 def _parse_body(payload: bytes) -> Mapping[str, Any]:

@@ -5,6 +5,7 @@ Times are finite arrays in s, in the order of the rows. ``time_column.py`` reads
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -109,6 +110,29 @@ def increasing_stretches(times: FloatArray) -> list[IntArray]:
             break
     long_ones = [stretch for stretch in stretches if len(stretch) > MAX_WRONG_ROWS] or stretches[:1]
     return sorted((_trim_far_ends(stretch, times) for stretch in long_ones), key=lambda rows: int(rows[0]))
+
+
+def longest_increase(times: FloatArray) -> IntArray:
+    """Find the most rows of which each is later than those before it, whatever lies between them.
+
+    Args:
+        times: times (n,), s, finite.
+
+    Returns:
+        The rows, in order.
+    """
+    ends: list[float] = []
+    end_rows: list[int] = []
+    before = np.full(len(times), -1, dtype=np.int64)
+    for row, time in enumerate(times.tolist()):
+        length = bisect_left(ends, time)
+        before[row] = end_rows[length - 1] if length else -1
+        ends[length : length + 1] = [time]
+        end_rows[length : length + 1] = [row]
+    rows = end_rows[-1:]
+    while rows and before[rows[-1]] >= 0:
+        rows.append(int(before[rows[-1]]))
+    return np.array(rows[::-1], dtype=np.int64)
 
 
 def _trim_far_ends(stretch: IntArray, times: FloatArray, max_pause: float = 1e6) -> IntArray:

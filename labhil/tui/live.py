@@ -44,13 +44,13 @@ class LivePane(Horizontal, Pane):
     """Show a list of signals, and a chart for each chosen one."""
 
     MAIN_WIDGET = "#live-signals"
-    HELP = f"{PLOT_HELP} First press p, which holds the picture still."
+    HELP = f"{PLOT_HELP} First press z, which holds the picture still."
     BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("p", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
+        Binding("z", "freeze", "Freeze", id="live.freeze", tooltip="Hold the picture still, to look around"),
         Binding("full_stop", "window(1)", "More", id="live.longer", tooltip="Show more of the past"),
         Binding("comma", "window(-1)", "Less", id="live.shorter", tooltip="Show less of the past"),
         Binding("y", "rescale", "Fit y", id="live.rescale", tooltip="Limits from what is shown now"),
-        Binding("k", "replay('toggle')", "Pause", id="replay.pause", tooltip="Hold the replay, or go on"),
+        Binding("p", "replay('toggle')", "Pause", id="replay.pause", tooltip="Hold the replay, or go on"),
         Binding("greater_than_sign", "replay('speed', 1)", "Faster", id="replay.faster", show=False),
         Binding("less_than_sign", "replay('speed', -1)", "Slower", id="replay.slower", show=False),
         Binding("j", "replay('back')", "10 s back", id="replay.back", show=False),
@@ -177,7 +177,7 @@ class LivePane(Horizontal, Pane):
         line = Text(no_wrap=True, overflow="ellipsis")
         if self.frozen:
             line.append("‖ FROZEN ", style=f"bold {colours['warning']}")
-            line.append("the recording goes on; p goes on here, arrows and + − look around", colours["muted"])
+            line.append("the recording goes on; z goes on here, arrows and + − look around", colours["muted"])
         elif replays := self._session.replays():
             line.append_text(replay_line(replays[0][1], colours))
         elif self._sources:

@@ -49,7 +49,7 @@ class Overlay(WithBar):
     HELP = PLOT_HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("escape,q,backspace", "app.pop_screen", "Back", id="overlay.back"),
-        Binding("a", "all", "All on", id="overlay.all", tooltip="Switch all on"),
+        Binding("i", "all", "All on", id="overlay.all", tooltip="Switch all on"),
         Binding("n", "none", "All off", id="overlay.none", tooltip="Switch all off", show=False),
     ]
 
@@ -141,7 +141,7 @@ class ModelsScreen(Overlay):
 
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding(
-            "d",
+            "u",
             "differences",
             "Errors",
             id="overlay.differences",

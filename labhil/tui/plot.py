@@ -36,7 +36,7 @@ ZOOM, WHEEL_ZOOM, MOVE = 0.15, 0.05, 0.1
 
 PLOT_HELP = """\
 **Plots**: Tab moves to a plot, and to the next one. There + and - zoom, the arrows move the view,
-shift+right and shift+left put a cursor whose values are in the title, and r shows all again. A click puts
+shift+right and shift+left put a cursor whose values are in the title, and 0 shows all again. A click puts
 the cursor too; then the wheel zooms.
 """
 """Help of screens with plots: a plot has its keys only while it has the focus."""
@@ -64,7 +64,7 @@ class Plot(Widget, can_focus=True):
             key_display="shift →",
             tooltip="Read the values there; shift+left moves it back",
         ),
-        Binding("r", "whole", "Whole", id="plot.whole", tooltip="Undo zooming and moving"),
+        Binding("0", "whole", "Whole", id="plot.whole", tooltip="Undo zooming and moving"),
     ]
 
     def __init__(self) -> None:

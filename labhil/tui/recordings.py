@@ -49,7 +49,7 @@ class RecordingsPane(Vertical, Pane):
         Binding("t", "mark('T')", "Test", id="rec.test", tooltip="Mark as the recording to judge on"),
         Binding("f", "study('fit')", "Fit", id="rec.fit", tooltip="Fit the rig's general model"),
         Binding("d", "study('diagnose')", "Diagnose", id="rec.diagnose", tooltip="What physics is missing?"),
-        Binding("a", "analyse", "Terms", id="rec.analyse", tooltip="Choose terms, estimator, test, time"),
+        Binding("h", "analyse", "How", id="rec.analyse", tooltip="Choose terms, estimator, test, time"),
         Binding("v", "verify", "Verify", id="rec.verify", tooltip="Hold it against an accepted model"),
         Binding("o", "overlay", "Overlay", id="rec.overlay", tooltip="The marked recordings over each other"),
         Binding("x", "study('export')", "CSV", id="rec.export", tooltip="Write its samples as CSV"),

@@ -21,7 +21,7 @@ def replay_line(replay: ReplayMessage, colours: dict[str, str]) -> Text:
     text.append(f"{sign} {word} ", style=f"bold {colours['accent']}")
     text.append(f"{replay.position:.1f} of {replay.duration:.1f} s", style="bold")
     text.append(f" × {replay.speed:g}  ")
-    key_hint = "k plays it again" if replay.ended else "k goes on" if replay.paused else "k pauses"
+    key_hint = "p plays it again" if replay.ended else "p goes on" if replay.paused else "p pauses"
     text.append(f"{key_hint}, < > speed, j back  ", style=colours["muted"])
     return text.append(replay.path.removesuffix(".mcap"), style=colours["muted"])
 

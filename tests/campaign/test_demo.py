@@ -11,7 +11,7 @@ from labhil.campaign import demo
 from labhil.errors import ConditionError, DeviceSilentError, LabhilError, RunError, WatchdogError
 from labhil.experiment.control import RunState
 from labhil.experiment.experiment import Experiment
-from labhil.experiment.result import Progress, RunResult
+from labhil.experiment.result import Progress, RunResult, answer_path
 from labhil.recording.contents import recording_status
 from labhil.recording.reader import read_recording
 
@@ -19,7 +19,10 @@ BUSY = WatchdogError("bench: watchdog: commands stopped for 0.22 s")
 
 
 class Runs:
-    """Stands for ``run_experiment``: each run ends with the next error, None for one that succeeds."""
+    """Stands for ``run_experiment``: each run ends with the next error, None for one that succeeds.
+
+    Each leaves a recording and what its twin conceals, as a run does.
+    """
 
     def __init__(self, *errors: LabhilError | None) -> None:
         self.errors = list(errors)
@@ -29,7 +32,14 @@ class Runs:
         self.speeds.append(experiment.devices["bench"].twin.speed)
         error = self.errors.pop(0)
         status = 0 if error is None else error.exit_status
-        return RunResult(out / "run.mcap", status, 60.0, (), "the end", error)
+        path = out / f"run-{len(self.speeds)}.mcap"
+        for left in (path, answer_path(path, "bench", are_several=False)):
+            left.touch()
+        return RunResult(path, status, 60.0, (), "the end", error)
+
+
+def names_in(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
 
 
 def recorder(runs: Runs, said: list[str], out: Path, monkeypatch: pytest.MonkeyPatch) -> demo.Recorder:
@@ -42,7 +52,8 @@ def test_each_attempt_on_a_busy_machine_takes_twice_the_time(
 ) -> None:
     runs, said = Runs(BUSY, DeviceSilentError("bench: silent"), None, None), list[str]()
     recording = recorder(runs, said, tmp_path, monkeypatch)
-    assert recording.record("identify", 1) == tmp_path / "run.mcap"
+    assert recording.record("identify", 1) == tmp_path / "run-3.mcap"
+    assert names_in(tmp_path) == ["run-3.mcap", "run-3.twin.json"], "what failed leaves nothing"
     assert said.count("waited") == 2
     assert "once more, at 1.25 instead of 2.5 times real time" in said[-1]
     recording.record("test", 2)
@@ -58,6 +69,8 @@ def test_a_machine_that_is_too_busy_for_all_gets_a_bench_whose_clock_waits(
     assert runs.speeds == list(demo.SPEEDS)
     assert sum("once more" in line for line in said) == len(demo.SPEEDS) - 1
     assert any("tried at 5, 2.5, 1.25 times real time" in line and "uptime" in line for line in said)
+    answers = [answer_path(path, "bench", are_several=False) for path in paths]
+    assert names_in(tmp_path) == sorted(path.name for path in (*paths, *answers))
     for path in paths:
         recorded = read_recording(path)
         (stream,) = recorded.streams
@@ -73,6 +86,7 @@ def test_another_fault_is_not_blamed_on_the_machine(tmp_path: Path, monkeypatch:
     with pytest.raises(RunError, match="the identify recording failed: no"):
         recording.record("identify", 1)
     assert said == []
+    assert names_in(tmp_path) == ["run-1.mcap", "run-1.twin.json"], "what went wrong can be looked at"
 
 
 @pytest.mark.extended

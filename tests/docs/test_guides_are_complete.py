@@ -1,4 +1,4 @@
-"""Files that guides show are complete: saved as the page says, their experiments and labs can be planned."""
+"""Guides are complete: files that they show can be planned, and of those they name one knows the origin."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from labhil.experiment.points import is_campaign, points_of
 
 ROOT = Path(__file__).parents[2]
 HOW_TO = ROOT / "docs" / "how-to"
+FENCE = re.compile(r"^[ ]*```\w*\n.*?^[ ]*```", re.DOTALL | re.MULTILINE)
+FILE = re.compile(r"(?<![\w/.*$-])(?:[\w-]+/)*[\w-]+\.(?:csv|fmu|json|mat|mcap|npz|py|toml|urdf|xml)\b")
+MADE = re.compile(r"(?:-o|--out|--json|--html|--plot|--answer)[ =](\S+)")
 TOML = re.compile(r"^```toml\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
@@ -48,3 +51,36 @@ def test_the_lab_of_a_guide_can_be_started_with_the_files_of_its_page(
     shutil.copy(ROOT / "examples/fit.json", tmp_path / "accepted.json")
     lab = load_lab(save("automate.md", tmp_path)["lab.toml"])
     check_policies(lab)
+
+
+def unexplained_files(page: str) -> set[str]:
+    """Files of a page's commands, files and programs that no command of it makes and no sentence names.
+
+    A sentence counts where it stands before them, or next after them. Names in capitals (``REC.mcap``) stand
+    for files of the reader's; what a command prints, below a line with ``$ labhil``, is not looked at.
+    """
+    prose, made, unknown, end = "", set[str](), set[str](), 0
+    for fence in FENCE.finditer(page):
+        prose += page[end : fence.start()]
+        end = fence.end()
+        lines = [line for line in fence[0].splitlines() if "$ labhil" not in fence[0] or "$ labhil" in line]
+        said = prose + page[end:].lstrip().partition("\n\n")[0]
+        text = "\n".join(lines)
+        made |= set(MADE.findall(text))
+        names = {name for name in FILE.findall(text) if not Path(name).stem.isupper()}
+        unknown |= {name for name in names - made if f"`{name}`" not in said and not (ROOT / name).exists()}
+    return unknown
+
+
+@pytest.mark.parametrize("page", sorted(path.name for path in HOW_TO.glob("*.md")))
+def test_a_guide_says_whence_each_file_comes_that_it_names(page: str) -> None:
+    assert unexplained_files((HOW_TO / page).read_text(encoding="utf-8")) == set()
+
+
+def test_a_file_from_nowhere_is_found() -> None:
+    command = "```sh\nlabhil import log.csv --rig rig.toml -o log.mcap\nlabhil fit log.mcap REC.mcap\n```\n"
+    assert unexplained_files(f"# Page\n\n{command}") == {"log.csv", "rig.toml"}
+    assert unexplained_files(f"Your `log.csv`.\n\n{command}\nAnd `rig.toml`.\n\nMore.") == set()
+    assert unexplained_files(f"Your `log.csv`.\n\n{command}\nMore.\n\nAnd `rig.toml`.") == {"rig.toml"}
+    shipped = "```sh\nlabhil fit recordings/ball_beam_identify.mcap\n```\n"
+    assert unexplained_files(shipped) == set()

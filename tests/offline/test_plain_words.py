@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from experiment_text import held_voltage
 
 import labhil as lh
 from labhil.atomic_file import make_folder
@@ -25,19 +26,7 @@ from labhil.recording.export import export
 from labhil.rig import load_rig
 
 RAW = re.compile(r"Errno|Expecting|codec|tuple|valid|b'|No such file or|Is a directory|parse string")
-EXPERIMENT = """
-[experiment]
-name = "levels"
-[devices.bench]
-plugin = "dc_motor"
-address = "twin"
-[[steps]]
-device = "bench"
-signal = "voltage"
-excitation = "hold"
-level = 1.0
-duration = 2.0
-"""
+EXPERIMENT = held_voltage("levels", level=1.0)
 MULTISINE = EXPERIMENT.replace('"hold"\nlevel = 1.0', '"multisine"\nfrequencies = [0.5]\namplitude = "1.5 V"')
 TAGGED = EXPERIMENT.replace("[devices", 'tags = "cold"\n[devices')
 

@@ -117,3 +117,45 @@ def test_a_recording_by_the_steady_clock_blames_no_host(tmp_path):
         write_state(writer, "bench", host_times(0.4), **{HOST_CLOCK: "0"})
     (line,) = read_recording(tmp_path / "a.mcap").warnings()
     assert "stood still" in line and "clock was set" not in line
+
+
+SPEED = 20.0
+
+
+def twin_times(stops=3.0, lasts=2.0, catches_up=4.0):
+    """When the samples of a twin at 20 times real time came in (s of the host); for 0.1 s it had no time."""
+    world = np.arange(6000) / 100.0
+    behind = np.clip(1.0 - (world - stops) / catches_up, 0.0, 1.0) * (world > stops)
+    late = np.random.default_rng(2).exponential(1e-4, 6000)
+    return world, np.maximum.accumulate(world / SPEED + lasts / SPEED * behind + late)
+
+
+def test_an_event_lies_among_the_samples_that_came_in_around_it_whatever_the_speed(tmp_path):
+    host = twin_times()[1]
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host, speed="20")
+        for moment in (1.0, 2.99, 3.1, 3.5, 50.0):
+            came = float(host[round(100.0 * moment)])
+            writer.event("run", START + round(came * 1e9) + 1000, {"text": str(moment)})
+        writer.event("run", START + round((host[-1] + 0.5) * 1e9), {"text": "60.0"})
+    recording = read_recording(tmp_path / "a.mcap")
+    times = {float(event.body["text"]): event.t for event in recording.events}
+    assert times.pop(60.0) == pytest.approx(60.0 + 0.5 * SPEED, abs=0.1)
+    for moment, t in times.items():
+        assert t == pytest.approx(moment, abs=0.0101), "within the sample that came in just before"
+
+
+def test_requested_values_of_a_fast_twin_keep_their_times_to_the_end(tmp_path):
+    """Where samples are late, the host's times of commands go back, many rows in a row."""
+    world, host = twin_times()
+    command_hw = np.maximum(world + 0.2 * np.random.default_rng(3).standard_normal(len(world)), 0.0)
+    with RecordingWriter(tmp_path / "a.mcap") as writer:
+        write_state(writer, "bench", host, speed="20")
+        channel = writer.add_stream("bench", COMMAND, {"speed": "20"})
+        stamps = START + np.rint((host + 1e-4) * 1e9).astype(np.int64)
+        seq = np.arange(len(world))
+        hw_ns = np.rint(command_hw * 1e9).astype(np.int64)
+        writer.write(channel, Batch(seq, stamps, hw_ns, np.zeros((len(seq), 1))))
+    state, command = read_recording(tmp_path / "a.mcap").streams
+    assert (np.diff(command.t) >= 0).all()
+    assert np.abs(command.t - state.t).max() < 1.0

@@ -121,6 +121,10 @@ def test_a_marker_stands_in_the_recording_at_its_moment(held: Callable[[float], 
     marks = [event for event in recording.events if event.body.get("kind") == "mark"]
     assert [event.body["message"] for event in marks] == ["oil added by hand", "the lamp went out"]
     assert 0.0 < marks[0].t < marks[1].t < recording.duration
+    state = recording.streams[0]
+    for mark in marks:  # among the samples that came in around it, at five times real time
+        row = int(np.searchsorted(state.t_acq_ns, mark.t_ns, side="right"))
+        assert state.t[row - 1] <= mark.t <= state.t[row]
     with pytest.raises(CommandRefusedError, match="a run that is finished takes no marker"):
         run.control.mark("too late")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pty
 import re
@@ -22,8 +23,10 @@ from labhil.device_check.at_rest import findings_at_rest
 from labhil.device_check.check import Check, check_device
 from labhil.device_check.direction import findings_of_step, movements
 from labhil.device_check.expected import implausible_sizes, simulated_answer
+from labhil.device_check.report import DeviceCheck
 from labhil.device_check.samples import Samples
 from labhil.device_check.small_step import Answer, SmallStep, make_step, plan_steps
+from labhil.doctor.examine import format_finding
 from labhil.doctor.finding import Finding, State
 from labhil.errors import CommandRefusedError, UsageError
 from labhil.experiment import devices
@@ -230,6 +233,55 @@ def test_the_whole_check_of_a_simulated_device(
     assert "no fault was found" in done.stderr
 
 
+def test_what_the_check_finds_of_each_channel_is_json(tmp_path: Path) -> None:
+    write_new("dc_motor", "twin", tmp_path)
+    done = new(tmp_path, "dc_motor", "--move", "--step", "20", "--json", "check.json")
+    assert done.returncode == 0, done.stdout + done.stderr
+    data = json.loads((tmp_path / "check.json").read_text(encoding="utf-8"))
+    assert data["schema"] == "labhil.device_check/1"
+    found = DeviceCheck.model_validate_json(json.dumps(data))
+    assert [format_finding(finding) for finding in found.findings] == done.stdout.splitlines()[2:]
+    assert (found.rig, found.driver, found.fine) == ("dc_motor", "dc_motor", True)
+    assert found.sample_rate.stated == 100.0
+    assert found.sample_rate.seen == pytest.approx(100.0, rel=0.05)
+    channels = {channel.channel: channel for channel in found.channels}
+    assert {name: channel.unit for name, channel in channels.items()} == {
+        "speed": "rad/s", "current": "A", "angle": "rad", "voltage": "V"
+    }  # fmt: skip
+    current = channels["current"]
+    assert [(limit.min, limit.max) for limit in current.limits] == [(-8.0, 8.0)]
+    assert current.within_limits and current.stuck is False
+    (column,) = current.columns
+    assert column.min is not None and column.max is not None and -8.0 < column.min < column.max < 8.0
+    assert channels["speed"].within_limits is None
+    assert channels["voltage"].command and channels["voltage"].stuck is None
+    (step,) = found.steps
+    assert (step.command, step.start, step.target, step.unit) == ("voltage", 0.0, pytest.approx(4.8), "V")
+    motions = {motion.column: motion for motion in step.motions}
+    assert (motions["speed"].direction, motions["speed"].expected) == ("rises", "rises")
+    assert motions["speed"].expected_by == "model" and motions["speed"].agrees
+    assert (motions["angle"].expected, motions["angle"].agrees) == (None, None)
+
+
+@pytest.mark.extended
+def test_json_on_stdout_is_alone_there_and_needs_a_check(tmp_path: Path) -> None:
+    rig, _ = write_new("dc_motor", "twin", tmp_path)
+    edit(rig, "current = { min = -8.0, max = 8.0 }", "current = { min = 1.0, max = 8.0 }")
+    done = new(tmp_path, "dc_motor", "--json", "--check")
+    assert done.returncode == 1
+    found = DeviceCheck.model_validate(json.loads(done.stdout))
+    channels = {channel.channel: channel for channel in found.channels}
+    assert not found.fine and not found.steps
+    assert channels["current"].within_limits is False
+    assert "left its limits, 1 to 8" in channels["current"].violation
+    other = tmp_path / "other"
+    other.mkdir()
+    without = new(other, "dc_motor", "--address", "twin", "--json")
+    assert without.returncode == 2
+    assert "expected --check or --move beside it" in without.stderr
+    assert not list(other.iterdir())
+
+
 @pytest.mark.extended
 def test_without_a_yes_nothing_moves_and_the_files_are_used_again(tmp_path: Path) -> None:
     first = new(tmp_path, "dc_motor", "--address", "twin", "--check")
@@ -265,7 +317,7 @@ def test_a_limit_that_trips_in_a_step_is_a_fault(tmp_path: Path) -> None:
     rig, experiment = write_new("dc_motor", "twin", tmp_path)
     edit(rig, "current = { min = -8.0, max = 8.0 }", "current = { min = -1.0, max = 1.0 }")
     told: list[Finding] = []
-    assert not check_device(experiment, Check(told.append, lambda _steps: True, 0.3))
+    assert not check_device(experiment, Check(told.append, lambda _steps: True, 0.3)).fine
     (fault,) = [finding for finding in told if finding.state is State.BROKEN]
     assert "left its limits, -1 to 1" in fault.found
     assert "brought to its safe state" in fault.advice
@@ -284,7 +336,7 @@ def test_the_emergency_stop_is_heard_before_and_in_a_step(
         threading.Timer(1.2, latch.press, ("somebody", "a test")).start()
         return True
 
-    assert not check_device(experiment, Check(told.append, press_later, 0.05))
+    assert not check_device(experiment, Check(told.append, press_later, 0.05)).fine
     (fault,) = [finding for finding in told if finding.state is State.BROKEN]
     assert "emergency stop" in fault.found
     assert latch.release()

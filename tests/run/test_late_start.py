@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_text import held_voltage
 
 from labhil.bus import open_bus
 from labhil.bus.authentication import Refusals
@@ -22,19 +23,7 @@ from labhil.host_clock import unix_ns
 from labhil.service.hosts import ConnectedDevice
 from labhil.signals import Batch
 
-TEXT = """
-[experiment]
-name = "late"
-[devices.bench]
-plugin = "dc_motor"
-address = "twin"
-[[steps]]
-device = "bench"
-signal = "voltage"
-excitation = "hold"
-level = 3.0
-duration = 1.0
-"""
+TEXT = held_voltage("late", duration=1.0)
 
 
 def event(kind: str) -> EventMessage:

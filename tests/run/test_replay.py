@@ -273,12 +273,12 @@ def test_the_live_page_draws_it_says_so_and_steers_it(recording: Recording, tmp_
                 await come(pilot, lambda: len(app.query_one(LivePane)._charts) >= 2)
                 await come(pilot, lambda: "REPLAY" in shown(app))
                 assert {view.state for _, view in lab.devices()} == {"replay"}
-                await pilot.press("k")
+                await pilot.press("p")
                 await come(pilot, lambda: replay.status.paused and "PAUSED" in shown(app))
                 await pilot.press("greater_than_sign")
                 await come(pilot, lambda: replay.status.speed == 2.0)
                 at = replay.status.position
-                await pilot.press("j", "k")
+                await pilot.press("j", "p")
                 await come(pilot, lambda: not replay.status.paused)
                 assert replay.status.position < at + PATIENCE
                 places = lab.signal_sources()

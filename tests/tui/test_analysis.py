@@ -35,7 +35,7 @@ async def open_dialog(pilot: Pilot[None], app: LabApp) -> AnalysisDialog:
     table = app.query_one("#recordings-table", DataTable)
     await until(pilot, lambda: table.row_count == 2 and "…" not in str(table.get_row_at(0)[2]))
     await until(pilot, lambda: "…" not in str(table.get_row_at(1)[2]))
-    await pilot.press("a")
+    await pilot.press("h")
     await until(pilot, lambda: isinstance(app.screen, AnalysisDialog) and app.screen.catalogue)
     assert isinstance(app.screen, AnalysisDialog)
     return app.screen

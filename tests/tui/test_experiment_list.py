@@ -6,6 +6,7 @@ import asyncio
 import sys
 from pathlib import Path
 
+from experiment_text import held_voltage
 from textual.pilot import Pilot
 from textual.widgets import Button, OptionList, Static
 
@@ -16,22 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 from still import StillLab
 
 SETTLED = 0.15
-LEVELS = """
-[experiment]
-name = "levels"
-repeat = 2
-[devices.bench]
-plugin = "dc_motor"
-address = "twin"
-[[steps]]
-device = "bench"
-signal = "voltage"
-excitation = "hold"
-level = 3.0
-duration = 2.0
-[sweep.over]
-"steps.0.level" = [2.0, 4.0, 5.0]
-"""
+SINGLE = held_voltage("levels")
+SWEEP = '\n[sweep.over]\n"steps.0.level" = [2.0, 4.0, 5.0]\n'
+LEVELS = SINGLE.replace("[devices", "repeat = 2\n[devices") + SWEEP
 
 
 def shown(folder: Path, *keys: str) -> tuple[list[str], str, bool, LabApp]:
@@ -69,8 +57,7 @@ def test_a_sweep_says_how_many_runs_it_has_and_is_not_started(folder: Path) -> N
 
 
 def test_a_single_run_is_offered(folder: Path) -> None:
-    single = LEVELS.partition("[sweep")[0].replace("repeat = 2\n", "")
-    (folder / "levels.toml").write_text(single)
+    (folder / "levels.toml").write_text(SINGLE)
     _, plan, is_offered, _ = shown(folder)
     assert "runs" not in plan.partition("\n")[0]
     assert is_offered

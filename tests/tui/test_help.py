@@ -43,8 +43,8 @@ def help_of(folder: Path, *keys: str) -> str:
 def test_the_help_says_how_to_zoom_and_to_read_a_plot(name: str, folder: Path) -> None:
     text = help_of(folder, *WITH_PLOTS[name])
     assert "Tab moves to a plot" in text
-    assert all(key in text for key in ("+ and - zoom", "shift+right", "r shows all"))
-    assert ("press p" in text) == (name == "live")
+    assert all(key in text for key in ("+ and - zoom", "shift+right", "0 shows all"))
+    assert ("press z" in text) == (name == "live")
 
 
 def test_the_help_of_a_screen_without_plots_does_not_speak_of_them(folder: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
+import pkgutil
 import sys
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
@@ -12,15 +14,20 @@ from rich.text import Text
 from textual.binding import Binding
 from textual.events import MouseScrollDown, MouseScrollUp
 from textual.pilot import Pilot
+from textual.screen import ModalScreen
 from textual.widgets import HelpPanel, Tab
 
+import labhil.tui
 from labhil.tui.app import LabApp
-from labhil.tui.devices import DevicesPane
 from labhil.tui.experiment import ExperimentPane
 from labhil.tui.footer import KeyFooter
 from labhil.tui.live import LivePane
+from labhil.tui.overlay import ModelsScreen, Overlay
 from labhil.tui.panes import TabbedPanes
+from labhil.tui.plot import Plot
+from labhil.tui.recording import RecordingScreen
 from labhil.tui.recordings import RecordingsPane
+from labhil.tui.recordings_overlay import RecordingsOverlay
 from labhil.tui.results import ResultsPane
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -90,7 +97,7 @@ def test_the_wheel_brings_keys_that_have_no_room(folder: Path) -> None:
         scroll(footer, MouseScrollUp, 50)
         await pilot.pause()
         assert before == " space Mark  t Test  f Fit  d Diagnose  …   ? Keys  q Quit "
-        assert after == " …   d Diagnose  a Terms  v Verify  x CSV  ? Keys  q Quit "
+        assert after == " …   d Diagnose  h How  v Verify  x CSV  ? Keys  q Quit "
         assert written(app) == before
 
     walk(folder, 60, way)
@@ -156,12 +163,23 @@ def bindings_of(owner: type) -> Iterator[tuple[str, str]]:
             yield key, binding.description
 
 
-def test_m_has_one_meaning_and_no_more_keys_have_two() -> None:
+def owners_of_keys() -> Iterator[type]:
+    """The app, its tabs, the screens over them, and plots; a dialog says its keys beside its choices."""
+    for module in pkgutil.iter_modules(labhil.tui.__path__, "labhil.tui."):
+        for name, owner in vars(importlib.import_module(module.name)).items():
+            is_own = isinstance(owner, type) and owner.__module__ == module.name and "BINDINGS" in vars(owner)
+            if is_own and not name.startswith("_") and not issubclass(owner, ModalScreen):
+                yield owner
+
+
+def test_a_key_has_one_meaning_on_all_tabs_and_screens() -> None:
+    owners = set(owners_of_keys())
+    tabs = {LabApp, LivePane, ExperimentPane, RecordingsPane, ResultsPane}
+    assert owners >= tabs | {Overlay, ModelsScreen, RecordingScreen, RecordingsOverlay, Plot}
     meanings: dict[str, set[str]] = {}
-    for owner in (LabApp, DevicesPane, LivePane, ExperimentPane, RecordingsPane, ResultsPane):
+    for owner in owners:
         for key, meaning in bindings_of(owner):
-            meanings.setdefault(key, set()).add(meaning)
+            meanings.setdefault(key, set()).add("Leave" if meaning in ("Back", "Quit") else meaning)
     assert meanings["m"] == {"Mark"}
     assert meanings["b"] == {"Model"}
-    several = {key: found for key, found in meanings.items() if len(found) > 1}
-    assert several == {"p": {"Freeze", "Pause"}, "k": {"Pause", "Compare"}, "a": {"Abort", "Terms"}}
+    assert {key: found for key, found in meanings.items() if len(found) > 1} == {}

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from labhil.report.html.page import Page as Written
 from labhil.report.html.page import PageSection, write_page
 from labhil.report.html.picture import Album
+from labhil.report.html.table import Column, facts, table
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -141,3 +142,33 @@ def test_keys_look_closer_too(tmp_path: Path) -> None:
         assert await page.value(TICKS) == []
 
     looked_at(tmp_path, drive)
+
+
+WIDTH = 420
+CUT = """[...document.querySelectorAll('caption, figcaption, h1, h2, p, dt, dd, .overlay label, td, th')]
+  .filter((each) => each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display != 'inline')
+  .map((each) => each.textContent)"""
+CAPTION = "document.querySelector('caption').getBoundingClientRect().right"
+TEXT_HEIGHT = f"{SVG}.querySelector('text').getBoundingClientRect().height"
+
+
+def test_a_narrow_window_cuts_no_words_and_has_legible_figures(tmp_path: Path) -> None:
+    long = "Estimates with 99 % intervals against the length of the fitted windows; the band is the final one"
+    titles = ("Recording", "RMSE", "Noise floor", "Standard error", "Meaning")
+    columns = [Column(title, number=title not in ("Recording", "Meaning")) for title in titles]
+    path = "recordings/of_a_campaign/levels-20261125T123553-003.mcap"
+    rows = [(path, "0.000426 m", "0.0004369 m", "0.0000012 m", long)]
+    parts = (table(long, columns, rows), facts([("calibration.position_offset", "1")]))
+    section = PageSection("All", (*parts, Album().picture(long, figure)))
+    write_page(Written("Fit", "Fit", long, "plain", (), (section,), ""), tmp_path / "page.html")
+
+    async def look() -> None:
+        async with chromium(tmp_path / "profile") as browser:
+            await browser.open(f"file://{tmp_path / 'page.html'}", WIDTH, 1600)
+            await browser.wait_for(f"!!{SVG}")
+            assert await browser.value("document.documentElement.scrollWidth") <= WIDTH
+            assert await browser.value(CAPTION) <= WIDTH
+            assert await browser.value(CUT) == []
+            assert await browser.value(TEXT_HEIGHT) >= 7.0
+
+    asyncio.run(look())

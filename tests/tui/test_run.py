@@ -31,29 +31,6 @@ MOVING = 16_384
 
 pytestmark = pytest.mark.timeout(300)
 
-EXPERIMENT = """
-[experiment]
-name = "pilot"
-[devices.bench]
-plugin = "ball_beam"
-address = "twin"
-twin = { speed = 2.0, seed = 1 }
-[[steps]]
-device = "bench"
-signal = "servo_angle"
-excitation = "two_sine"
-frequencies = [0.23, 0.31]
-amplitude = 0.3
-stabilise = { on = "ball_position", kp = 7.0, kd = 3.0 }
-duration = 300.0
-"""
-
-
-@pytest.fixture
-def bench(tmp_path: Path) -> Path:
-    (tmp_path / "pilot.toml").write_text(EXPERIMENT, encoding="utf-8")
-    return tmp_path
-
 
 async def until(pilot: Pilot[None], condition: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE

@@ -81,7 +81,7 @@ async def replayed(pilot: Pilot[None], app: LabApp) -> None:
 
 async def analysis(pilot: Pilot[None], app: LabApp) -> None:
     """With the catalogue read, which takes a process of its own some seconds."""
-    await keys("4", "a")(pilot, app)
+    await keys("4", "h")(pilot, app)
     dialog = app.screen
     assert isinstance(dialog, AnalysisDialog)
     while dialog.catalogue is None:
@@ -151,7 +151,7 @@ async def models(pilot: Pilot[None], app: LabApp) -> None:
     assert isinstance(screen, ModelsScreen)
     while screen.shown is None:
         await pilot.pause(SETTLED)
-    await keys("d", "tab", "plus", "plus")(pilot, app)
+    await keys("u", "tab", "plus", "plus")(pilot, app)
 
 
 async def palette(pilot: Pilot[None], _app: LabApp) -> None:

@@ -29,7 +29,7 @@ WAYS = {
     "a recording": ["4", "enter"],
     "an overlay": ["5", "down", "o"],
     "models": ["5", "space", "down", "space", "o"],
-    "a choice of terms": ["4", "a"],
+    "a choice of terms": ["4", "h"],
     "a choice of a model": ["4", "v"],
     "the palette": ["ctrl+p"],
 }

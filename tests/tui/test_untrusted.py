@@ -129,11 +129,11 @@ def test_a_frozen_picture_holds_when_its_device_goes(folder: Path) -> None:
             pane = app.query_one(LivePane)
             charts = len(pane.query(".live-chart"))
             assert charts > 0
-            await pilot.press("p")
+            await pilot.press("z")
             lab.there = False
             await pilot.pause(0.8)
             assert len(pane.query(".live-chart")) == charts
-            await pilot.press("p")
+            await pilot.press("z")
             await pilot.pause(0.8)
             assert len(pane.query(".live-chart")) == 0
 

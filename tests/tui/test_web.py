@@ -43,23 +43,6 @@ Talk = Callable[["aiohttp.ClientWebSocketResponse", str], Awaitable[None]]
 
 pytestmark = pytest.mark.timeout(600)
 
-EXPERIMENT = """
-[experiment]
-name = "pilot"
-[devices.bench]
-plugin = "ball_beam"
-address = "twin"
-twin = { speed = 2.0, seed = 1 }
-[[steps]]
-device = "bench"
-signal = "servo_angle"
-excitation = "two_sine"
-frequencies = [0.23, 0.31]
-amplitude = 0.3
-stabilise = { on = "ball_position", kp = 7.0, kd = 3.0 }
-duration = 300.0
-"""
-
 
 @contextmanager
 def served(folder: Path, *options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
@@ -261,10 +244,8 @@ def test_another_user_of_this_machine_is_refused(folder: Path, port: Callable[[]
 
 @pytest.mark.parametrize("how", ["the page goes", "the server is ended", "the server is killed"])
 @pytest.mark.extended
-def test_a_run_ends_in_order_with_its_page(tmp_path: Path, how: str) -> None:
-    (tmp_path / "pilot.toml").write_text(EXPERIMENT, encoding="utf-8")
-
-    with served(tmp_path) as (address, process):
+def test_a_run_ends_in_order_with_its_page(bench: Path, how: str) -> None:
+    with served(bench) as (address, process):
 
         async def talk(link: aiohttp.ClientWebSocketResponse, _address: str) -> None:
             await link.send_json(["stdin", "3"])
@@ -273,7 +254,7 @@ def test_a_run_ends_in_order_with_its_page(tmp_path: Path, how: str) -> None:
             reading = asyncio.create_task(
                 closed(link)
             )  # who does not read does not answer a ping, and is closed
-            await until(lambda: any(p.stat().st_size > MOVING for p in tmp_path.glob("*.mcap.part")))
+            await until(lambda: any(p.stat().st_size > MOVING for p in bench.glob("*.mcap.part")))
             if how == "the page goes":
                 reading.cancel()
                 return
@@ -281,9 +262,9 @@ def test_a_run_ends_in_order_with_its_page(tmp_path: Path, how: str) -> None:
             await reading
 
         in_page(address, talk)
-        asyncio.run(until(lambda: any(tmp_path.glob("*.mcap"))))
+        asyncio.run(until(lambda: any(bench.glob("*.mcap"))))
         asyncio.run(until(lambda: registered_processes() == ()))
-    (path,) = tmp_path.glob("*.mcap")
+    (path,) = bench.glob("*.mcap")
     end = read_recording(path).metadata["end"]
     assert "terminal UI" in end["reason"]
 

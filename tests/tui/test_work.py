@@ -78,7 +78,7 @@ def test_terms_are_switched_over_the_measurement(folder: Path) -> None:
         await until(pilot, lambda: screen.shown is not None and len(screen.shown) == 7)
         assert str(errors.content).endswith(f", all terms {whole.removeprefix('ball_position: RMSE ')}")
         assert str(errors.content) != whole
-        await pilot.press("a")
+        await pilot.press("i")
         await until(pilot, lambda: screen.shown == frozenset())
         assert str(errors.content) == whole
         await pilot.press("escape")
@@ -102,7 +102,7 @@ def test_marked_models_are_switched_over_one_recording(folder: Path) -> None:
         await pilot.press("space")
         await until(pilot, lambda: screen.shown == {"B"})
         assert re.findall(r"measured|[AB]", str(legend.content)) == ["measured", "B"]
-        await pilot.press("d")
+        await pilot.press("u")
         await until(pilot, lambda: str(legend.content).startswith("ball_position, less measured, m"))
         low, high = screen.query_one(Plot).view[1]
         assert -0.005 < low < 0.0 < high < 0.005
