@@ -196,7 +196,7 @@ def test_terms_that_differ_only_beside_an_error_that_others_explain_are_rivals()
     together = {**alone, "acd": -10.0, "bcd": -13.0}
     (rival,) = rivals_of(state_of(together, relevance), frozenset("a"))
     assert (rival.term, rival.instead_of, rival.delta_bic) == ("b", "a", 6.0)
-    assert rival.probability == pytest.approx(1.0 / (1.0 + np.exp(3.0)))
+    assert rival.probability == pytest.approx(np.exp(-3.0))
     # the likeliest structures with either count, not the likeliest pair of them
     apart = {**alone, "ace": -40.0, "bce": -41.0, "acd": -10.0, "bcd": -30.0}
     assert rivals_of(state_of(apart, relevance), frozenset("a")) == ()

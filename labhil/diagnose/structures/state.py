@@ -271,16 +271,13 @@ def rivals_of(state: SearchState, best: Structure, *, max_log_odds_in_nats: floa
     likelier = {s: r.log_evidence for s, r in state.refitted.items() if r.log_evidence > log_evidence[best]}
     for structure in sorted(likelier, key=lambda s: likelier[s]):
         deficits |= _exchange_deficits(likelier, structure)
-    rivals = [
-        Rival(
-            e.added,
-            e.removed,
-            2.0 * max(deficit, 0.0),
-            max(probabilities.get(e.added, 0.0), float(expit(-deficit))),
-        )
-        for e, deficit in deficits.items()
-        if e.applies_to(best) and deficit < max_log_odds_in_nats
-    ]
+    rivals = []
+    for e, deficit in deficits.items():
+        if e.applies_to(best) and deficit < max_log_odds_in_nats:
+            behind = max(deficit, 0.0)
+            probability = probabilities[e.removed] * float(np.exp(-behind))
+            probability = max(probability, probabilities.get(e.added, 0.0))
+            rivals.append(Rival(e.added, e.removed, 2.0 * behind, probability))
     return tuple(sorted(rivals, key=lambda rival: rival.delta_bic))
 
 
