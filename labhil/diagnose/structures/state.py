@@ -114,10 +114,11 @@ class SearchState:
         return self.enumeration.responses.sizes(predicted.choice, predicted.sizes)
 
     def corrected_predictions(self) -> dict[Structure, Prediction]:
-        """The newest linearisation's predictions, corrected by the refits that were made since or before.
+        """The newest linearisation's predictions, lowered by what it overestimates of refitted subsets.
 
-        What a linearisation misses of a structure's largest refitted subset it misses of the structure, too.
-        At the fit of a term that its local slopes do not show, each structure without it seems as good.
+        What a linearisation overestimates of a structure's largest refitted subset it overestimates of the
+        structure, too. At the fit of a term that its local slopes do not show, each structure without it
+        seems as good.
         """
         known = [
             s for s in self.predicted if s in self.refitted and np.isfinite(self.refitted[s].log_evidence)
@@ -131,8 +132,8 @@ class SearchState:
             before, refitted = self.predicted[subset], self.refitted[subset]
             return replace(
                 predicted,
-                log_evidence=predicted.log_evidence + refitted.log_evidence - before.log_evidence,
-                undisturbed=predicted.undisturbed + refitted.undisturbed - before.undisturbed,
+                log_evidence=predicted.log_evidence + min(refitted.log_evidence - before.log_evidence, 0.0),
+                undisturbed=predicted.undisturbed + min(refitted.undisturbed - before.undisturbed, 0.0),
             )
 
         return {structure: correct(predicted) for structure, predicted in self.predicted.items()}
