@@ -152,19 +152,23 @@ def is_right(result: SearchResult, answer: Answer) -> bool:
 
 def is_listed(result: SearchResult, answer: Answer) -> bool:
     """Whether the terms named are right, or would be with one of its rivals in the place of each."""
-    listed = {effect.key for effect in answer.effects if effect.catalogue}
+    concealed = _listed_effects(answer)
     terms = {step.terms[0] for step in result.missing}
     for rival in result.rivals:
-        if rival.term in listed and rival.instead_of in terms - listed:
+        if rival.term in concealed and rival.instead_of in terms - concealed:
             terms = (terms - {rival.instead_of}) | {rival.term}
     return _matches(terms, result, answer)
 
 
+def _listed_effects(answer: Answer) -> set[str]:
+    """Keys of the concealed effects that the catalogue has."""
+    return {effect.key for effect in answer.effects if effect.catalogue}
+
+
 def _matches(terms: set[str], result: SearchResult, answer: Answer) -> bool:
-    listed = {effect.key for effect in answer.effects if effect.catalogue}
     required = {e.key for e in answer.effects if e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN}
     hidden = any(not e.catalogue and e.oracle_gain >= MIN_REQUIRED_GAIN for e in answer.effects)
-    return required <= terms <= listed and (result.curve is not None) == hidden
+    return required <= terms <= _listed_effects(answer) and (result.curve is not None) == hidden
 
 
 def read_answer(path: Path) -> Answer:

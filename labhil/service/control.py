@@ -79,7 +79,8 @@ class DeviceControl:
         self._violation: str | None = None
         rate = spec.stream.rate * info.speed
         self._contact = Contact(config, driver, rate)
-        self._is_silent = self._is_recovering = False
+        self._is_silent = False
+        self._is_recovering = False
         self._continuation = Continuation(rate, info.speed)
         self._inbox = Inbox(config.device)
         self._resources = ExitStack()
@@ -197,11 +198,12 @@ class DeviceControl:
         refuse_another(self._config.address, self._info, info)
         same_boot = info.boot_id == self._info.boot_id
         boot = "the same boot" if same_boot else "it has booted again"
-        self._info, self._is_silent = info, False
+        self._info = info
+        self._is_silent = False
         self._contact.restart()
         self._continuation.note_new_connection(same_boot=same_boot)
-        gap = f"after {time.monotonic() - lost_at:.2f} s"
-        self._note_return(f"{gap} the device is back, its configuration sent again: {boot}")
+        gap = time.monotonic() - lost_at
+        self._note_return(f"after {gap:.2f} s the device is back, its configuration sent again: {boot}")
 
     def _note_return(self, message: str) -> None:
         state = HostState.IDLE if self._latch.standing is None else HostState.LATCHED

@@ -27,8 +27,14 @@ from labhil.diagnose.structures.enumerate import (
     relevance,
     with_disturbance,
 )
-from labhil.diagnose.structures.responses import compute_responses, linearise_to_flatter_side
-from labhil.diagnose.structures.state import Exchange, RefittedStructure, SearchState, smallest_relevance
+from labhil.diagnose.structures.responses import compute_responses
+from labhil.diagnose.structures.state import (
+    Exchange,
+    RefittedStructure,
+    SearchState,
+    convergence_deficit,
+    smallest_relevance,
+)
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
@@ -365,7 +371,7 @@ class StructureSearch:
         prediction = enumeration.evaluate([choice])[0]
         # a size at its bound shows that the effect is of another kind
         correction = 0.0 if self._within_bounds(fitted, structure) else -np.inf
-        correction += _convergence_deficit(fitted, enumeration.responses.grams.dof)
+        correction += convergence_deficit(fitted, enumeration.responses.grams.dof)
         state.refitted[structure] = RefittedStructure(
             fitted,
             prediction.log_evidence + correction,
@@ -381,20 +387,3 @@ class StructureSearch:
         sizes = [p for p in parameters if p.term in structure and not p.shape]
         values = [float(fitted.theta[places[p.key]]) for p in sizes]
         return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
-
-
-def _convergence_deficit(fitted: Fitted, dof: float) -> float:
-    """Log likelihood (≤ 0) of an unconverged fit over that of the minimum of its linearisation.
-
-    The evidence assumes that a fit stands at the minimum of its linearisation. ``dof`` are the independent
-    residuals.
-    """
-    if fitted.solution.converged:
-        return 0.0
-    problem, solution = fitted.problem, fitted.solution
-    lin = linearise_to_flatter_side(problem, solution)
-    projected = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
-    residuals, slopes = projected[:, 0], projected[:, 1:]
-    minimum = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
-    squares = max(float(solution.residuals @ solution.residuals), 1e-300)
-    return 0.5 * dof * min(float(np.log(max(float(minimum @ minimum), 1e-300) / squares)), 0.0)

@@ -20,6 +20,7 @@ from labhil.diagnose.structures.enumerate import (
     relevance,
     with_disturbance,
 )
+from labhil.diagnose.structures.responses import linearise_to_flatter_side
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
 from labhil.signals import BoolArray
@@ -49,6 +50,26 @@ class RefittedStructure:
         """Whether any of these terms changes an output, (c,)."""
         responses = self.enumeration.responses
         return np.any([responses.affected_outputs(v) for v in self.choice if v.term in terms], axis=0)
+
+
+def convergence_deficit(fitted: Fitted, dof: float) -> float:
+    """Log likelihood (≤ 0) of an unconverged fit over that of the minimum of its linearisation.
+
+    The evidence assumes that a fit stands at the minimum of its linearisation.
+
+    Args:
+        fitted: the fit.
+        dof: number of independent residuals.
+    """
+    if fitted.solution.converged:
+        return 0.0
+    problem, solution = fitted.problem, fitted.solution
+    lin = linearise_to_flatter_side(problem, solution)
+    projected = problem.project(lin, np.column_stack([solution.residuals, lin.by_parameters]))
+    residuals, slopes = projected[:, 0], projected[:, 1:]
+    minimum = residuals - slopes @ np.linalg.lstsq(slopes, residuals, rcond=None)[0]
+    squares = max(float(solution.residuals @ solution.residuals), 1e-300)
+    return 0.5 * dof * min(float(np.log(max(float(minimum @ minimum), 1e-300) / squares)), 0.0)
 
 
 @dataclass(slots=True)
@@ -126,9 +147,7 @@ class SearchState:
         known.sort(key=lambda s: (len(s), self.refitted[s].log_evidence), reverse=True)
 
         def correct(predicted: Prediction) -> Prediction:
-            subset = next((s for s in known if s <= predicted.structure), None)
-            if subset is None:
-                return predicted
+            subset = next(s for s in known if s <= predicted.structure)  # the empty one, if no other
             before, refitted = self.predicted[subset], self.refitted[subset]
             return replace(
                 predicted,
