@@ -57,9 +57,11 @@ def search_with_sizes(
         if sizes:
             progress("the same with the sizes of the given model held")
             held = replace(data, held=sizes)
-            held_result = search_structures(held, fit_baseline(held, terms), progress)
+            held_result = search_structures(held, fit_baseline(held, terms), progress, rival=result.final)
             result = (
-                _likelier(result, held_result) if held_result.complete else replace(result, complete=False)
+                _likelier(data, result, held_result)
+                if held_result.complete
+                else replace(result, complete=False)
             )
         return _with_settled_fit(drop_minor_terms(data, result))
     except EndedEarly:
@@ -118,10 +120,10 @@ def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
     return frozenset(p.key for p in model.parameters if p.term is None and p.key in reference)
 
 
-def _likelier(free: SearchResult, held: SearchResult) -> SearchResult:
-    """Choose between the searches with free and with held sizes, by BIC on the search data.
+def _likelier(data: Data, free: SearchResult, held: SearchResult) -> SearchResult:
+    """Choose between the searches with free and with held sizes, by BIC on the same windows.
 
     Free sizes may absorb missing physics: a load at the flange changes many inertias. With held sizes missing
     physics may stand for a changed size, so that this result needs very strong evidence.
     """
-    return held if is_strongly_favoured(held.final, free.final) else free
+    return held if is_strongly_favoured(held.final, _refit_like(data, free.final, held.final)) else free

@@ -12,7 +12,7 @@ import numpy as np
 
 from labhil.cores import side_by_side
 from labhil.diagnose.collapsed import far_from_nominal
-from labhil.diagnose.judge import Data
+from labhil.diagnose.judge import Data, is_strongly_favoured
 from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
@@ -31,7 +31,12 @@ from labhil.signals import FloatArray
 
 
 def search_structures(
-    data: Data, baseline: Fitted, progress: Progress, options: SearchOptions | None = None
+    data: Data,
+    baseline: Fitted,
+    progress: Progress,
+    options: SearchOptions | None = None,
+    *,
+    rival: Fitted | None = None,
 ) -> SearchResult:
     """Find the terms that a fitted baseline lacks, by Bayesian model comparison.
 
@@ -40,6 +45,8 @@ def search_structures(
         baseline: fit of the baseline to the searched data.
         progress: is called with a line of text before each step.
         options: options of the search; None for the defaults.
+        rival: a fit that the result has to beat. Where the short windows very strongly favour it, the search
+            ends with them, without a nonparametric force.
 
     Returns:
         The claimed terms with evidence, the final fit, rivals, alternatives, and a nonparametric force where
@@ -48,7 +55,7 @@ def search_structures(
     options = options or SearchOptions()
     data, correlation = _with_estimated_noise(data, baseline)
     finished: list[Stage] = []
-    complete = True
+    complete, lost = True, False
     try:
         nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
         for wanted in _window_lengths(data, options):
@@ -63,6 +70,11 @@ def search_structures(
             begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
+            if rival is not None and is_strongly_favoured(
+                refit_on_windows(replace(stage, held=frozenset()), rival), finished[-1].best
+            ):
+                lost = True
+                break
             # where something is named, longer windows add up what is missing beside it; else they may show it
             if finished[-1].state.best and finished[-1].best.noise > options.max_residual_in_noise:
                 break
@@ -75,6 +87,8 @@ def search_structures(
     result = None
     try:
         result = _validated_claims(finished[-1], options, n_candidates)
+        if lost:
+            return result
         if complete:
             return _with_force_curve(data, result, finished[-1].data.window, correlation, progress)
     except EndedEarly:
