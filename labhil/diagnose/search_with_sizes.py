@@ -9,19 +9,23 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from labhil.diagnose.accepted import Accepted
+from labhil.diagnose.adequacy import leaves_only_noise
 from labhil.diagnose.begin import fit_baseline
 from labhil.diagnose.collapsed import are_near_nominal, bound_near_nominal, find_collapsed
-from labhil.diagnose.judge import Data, is_strongly_favoured
+from labhil.diagnose.evidence import effective_samples
+from labhil.diagnose.judge import VERY_STRONG_DELTA_BIC, Data, is_strongly_favoured
 from labhil.diagnose.load import explain_by_load
 from labhil.diagnose.minor import drop_minor_terms
-from labhil.diagnose.refit import refit_on_windows
+from labhil.diagnose.refit import refit, refit_on_windows
 from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.stages import search_structures
 from labhil.ending import EndedEarly, accept
 from labhil.identify.continuation import settle_fit
 from labhil.identify.fitted import Fitted
-from labhil.physics.model import Metric, Model
+from labhil.physics.model import Metric, Model, index_of
 
 
 def search_with_sizes(
@@ -33,7 +37,7 @@ def search_with_sizes(
     accepted: Accepted | None,
     progress: Callable[[str], None],
 ) -> SearchResult:
-    """Search with all sizes free and, if the user's model states sizes, again with these held.
+    """Search with all sizes free and, where they contradict those of the user's model, again with these held.
 
     Args:
         data: the data of the search.
@@ -53,16 +57,8 @@ def search_with_sizes(
             return result
         result = _with_credible_sizes(data, result, progress)
         result = explain_by_load(data, result, accepted)
-        sizes = _sizes(data.model, reference) if reference is not None and not result.errors else frozenset()
-        if sizes:
-            progress("the same with the sizes of the given model held")
-            held = replace(data, held=sizes)
-            held_result = search_structures(held, fit_baseline(held, terms), progress, rival=result.final)
-            result = (
-                _likelier(data, result, held_result)
-                if held_result.complete
-                else replace(result, complete=False)
-            )
+        if reference is not None and not result.errors:
+            result = _with_stated_sizes(data, result, terms, reference, progress)
         return _with_settled_fit(drop_minor_terms(data, result))
     except EndedEarly:
         accept()
@@ -107,6 +103,46 @@ def _with_credible_sizes(data: Data, result: SearchResult, progress: Callable[[s
     ):
         return result
     return replace(credible, collapsed=collapsed)
+
+
+def _with_stated_sizes(
+    data: Data,
+    free: SearchResult,
+    terms: Sequence[str],
+    reference: Mapping[str, float],
+    progress: Callable[[str], None],
+) -> SearchResult:
+    """Search again with the sizes of the user's model held, where the result contradicts these.
+
+    A result that is as good with the stated sizes would be found again.
+    """
+    sizes = _sizes(data.model, reference)
+    if not sizes or not _can_be_beaten(data, free.final, len(sizes)):
+        return free
+    held = replace(data, held=sizes, window=free.final.window)
+    if not is_strongly_favoured(free.final, _hold_sizes(held, free.final)):
+        return free
+    progress("the same with the sizes of the given model held")
+    held = replace(data, held=sizes)
+    result = search_structures(held, fit_baseline(held, terms), progress, rival=free.final)
+    return _likelier(data, free, result) if result.complete else replace(free, complete=False)
+
+
+def _can_be_beaten(data: Data, free: Fitted, n_sizes: int) -> bool:
+    """Whether one more term in the place of free sizes can be very strongly favoured.
+
+    Where only noise is left, it can but save the parameters.
+    """
+    saved = (n_sizes - 1) * float(np.log(effective_samples(free)))
+    return saved > -VERY_STRONG_DELTA_BIC or not leaves_only_noise(data, free)
+
+
+def _hold_sizes(data: Data, fitted: Fitted) -> Fitted:
+    """Refit with the sizes held at their values of ``data.begin``."""
+    theta, places = fitted.theta.copy(), index_of(data.model.parameters)
+    for place in (places[key] for key in data.held):
+        theta[place] = data.begin[place]
+    return refit(data, replace(fitted, theta=theta), fitted.terms, ())
 
 
 def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:

@@ -87,7 +87,7 @@ class Simulator:
         coordinate: Where forces act.
         horizon: Length of the scored windows, s; None where a recording decides.
         stepped: The simulator that is called point by point; None where ``f`` is compiled.
-        nominal: Values of a file, by key, as in ``[nominal]`` of a rig file.
+        nominal: Values of the simulation as it is, by key, as in ``[nominal]`` of a rig file.
         notes: Parts of a file that are not part of the fitted model.
         section: The table ``[model]`` of a rig file that states the same file and names; None without a file.
 
@@ -187,7 +187,8 @@ def simulator(
             from each time to the next.
         states: Units by name: the position, then its velocity.
         inputs: Unit by name.
-        parameters: Start, unit and bounds by name.
+        parameters: Value, unit and bounds by name. A fit starts at the values; a diagnosis states those
+            that the recording contradicts.
         outputs: Which states are measured; the position when absent.
         coordinates: Where forces act, by the name of the position. Without it a force acts like the input.
         name: Name of the rig; that of ``f`` when absent.
@@ -232,7 +233,19 @@ def simulator(
     _check_coordinate(name, coordinate, inputs, quantities)
     if kind not in KINDS:
         raise UsageError(f"simulator {name!r}: kind: expected {' or '.join(KINDS)}, found {kind!r}")
-    rig = Simulator(f, name, dict(states), dict(inputs), measured, quantities, position, coordinate, horizon)
+    nominal = {n: q.start for n, q in quantities.items()}
+    rig = Simulator(
+        f,
+        name,
+        dict(states),
+        dict(inputs),
+        measured,
+        quantities,
+        position,
+        coordinate,
+        horizon,
+        nominal=nominal,
+    )
     if kind == STEP:
         step = one_at_a_time(f)
         rig = replace(rig, f=_rates_of_step(step), stepped=PythonStep(step, rig.records, coordinate.inertia))
