@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -150,6 +151,7 @@ class Mechanism:
         )
         self._smooth = _smooth_model(model, actuation)
         self._last_smooth: tuple[tuple[float, ...], Any] | None = None
+        self._of_thread = threading.local()  # structures are refitted side by side
         self.joint_force: JointForce | None = None
 
     @property
@@ -178,10 +180,9 @@ class Mechanism:
         """Return the acceleration without friction at the joint, contacts and limits."""
         mujoco, actuation = load_optional("mujoco", PURPOSE), self._actuation
         model = self._smooth_at(numbers)
-        data = mujoco.MjData(model)  # structures are refitted side by side: each thread needs data of its own
 
         def accelerations(x: FloatArray, v: FloatArray, u: FloatArray) -> FloatArray:
-            out = np.empty(len(x))
+            data, out = self._fresh_data(model), np.empty(len(x))
             target = data.ctrl if actuation.actuator >= 0 else data.qfrc_applied
             control = actuation.control if actuation.actuator >= 0 else 0
             points = zip(x.tolist(), v.tolist(), u.tolist(), strict=True)
@@ -197,7 +198,7 @@ class Mechanism:
         """Return the inertia at the joint, kg·m² or kg; infinite where a force does not accelerate it."""
         mujoco = load_optional("mujoco", PURPOSE)
         model = self._smooth_at(numbers)
-        data, accelerations = mujoco.MjData(model), []
+        data, accelerations = self._fresh_data(model), []
         data.qpos[0] = 0.0
         for force in (0.0, 1.0):
             data.qfrc_applied[0] = force
@@ -226,8 +227,20 @@ class Mechanism:
         changed = deepcopy(model)
         for value, number in zip(self.values, numbers, strict=False):
             write_value(changed, value.field, value.index, number)
-        mujoco.mj_setConst(changed, mujoco.MjData(changed))
+        mujoco.mj_setConst(changed, self._fresh_data(changed))
         return changed
+
+    def _fresh_data(self, model: Any) -> Any:
+        """This thread's data, reset: to allocate them takes longer than to compute an acceleration.
+
+        They fit every copy of the model, as all have the same dimensions.
+        """
+        mujoco = load_optional("mujoco", PURPOSE)
+        data = getattr(self._of_thread, "data", None)
+        if data is None:
+            data = self._of_thread.data = mujoco.MjData(self._model)
+        mujoco.mj_resetData(model, data)
+        return data
 
 
 def _smooth_model(model: Any, actuation: Actuation) -> Any:

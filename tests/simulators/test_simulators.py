@@ -89,6 +89,15 @@ def test_a_diagnosis_names_what_the_plant_conceals_and_nothing_else(
     rig = pendulum()
     found = lh.diagnose(recorded(rig, seed=11, seconds=20.0, **concealed))
     assert [effect.term for effect in found.missing] == missing
+    changed = {change.name: change.after for change in found.changed}
+    assert changed == pytest.approx({"inertia": INERTIA, "gravity_torque": GRAVITY}, rel=0.01)
+
+
+@pytest.mark.extended
+def test_values_that_the_recording_bears_out_are_not_said_to_have_changed() -> None:
+    right = {"inertia": lh.Quantity(INERTIA, "kg·m²"), "gravity_torque": lh.Quantity(GRAVITY, "N·m")}
+    found = lh.diagnose(recorded(pendulum(parameters=right), seed=11, seconds=20.0))
+    assert (found.verdict, found.changed) == ("no_mismatch", ())
 
 
 @pytest.mark.extended
