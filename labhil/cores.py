@@ -12,11 +12,21 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+_share = 1
+"""How many processes like this one share the machine."""
+
+
+def share_cores(processes: int) -> None:
+    """Tell this process that so many like it work at the same time: each uses its part of the cores."""
+    global _share  # noqa: PLW0603 - a fact about the process, as the limit of the system is
+    _share = processes
+
+
 def cores() -> int:
     """At least one; where the system restricts a process to some of the machine's, only these."""
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        return max(1, len(os.sched_getaffinity(0)) // _share)
+    return max(1, (os.cpu_count() or 1) // _share)
 
 
 def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:

@@ -31,6 +31,7 @@ from labhil.campaign.trials.folder import (
     write_text_atomically,
 )
 from labhil.campaign.trials.seal import sha256_of
+from labhil.cores import share_cores
 from labhil.errors import UsageError
 from labhil.physics.rigs import rig_model
 from labhil.recording.metadata import read_rig_kinds
@@ -89,7 +90,7 @@ def _diagnose_all(
         _stepwise()  # imported here: finding it reads JSON, which the processes cannot
     # spawned processes share no memory with this one
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=forbid_envelopes) as executor:
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_prepare, initargs=(jobs,)) as executor:
         futures = {
             executor.submit(diagnose_trial, results.folder, name, results.method): name for name in names
         }
@@ -112,6 +113,12 @@ def _diagnose_all(
 def _stepwise() -> ModuleType:
     """Import the method of comparison, which is in the project's benchmarks."""
     return benchmark_module("trials.stepwise", f"--method {STEPWISE}")
+
+
+def _prepare(jobs: int) -> None:
+    """Prepare one of ``jobs`` processes."""
+    share_cores(jobs)
+    forbid_envelopes()
 
 
 def forbid_envelopes() -> None:
