@@ -80,6 +80,29 @@ class Patch:
     unheld: tuple[str, ...] = ()
     run_by: str = "MuJoCo"
 
+    def __str__(self) -> str:
+        """The difference, what is beside the file, and the errors."""
+        lines = [self.diff.rstrip("\n")]
+        if self.companion is not None:
+            lines.append(f"{self.companion}: terms that the file cannot express: {', '.join(self.left)}")
+        last = self.attempts[-1]
+        remedy = f", with {last.beside}" if last.beside else ""
+        lines.append(
+            f"On held-out data, run by {self.run_by} itself: RMSE {self.before:.4g} → {last.rmse:.4g} "
+            f"{self.unit}, {last.ratio:.3f} times the diagnosed model's {self.model:.4g}{remedy}."
+        )
+        lines += [
+            f"  {j.name}: {j.before:.4g} → {j.after:.4g} {j.unit}, the diagnosed model {j.model:.4g}"
+            for j in self.joints
+        ]
+        if self.unheld:
+            lines.append(f"Neither file expresses {', '.join(self.unheld)}; both were run without.")
+        lines += [
+            f"  {attempt.beside or 'values alone'}: {attempt.ratio:.3f} times"
+            for attempt in self.attempts[:-1]
+        ]
+        return "\n".join(lines)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data (``labhil.patch/1``)."""
         return {

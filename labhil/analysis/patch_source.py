@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from labhil.analysis.dataset import Dataset, load_dataset
+from labhil.analysis.dataset import Dataset, RecordingLike, load_dataset
 from labhil.analysis.find_recording import find_recording
 from labhil.documents import parse_json, read_document
 from labhil.errors import ModelFileError, UsageError
 from labhil.physics.terms import keyed
 from labhil.recording.memory_maps import sha256_of_file
+from labhil.recording.recording import Recording
 from labhil.rig import RigFile
 from labhil.unreadable import RESULT, reason_unreadable
 
@@ -42,8 +43,8 @@ class PatchSource:
     values: Mapping[str, float]
     promised: float
     horizon: float | None
-    search: tuple[Path, ...]
-    test: tuple[Path, ...]
+    search: tuple[RecordingLike, ...]
+    test: tuple[RecordingLike, ...]
     channels: tuple[float, ...] = ()
     span: tuple[float, float] | None = None
     max_samples: int | None = None
@@ -55,8 +56,15 @@ class PatchSource:
         )
 
 
-def read_patch_source(path: Path) -> PatchSource:
+def read_patch_source(path: Path, recordings: Sequence[Recording] = ()) -> PatchSource:
     """Read the JSON of a diagnosis or a fit.
+
+    Args:
+        path: The file.
+        recordings: Recordings that were read already; the file's others are read where it says.
+
+    Returns:
+        What is to be patched, and the recordings to check it on.
 
     Raises:
         ModelFileError: It is neither, or a file cannot hold its answer.
@@ -76,14 +84,14 @@ def read_patch_source(path: Path) -> PatchSource:
             "that: diagnose again with what you know of it among the terms"
         )
     try:
-        return _read_fields(data, path)
+        return _read_fields(data, path, {recording.sha256: recording for recording in recordings})
     except (KeyError, TypeError, ValueError) as error:
         raise ModelFileError(
             f"{path}: expected values and an error on held-out data, found none ({error!r})"
         ) from error
 
 
-def _read_fields(data: Mapping[str, Any], path: Path) -> PatchSource:
+def _read_fields(data: Mapping[str, Any], path: Path, read: Mapping[str, Recording]) -> PatchSource:
     if data["schema"] == DIAGNOSIS:
         rows, scored = data["final"]["parameters"], data["improvement"]
         promised, name = scored["rmse_after"], "rmse_after"
@@ -97,8 +105,8 @@ def _read_fields(data: Mapping[str, Any], path: Path) -> PatchSource:
         {keyed(row["name"], row.get("joint")): float(row["value"]) for row in rows},
         float(promised),
         None if scored["horizon"] is None else float(scored["horizon"]),
-        _recordings(path, training),
-        _recordings(path, tests),
+        _recordings(path, training, read),
+        _recordings(path, tests, read),
         tuple(float(row[name]) for row in scored["per_channel"]),
         _span_of(training),
         max(int(row["samples"]) for row in data["recordings"]),
@@ -113,10 +121,15 @@ def _span_of(training: Sequence[Mapping[str, Any]]) -> tuple[float, float] | Non
     return start, start + duration * (1.0 + ROUNDING)
 
 
-def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ...]:
-    """Paths of recordings, as stated or beside the result, whose hashes are checked."""
-    paths = []
+def _recordings(
+    path: Path, rows: Sequence[Mapping[str, Any]], read: Mapping[str, Recording]
+) -> tuple[RecordingLike, ...]:
+    """Recordings that were read already, else checked paths, as stated or beside the result."""
+    found: list[RecordingLike] = []
     for row in rows:
+        if row["sha256"] in read:
+            found.append(read[row["sha256"]])
+            continue
         stated = Path(row["path"])
         file = find_recording(path, stated, row["sha256"])
         if file is None:
@@ -126,5 +139,5 @@ def _recordings(path: Path, rows: Sequence[Mapping[str, Any]]) -> tuple[Path, ..
             )
         if sha256_of_file(file) != row["sha256"]:
             raise UsageError(f"{file}: expected the recording that {path} was made from, found another")
-        paths.append(file)
-    return tuple(paths)
+        found.append(file)
+    return tuple(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from labhil.analysis.arm_patching import repair_arm
@@ -22,6 +22,7 @@ from labhil.analysis.patch_source import PatchSource, read_patch_source
 from labhil.analysis.python_patching import PythonBench, split_name
 from labhil.errors import UsageError
 from labhil.physics.rigs import keeping_declarations
+from labhil.recording.recording import Recording
 from labhil.rig import RigFile
 from labhil.simulators.mjcf_file import load_model
 
@@ -33,6 +34,7 @@ def patch(
     rig_file: Path | RigFile | None = None,
     *,
     holdout: float = 0.3,
+    recordings: Sequence[Recording] = (),
     progress: Callable[[str], None] = lambda text: None,
 ) -> Patch:
     """Write a repaired copy of a file, if its error on held-out data is that of the diagnosed model.
@@ -43,6 +45,7 @@ def patch(
         out: The new file; nothing may be there.
         rig_file: The rig file of the diagnosis, or its path, where it had one.
         holdout: The share that was held out.
+        recordings: Those of the result that were read already.
         progress: Called with a line of text before each stage.
 
     Returns:
@@ -55,7 +58,7 @@ def patch(
     for path in (out, companion_path(out)):
         if path.exists():
             raise UsageError(f"{path}: expected a new file, found one there; nothing is overwritten")
-    source = read_patch_source(result)
+    source = read_patch_source(result, recordings)
     with keeping_declarations():
         if into.suffix == FMU_SUFFIX:
             return _repair(FmuBench.read(into, rig_file), source, out, holdout, progress)

@@ -18,10 +18,12 @@ from labhil.extras import require_analysis
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+    from labhil.analysis.dataset import Dataset
     from labhil.analysis.patch import Patch
     from labhil.analysis.saved_model import SavedModel
     from labhil.analysis.schema import Parameters, Source
     from labhil.api.model import Model
+    from labhil.recording.recording import Recording as FileRecording
     from labhil.rig import RigFile
 
 
@@ -157,8 +159,16 @@ class ComputedPart(Protocol):
         """Whether it was not ended early."""
 
 
+class ComputedStudy(Protocol):
+    """What the samples of all computed results have."""
+
+    @property
+    def dataset(self) -> Dataset:
+        """The recordings."""
+
+
 P = TypeVar("P", bound=ComputedPart)
-S = TypeVar("S")
+S = TypeVar("S", bound=ComputedStudy)
 
 
 class ComputedResult(Result, Generic[P, S]):
@@ -218,15 +228,28 @@ class ComputedResult(Result, Generic[P, S]):
             the errors before and after; ``to_dict()`` is what ``--json`` writes.
 
         Raises:
-            UsageError: The new file exists, the files do not belong together, or the repaired file's error is
-                more than 1.05 times the model's. Nothing is written then.
+            UsageError: The new file exists, the files do not belong together, a result that was loaded names
+                a recording that is not there, or the repaired file's error is more than 1.05 times the
+                model's. Nothing is written then.
         """
         require_analysis("a patch")
         from labhil.analysis.patching import patch
 
         with TemporaryDirectory() as folder:
             result = self.save(Path(folder) / "result.json")
-            return patch(result, path_of(into, "into"), path_of(out, "out"), rig_file(rig), holdout=holdout)
+            return patch(
+                result,
+                path_of(into, "into"),
+                path_of(out, "out"),
+                rig_file(rig),
+                holdout=holdout,
+                recordings=self._recordings_read(),
+            )
+
+    def _recordings_read(self) -> list[FileRecording]:
+        """Return the recordings themselves; none where the result was loaded or pickled."""
+        study = self._study
+        return [] if study is None else [recording for recording, _, _ in study.dataset.recordings]
 
     @property
     def study(self) -> S:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from labhil.commands.json_flag import JsonFlagCommand, JsonOption
 from labhil.console import deliver, refuse_unwritable
 from labhil.terminal import show, status
-
-if TYPE_CHECKING:
-    from labhil.analysis.patch import Patch
 
 
 def add_patch(app: typer.Typer) -> None:
@@ -49,28 +46,4 @@ def patch(
     refuse_unwritable(json_path)
     with status() as progress:
         patched = patch_file(result, into, out, rig, holdout=holdout, progress=progress)
-    deliver(patched.to_dict(), json_path, lambda: _show(patched))
-
-
-def _show(patched: Patch) -> None:
-    """Print the difference, each changed value, and the error of the file."""
-    lines = [patched.diff.rstrip("\n")]
-    if patched.companion is not None:
-        lines.append(f"{patched.companion}: terms that the file cannot express: {', '.join(patched.left)}")
-    last = patched.attempts[-1]
-    remedy = f", with {last.beside}" if last.beside else ""
-    lines.append(
-        f"On held-out data, run by {patched.run_by} itself: RMSE {patched.before:.4g} → {last.rmse:.4g} "
-        f"{patched.unit}, {last.ratio:.3f} times the diagnosed model's {patched.model:.4g}{remedy}."
-    )
-    lines += [
-        f"  {j.name}: {j.before:.4g} → {j.after:.4g} {j.unit}, the diagnosed model {j.model:.4g}"
-        for j in patched.joints
-    ]
-    if patched.unheld:
-        lines.append(f"Neither file expresses {', '.join(patched.unheld)}; both were run without.")
-    lines += [
-        f"  {attempt.beside or 'values alone'}: {attempt.ratio:.3f} times"
-        for attempt in patched.attempts[:-1]
-    ]
-    show(*lines)
+    deliver(patched.to_dict(), json_path, lambda: show(str(patched)))

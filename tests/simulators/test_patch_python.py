@@ -79,12 +79,16 @@ def written(folder: Path, kind: str) -> tuple[Path, lh.Simulator]:
     return path, simulator
 
 
-def fitted(rig: lh.Simulator, folder: Path, *, seconds: float = 12.0) -> lh.Fit:
+def recorded(rig: lh.Simulator, *, seconds: float = 12.0) -> lh.Recording:
     random = np.random.default_rng(5)
     t = np.arange(0.0, seconds, PERIOD)
     u = torques(t, random)
     angle = swung(t, u, dry=DRY, late=LATE) + 1e-3 * random.standard_normal(len(t))
-    lh.recording(t, {"torque": u}, {"angle": angle}, rig=rig).save(folder / "run.mcap")
+    return lh.recording(t, {"torque": u}, {"angle": angle}, rig=rig)
+
+
+def fitted(rig: lh.Simulator, folder: Path) -> lh.Fit:
+    recorded(rig).save(folder / "run.mcap")
     return lh.fit(lh.read(folder / "run.mcap"), rig, terms=["coulomb_friction", "time_delay"])
 
 
@@ -122,6 +126,20 @@ def test_a_result_takes_the_simulator_or_the_model_that_it_was_found_with(tmp_pa
     known = fit.patch(f"{path}:pendulum", tmp_path / "known.py", rig=model)
     assert known.attempts[-1].ratio <= MAX_ERROR_RATIO
     assert f"{GRAVITY:g}" in {change.after for change in known.changes}
+
+
+@pytest.mark.extended
+def test_a_recording_that_was_never_saved_serves_as_well_until_the_result_is_loaded(tmp_path: Path) -> None:
+    path, rig = written(tmp_path, "rates")
+    fit = lh.fit(recorded(rig), rig, terms=["coulomb_friction", "time_delay"])
+    found = fit.patch(f"{path}:pendulum", tmp_path / "fixed.py", rig=rig)
+    assert "run by Python itself: RMSE" in str(found)
+    assert found.attempts[-1].ratio <= MAX_ERROR_RATIO
+    fit.save(tmp_path / "fit.json")
+    loaded = lh.load(tmp_path / "fit.json")
+    assert isinstance(loaded, lh.Fit)
+    with pytest.raises(UsageError, match="names the recording arrays, which is not there"):
+        loaded.patch(f"{path}:pendulum", tmp_path / "again.py", rig=rig)
 
 
 def simulated_error(rig: lh.Simulator, functions: object) -> float:
