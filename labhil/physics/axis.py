@@ -13,7 +13,6 @@ import copy
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from labhil.physics import sliding
 from labhil.physics.drive_balance import DEFAULT_CUT_OFF, Balance, DriveMotion
@@ -26,6 +25,7 @@ from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
+from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -42,8 +42,6 @@ INITIAL_STATE_SPAN = 0.05
 class Sizes:
     """First estimates of the axis' parameters before a fit (SI), for starts and scales.
 
-    The balance of forces is regressed in its weak form (Shinbrot 1957), so no noisy signal is differentiated.
-
     Args:
         record: The recording; None for default sizes.
         gain: Force per unit of the input.
@@ -59,11 +57,8 @@ class Sizes:
         self.span = max(float(np.ptp(recording.outputs[:, 0])) for recording in recordings) or 1.0
         speeds = np.concatenate([_speeds(recording) for recording in recordings])
         self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        weak = np.vstack([_weak_form(recording, gain, test_width) for recording in recordings])
-        norms = np.maximum(np.linalg.norm(weak, axis=0), 1e-300)
-        balance = np.linalg.lstsq(weak[:, 1:] / norms[1:], weak[:, 0], rcond=None)[0] / norms[1:]
-        mass, drag = balance[:2]
-        self.mass = float(mass) if mass > 0.0 else self.force / (self.speed / test_width)
+        mass, drag = regress_mass_and_drag(recordings, gain, test_width)
+        self.mass = mass if mass > 0.0 else self.force / (self.speed / test_width)
         self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 and drag > 0.0 else 0.5
 
     @property
@@ -81,31 +76,6 @@ def _speeds(record: Record) -> FloatArray:
     """Velocities (m,) by differences over 0.05 s, long enough to average noise."""
     stride = _stride(record)
     return np.asarray(np.diff(record.outputs[::stride, 0]) / np.diff(record.t[::stride]))
-
-
-def _weak_form(record: Record, gain: float, test_width: float) -> FloatArray:
-    """Balance of forces under test functions φ: drive, mass, drag, dry friction, spring and bias, (m, 6).
-
-    F = M·ẍ + c·ẋ + T·sgn ẋ + k·x + b is multiplied by φ and integrated by parts; φ and its first two
-    derivatives vanish at both ends.
-    """
-    u, x = gain * record.inputs[:, 0], record.outputs[:, 0] - record.outputs[0, 0]
-    half = max(4, min(int(0.5 * test_width / record.period), (len(record) - 1) // 4))
-    s = np.arange(-half, half + 1) / half
-    width, well = half * record.period, 1.0 - s * s
-    functions = {0: well**3, 1: -6.0 * s * well**2 / width, 2: 6.0 * well * (5.0 * s * s - 1.0) / width**2}
-    side = np.sign(np.gradient(_smooth(x, _stride(record))))
-    columns = ((u, 0, 1.0), (x, 2, 1.0), (x, 1, -1.0), (side, 0, 1.0), (x, 0, 1.0), (np.ones_like(x), 0, 1.0))
-    hop = max(half // 2, 1)
-    stretches = (sliding_window_view(values, len(s))[::hop] for values, _, _ in columns)
-    weighted = zip(stretches, columns, strict=True)
-    return np.column_stack([sign * (values @ functions[order]) for values, (_, order, sign) in weighted])
-
-
-def _smooth(x: FloatArray, width: int) -> FloatArray:
-    """Moving average over 2·width + 1 samples."""
-    kernel = np.ones(2 * width + 1) / (2 * width + 1)
-    return np.asarray(np.convolve(np.pad(x, width, mode="edge"), kernel, mode="valid"))
 
 
 def catalogue(s: Sizes) -> dict[str, Term]:

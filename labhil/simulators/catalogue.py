@@ -13,6 +13,7 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.record import Record
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
+from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.signals import FloatArray
 
 
@@ -43,6 +44,7 @@ class Sizes:
         gain: float,
         *,
         periods: float = 1.0,
+        time_constants: float = 3.0,
         min_samples: float = 40.0,
     ) -> Sizes:
         """Measure the scales in a recording.
@@ -54,6 +56,8 @@ class Sizes:
             gain: Acceleration per unit of the input.
             periods: Length of the horizon in periods of the measured motion. One: a pendulum that passes its
                 upper rest soon forgets its past.
+            time_constants: Longest horizon in time constants of inertia and viscous friction, after which an
+                error of the velocity is forgotten.
             min_samples: Shortest horizon in sampling periods.
 
         Returns:
@@ -71,8 +75,15 @@ class Sizes:
             * np.pi
             * (float(np.std(record.outputs[:, 0])) / speed if has_position else speed / acceleration)
         )
-        horizon = min(max(periods * period, min_samples * record.period), record.max_horizon)
+        memory = time_constants * _time_constant(record, 0.25 * period) if has_position else np.inf
+        horizon = min(max(min(periods * period, memory), min_samples * record.period), record.max_horizon)
         return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon)
+
+
+def _time_constant(record: Record, test_width: float) -> float:
+    """Inertia over viscous friction, s; infinite where the recording shows none."""
+    inertia, drag = regress_mass_and_drag(record.recordings(), 1.0, test_width)
+    return inertia / drag if inertia * drag > 0.0 else np.inf
 
 
 def _stride(record: Record) -> int:

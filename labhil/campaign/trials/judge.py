@@ -79,8 +79,13 @@ class JudgedTrial:
 
     @property
     def reports_mismatch(self) -> bool:
-        """Whether the answer reports a mismatch; of a disturbed rig, one that it explains."""
-        return self.verdict != "no_mismatch" and not (self.disturbed and self.verdict in UNNAMED)
+        """Whether the answer reports missing physics or an unexplained mismatch; of a disturbed rig, physics.
+
+        A changed value is neither: only a user's own simulator states values, which are not the plant's.
+        """
+        if self.verdict in ("no_mismatch", "parameter_change"):
+            return False
+        return not (self.disturbed and self.verdict in UNNAMED)
 
 
 @dataclass(frozen=True, slots=True)
