@@ -78,6 +78,7 @@ def test_a_mismatch_without_a_name_is_no_false_alarm_where_something_disturbs(an
     assert alarms == {"no_mismatch": False, "unexplained_mismatch": False, "missing_physics": True}
     calm = replace(answer, conditions={})
     assert judge(calm, StatedAnswer("unexplained_mismatch"), never).reports_mismatch
+    assert not judge(calm, StatedAnswer("parameter_change"), never).reports_mismatch
 
 
 @pytest.mark.parametrize(("rig", "word"), [("dc_motor", "wind"), ("ur5", "force")])
