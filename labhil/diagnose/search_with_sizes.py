@@ -119,11 +119,10 @@ def _with_stated_sizes(
     sizes = _sizes(data.model, reference)
     if not sizes or not _can_be_beaten(data, free.final, len(sizes)):
         return free
-    held = replace(data, held=sizes, window=free.final.window)
-    if not is_strongly_favoured(free.final, _hold_sizes(held, free.final)):
+    held = replace(data, held=sizes)
+    if not is_strongly_favoured(free.final, _hold_sizes(_like(held, free.final), free.final)):
         return free
     progress("the same with the sizes of the given model held")
-    held = replace(data, held=sizes)
     result = search_structures(held, fit_baseline(held, terms), progress, rival=free.final)
     return _likelier(data, free, result) if result.complete else replace(free, complete=False)
 
@@ -147,8 +146,12 @@ def _hold_sizes(data: Data, fitted: Fitted) -> Fitted:
 
 def _refit_like(data: Data, fitted: Fitted, like: Fitted) -> Fitted:
     """Refit on the windows of another fit, ``like``."""
-    data_like = replace(data, model=fitted.problem.model, window=like.window)
-    return refit_on_windows(data_like, fitted)
+    return refit_on_windows(replace(_like(data, like), model=fitted.problem.model), fitted)
+
+
+def _like(data: Data, fitted: Fitted) -> Data:
+    """The data with the windows and the noise of a fit: fits are compared in the same units."""
+    return replace(data, window=fitted.window, sigma=fitted.problem.sigma)
 
 
 def _sizes(model: Model, reference: Mapping[str, float]) -> frozenset[str]:
