@@ -70,13 +70,10 @@ def search_structures(
             begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
-            if rival is not None and is_strongly_favoured(
-                refit_on_windows(replace(stage, held=frozenset()), rival), finished[-1].best
-            ):
-                lost = True
-                break
+            lost = rival is not None and _is_beaten(finished[-1], rival)
             # where something is named, longer windows add up what is missing beside it; else they may show it
-            if finished[-1].state.best and finished[-1].best.noise > options.max_residual_in_noise:
+            named = finished[-1].state.best and finished[-1].best.noise > options.max_residual_in_noise
+            if lost or named:
                 break
     except EndedEarly:
         accept()
@@ -87,13 +84,18 @@ def search_structures(
     result = None
     try:
         result = _validated_claims(finished[-1], options, n_candidates)
-        if lost:
-            return result
-        if complete:
+        if complete and not lost:
             return _with_force_curve(data, result, finished[-1].data.window, correlation, progress)
     except EndedEarly:
         accept()
-    return replace(result or _validated_claims(finished[-1], options, n_candidates), complete=False)
+        complete = False
+    return replace(result or _validated_claims(finished[-1], options, n_candidates), complete=complete)
+
+
+def _is_beaten(stage: Stage, rival: Fitted) -> bool:
+    """Whether a rival with all sizes free is very strongly favoured over the best structure of a stage."""
+    free = replace(stage.data, held=frozenset())
+    return is_strongly_favoured(refit_on_windows(free, rival), stage.best)
 
 
 def _validated_claims(stage: Stage, options: SearchOptions, n_candidates: int) -> SearchResult:
