@@ -41,7 +41,7 @@ from labhil.identify.statistics import Estimate
 from labhil.identify.table import table_of
 from labhil.physics.model import Model, terms_named
 from labhil.physics.record import Record
-from labhil.physics.terms import unkeyed
+from labhil.physics.terms import listed, unkeyed
 
 VERDICT_ALPHA = 5e-4
 """Level α of the verdict: the accepted probability of a false alarm."""
@@ -86,7 +86,7 @@ def diagnose(
     """
     began = time.perf_counter()
     data = prepare_data(model, searched, held_out, reference)
-    progress(f"fitting the baseline: {', '.join(baseline)}")
+    progress(f"fitting the baseline: {', '.join(listed(baseline))}")
     terms = [term.key for term in terms_named(model, baseline)]
     data, base, ended_early = fit_baseline_and_noise(data, terms)
     record = data.search if measured is None else measured

@@ -120,10 +120,12 @@ def _with_stated_sizes(
     if not sizes or not _can_be_beaten(data, free.final, len(sizes)):
         return free
     held = replace(data, held=sizes)
-    if not is_strongly_favoured(free.final, _hold_sizes(_like(held, free.final), free.final)):
+    same = _hold_sizes(_like(held, free.final), free.final)
+    if not is_strongly_favoured(free.final, same):
         return free
     progress("the same with the sizes of the given model held")
-    result = search_structures(held, fit_baseline(held, terms), progress, rival=free.final)
+    baseline = fit_baseline(held, terms)
+    result = search_structures(held, baseline, progress, others=[same], rival=free.final)
     return _likelier(data, free, result) if result.complete else replace(free, complete=False)
 
 

@@ -22,6 +22,7 @@ from labhil.diagnose.structures.marginal import (
     build_gram_matrices,
     extended_evidence,
     log_evidence,
+    solve,
 )  # fmt: skip
 from labhil.diagnose.structures.stages import search_structures
 from labhil.diagnose.structures.state import Exchange, RefittedStructure, SearchState, rivals_of
@@ -140,7 +141,9 @@ def test_what_one_more_block_promises_is_what_the_evidence_is_with_it() -> None:
     seen = disturbed(matrix, modes, (1.0, 10.0)).with_precisions(blocks)
     start = Batch(np.array([[1], [2]]), np.array([[0], [0]]), np.array([[False], [False]]))
     for block, positive in (([3], [True]), ([4, 5], [False, False])):
-        logs, calm = extended_evidence(seen, start, np.array([block]), np.array([positive]))
+        logs, calm = extended_evidence(
+            seen, start, solve(seen, start), np.array([block]), np.array([positive])
+        )
         for s, first in enumerate((1, 2)):
             longer = one([first, *block], [0, *[1] * len(block)], [False, *positive])
             expected, undisturbed_too, _ = log_evidence(seen, longer)

@@ -19,7 +19,7 @@ from labhil.analysis.dataset import Dataset
 from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import refit
-from labhil.diagnose.structures.enumerate import candidates
+from labhil.diagnose.structures.prior import candidates
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import score, scored_horizon
 from labhil.identify.table import table_of

@@ -14,7 +14,7 @@ from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.diagnose.structures.enumerate import Structure, closure
+from labhil.diagnose.structures.prior import Structure, closure
 from labhil.diagnose.structures.state import (
     SearchState,
     alternatives,

@@ -23,14 +23,8 @@ from labhil.diagnose.curve import (
 from labhil.diagnose.force_curve import given_coordinates, motion_coordinates, position_variants
 from labhil.diagnose.judge import Data
 from labhil.diagnose.search_result import FittedCurve
-from labhil.diagnose.structures.enumerate import (
-    EVIDENCES,
-    MIN_RELEVANCE,
-    Choice,
-    Enumeration,
-    Prediction,
-    Structure,
-)
+from labhil.diagnose.structures.enumerate import EVIDENCES, MIN_RELEVANCE, Choice, Enumeration, Prediction
+from labhil.diagnose.structures.prior import Structure
 from labhil.diagnose.structures.responses import CurveResponse, compute_responses
 from labhil.identify.extended import UNMODELLED_FORCE, Coordinate
 from labhil.identify.fitted import Fitted, fit_terms, with_only

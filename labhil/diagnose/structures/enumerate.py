@@ -9,18 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, combinations
-from math import comb, inf, log
+from math import inf, log
 from typing import Protocol
 
 import numpy as np
 
-from labhil.diagnose.structures.marginal import Batch, extended_evidence, log_evidence
+from labhil.diagnose.structures.marginal import Batch, extended_evidence, log_evidence, solve
+from labhil.diagnose.structures.prior import Structure, TermTable, closure, log_prior
 from labhil.diagnose.structures.responses import Responses, Variant
 from labhil.physics.model import Model
 from labhil.signals import BoolArray, FloatArray
-
-Structure = frozenset[str]
-"""Keys of the terms that are added to the baseline."""
 
 NOISE_RMS_TOLERANCE = 1.1
 """RMS of residuals in noise levels that counts as noise: noise levels are known to about ten per cent."""
@@ -44,7 +42,7 @@ class BeamOptions:
         patience: the search ends after so many sizes in a row without a better structure. More than one,
             since two terms may help together although neither helps alone.
         evaluated_per_width: extended structures that are evaluated exactly, over the width.
-        ranked_per_width: extended structures whose prior is added for a ranking, over the width.
+        ranked_per_width: extended structures that are compared by predicted evidence, over the width.
     """
 
     width: int = 40
@@ -119,35 +117,6 @@ def relevance(without_term: FloatArray, with_term: FloatArray, affected: BoolArr
     return explained / beyond_noise if beyond_noise > 0.0 else inf
 
 
-def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:
-    """Every absent term, preceded by the absent terms that it builds on (Stribeck on Coulomb friction)."""
-    absent = [name for name in model.terms if name not in present]
-    return [(*(t for t in model.terms[name].with_terms if t in absent), name) for name in absent]
-
-
-def closure(model: Model, terms: Iterable[str], baseline: frozenset[str]) -> Structure:
-    """Complete a set of terms by those that they build on, and leave out the terms of the baseline."""
-    chosen = frozenset(terms)
-    return frozenset({*chosen, *(t for term in chosen for t in model.terms[term].with_terms)}) - baseline
-
-
-def log_prior(model: Model, structure: Structure, n_candidates: int) -> float:
-    """Log prior probability of a structure, up to a constant.
-
-    Every number of terms is half as probable as one less, and all structures with the same number of terms
-    are equally probable (Chen and Chen 2008, extended BIC with γ = 1). Terms that others build on do not
-    count.
-
-    Args:
-        model: the model, whose terms state what they build on.
-        structure: keys of the added terms.
-        n_candidates: number of terms that may be added.
-    """
-    carried = {t for term in structure if term in model.terms for t in model.terms[term].with_terms}
-    count = len(structure - carried)
-    return -count * log(2.0) - log(comb(max(n_candidates, count), count))
-
-
 @dataclass(frozen=True, slots=True)
 class Enumeration:
     """Evidence of all structures on one linearisation of a fit.
@@ -186,7 +155,7 @@ class Enumeration:
         carried = {t for term in terms for t in term.with_terms}
         return {
             v.term: relevance(
-                self._residual_mean_squares([variant for variant in choice if variant is not v]),
+                self._residual_mean_squares(tuple(variant for variant in choice if variant is not v)),
                 with_term,
                 self.responses.affected_outputs(v),
             )
@@ -194,9 +163,9 @@ class Enumeration:
             if v.term not in carried
         }
 
-    def _residual_mean_squares(self, choice: Sequence[Variant]) -> FloatArray:
+    def _residual_mean_squares(self, choice: Choice) -> FloatArray:
         """Predicted mean squares (c,) of a structure's residuals; cached."""
-        key = frozenset(v.first for v in choice)
+        key = _key(choice)
         if key not in self.residual_cache:
             self.residual_cache[key] = self.responses.grams.residual_mean_squares(
                 [p for v in choice for p in v.places]
@@ -243,14 +212,12 @@ class Enumeration:
         return [first[s] for s in dict.fromkeys(p.structure for p in ranked)][: self.options.width]
 
     def _predict(self, choice: Choice, value: float, undisturbed: float, sizes: FloatArray) -> Prediction:
-        structure = frozenset(v.term for v in choice)
         prior = self._log_prior(choice)
-        return Prediction(structure, float(value + prior), float(undisturbed + prior), choice, sizes)
+        return Prediction(_terms(choice), float(value + prior), float(undisturbed + prior), choice, sizes)
 
     def _log_prior(self, choice: Choice) -> float:
         """Log prior of a structure and of the variants of its terms."""
-        ways = sum(log(len(self.responses.variants[v.term])) for v in choice)
-        return log_prior(self.model, frozenset(v.term for v in choice), self.n_candidates) - ways
+        return log_prior(self.model, _terms(choice), self.n_candidates) - float(self._log_ways([choice])[0])
 
     @staticmethod
     def _keep_better(reached: dict[Structure, Prediction], predictions: Iterable[Prediction]) -> None:
@@ -278,7 +245,7 @@ class Enumeration:
         return list({_key(seed): seed for seed in seeds if self._is_closed(seed)}.values())
 
     def _is_closed(self, choice: Choice) -> bool:
-        terms = frozenset(v.term for v in choice)
+        terms = _terms(choice)
         return closure(self.model, terms, self.baseline) == terms
 
     def _extend_beam(
@@ -289,20 +256,17 @@ class Enumeration:
     ) -> list[Choice]:
         """Structures of the beam with one more term and the terms it builds on, by predicted evidence.
 
-        The prediction keeps the priors of the structure that is extended, which few terms would change.
+        The prediction keeps the prior widths of the structure that is extended, which few terms would change.
         """
-        predicted = dict[frozenset[tuple[str, int]], tuple[FloatArray, Choice]]()
+        predicted = dict[frozenset[int], tuple[FloatArray, Choice]]()
         added = self._additions(order)
         for width in sorted({_width(choice) for choice in beam}):
             choices = [choice for choice in beam if _width(choice) == width]
-            for choice, addition, logs in self._rank_additions(choices, added):
-                longer = (*choice, *addition)
-                if len(longer) > self.options.max_terms or frozenset(v.term for v in longer) in reached:
-                    continue
-                best = predicted.get(_key(longer))
+            for key, longer, logs in self._rank_additions(choices, added, reached):
+                best = predicted.get(key)
                 if best is None or logs.max() > best[0].max():
-                    predicted[_key(longer)] = (logs, longer)
-        chosen = dict[frozenset[tuple[str, int]], Choice]()
+                    predicted[key] = (logs, longer)
+        chosen = dict[frozenset[int], Choice]()
         for kind in range(len(EVIDENCES)):
             ranked = sorted(predicted.items(), key=lambda item: -float(item[1][0][kind]))
             evaluated = self.options.evaluated_per_width * self.options.width
@@ -321,31 +285,30 @@ class Enumeration:
         return additions
 
     def _rank_additions(
-        self, choices: Sequence[Choice], added: Sequence[Choice]
-    ) -> Iterator[tuple[Choice, Choice, FloatArray]]:
-        """Choices of one width, the additions that apply to them, and both predictions of log evidence."""
-        batch = _batch(choices, _width(choices[0]))
+        self, choices: Sequence[Choice], added: Sequence[Choice], reached: Mapping[Structure, object]
+    ) -> Iterator[tuple[frozenset[int], Choice, FloatArray]]:
+        """Choices of one width with the additions that apply to them, and both predicted log evidences."""
+        grams, batch = self.responses.grams, _batch(choices, _width(choices[0]))
+        solved, table = solve(grams, batch), TermTable(self.model, self.baseline)
+        terms, keys = [_terms(choice) for choice in choices], [_key(choice) for choice in choices]
         for width in sorted({_width(addition) for addition in added}):
             same = [addition for addition in added if _width(addition) == width]
+            added_terms, added_keys = [_terms(a) for a in same], [_key(a) for a in same]
             places = np.array([[p for v in addition for p in v.places] for addition in same], dtype=np.int64)
             positive = np.array([[s for v in addition for s in v.positive] for addition in same], dtype=bool)
-            logs = np.stack(extended_evidence(self.responses.grams, batch, places, positive), axis=-1)
-            logs[~self._is_applicable(choices, same)] = -np.inf
+            logs = np.stack(extended_evidence(grams, batch, solved, places, positive), axis=-1)
+            prior = table.log_priors(terms, added_terms, self.n_candidates)
+            logs += (prior - self._log_ways(choices)[:, None] - self._log_ways(same))[..., None]
+            logs[~table.may_be_added(terms, [a[-1].term for a in same], added_terms)] = -np.inf
             for i, j in _largest_indices(logs, self.options.ranked_per_width * self.options.width):
-                yield choices[i], same[j], logs[i, j] + self._log_prior((*choices[i], *same[j]))
+                structure = terms[i] | added_terms[j]
+                if len(structure) <= self.options.max_terms and structure not in reached:
+                    yield keys[i] | added_keys[j], (*choices[i], *same[j]), logs[i, j]
 
-    def _is_applicable(self, choices: Sequence[Choice], added: Sequence[Choice]) -> BoolArray:
-        """Whether each of V additions is one new term of each of S structures and all that it builds on."""
-        terms = [frozenset(v.term for v in choice) | self.baseline for choice in choices]
-        fits = np.empty((len(choices), len(added)), dtype=bool)
-        for j, addition in enumerate(added):
-            new, brought = addition[-1].term, {v.term for v in addition[:-1]}
-            carried = self.model.terms[new].with_terms
-            fits[:, j] = [
-                new not in structure and {t for t in carried if t not in structure} == brought
-                for structure in terms
-            ]
-        return fits
+    def _log_ways(self, choices: Sequence[Choice]) -> FloatArray:
+        """Log number (S,) of the choices of variants of the same terms."""
+        variants = self.responses.variants
+        return np.array([sum(log(len(variants[v.term])) for v in choice) for choice in choices])
 
 
 def _largest_indices(logs: FloatArray, most: int) -> list[tuple[int, int]]:
@@ -365,8 +328,13 @@ def _width(choice: Choice) -> int:
     return sum(len(v.keys) for v in choice)
 
 
-def _key(choice: Choice) -> frozenset[tuple[str, int]]:
-    return frozenset((v.term, v.first) for v in choice)
+def _key(choice: Choice) -> frozenset[int]:
+    """First columns of a structure's variants, which tell it from all others."""
+    return frozenset(v.first for v in choice)
+
+
+def _terms(choice: Choice) -> Structure:
+    return frozenset(v.term for v in choice)
 
 
 def _batch(choices: Sequence[Choice], width: int) -> Batch:

@@ -214,14 +214,14 @@ def log_evidence(grams: GramMatrices, batch: Batch) -> tuple[FloatArray, FloatAr
         evidence (S,) given that there is no disturbance; posterior means (S, k) of the parameters, in units
         of the responses, at the most probable size of the disturbance.
     """
-    solved = _solve(grams, batch)
+    solved = solve(grams, batch)
     best = np.argmax(solved.logs, axis=0)
     sizes = solved.sizes[best, np.arange(len(best))]
     return logsumexp(solved.logs, axis=0), solved.logs[0] - grams.log_prior[0], sizes
 
 
 def extended_evidence(
-    grams: GramMatrices, batch: Batch, places: IntArray, positive: BoolArray
+    grams: GramMatrices, batch: Batch, solved: StructureSolution, places: IntArray, positive: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Log evidence of every structure with each of V blocks added, by Schur complements.
 
@@ -230,6 +230,7 @@ def extended_evidence(
     Args:
         grams: inner products of all responses.
         batch: S structures of k responses.
+        solved: their solution.
         places: (V, w), columns of the responses of each block.
         positive: (V, w), whether a parameter cannot be negative.
 
@@ -237,7 +238,7 @@ def extended_evidence(
         Log evidence (S, V) as of `log_evidence`, at the most probable κ of the new block; the same (S, V)
         given that there is no disturbance.
     """
-    products, solved = grams.projected, _solve(grams, batch)
+    products = grams.projected
     cross = products[:, batch.columns[:, :, None, None], places]
     gradient = products[:, places, 0][:, None] + np.einsum("tskvw,tsk->tsvw", cross, solved.sizes)
     reduction = np.einsum("tskl,tslvw->tskvw", solved.inverse, cross, optimize=True)
@@ -275,7 +276,7 @@ class StructureSolution:
     penalised: FloatArray
 
 
-def _solve(grams: GramMatrices, batch: Batch) -> StructureSolution:
+def solve(grams: GramMatrices, batch: Batch) -> StructureSolution:
     """Solve all structures at each size of the disturbance, under the likelier of two priors."""
     totals = np.maximum(grams.projected[:, 0, 0], 1e-300)[:, None]
     weight = grams.log_weight[:, None]

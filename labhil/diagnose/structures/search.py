@@ -22,11 +22,10 @@ from labhil.diagnose.structures.enumerate import (
     Enumeration,
     HasLogEvidence,
     Prediction,
-    Structure,
-    candidates,
     relevance,
     with_disturbance,
 )
+from labhil.diagnose.structures.prior import Structure, candidates
 from labhil.diagnose.structures.responses import compute_responses
 from labhil.diagnose.structures.state import (
     Exchange,
@@ -38,6 +37,7 @@ from labhil.diagnose.structures.state import (
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
+from labhil.physics.terms import listed
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -169,7 +169,7 @@ class StructureSearch:
     def _linearise(self, state: SearchState, structure: Structure) -> None:
         """Linearise at a refitted structure, and predict the evidence of all others."""
         near = state.refitted[structure].fitted
-        self.progress(f"evidence of all structures, linearised at {', '.join(near.terms)}")
+        self.progress(f"evidence of all structures, linearised at {_described(structure)}")
         state.linearised.add(structure)
         state.enumeration = self._linearisation_at(near)
         state.predicted = state.enumeration.search_beam()
@@ -299,12 +299,21 @@ class StructureSearch:
         return BeamOptions(max_terms=len(added) + self.options.max_added_terms)
 
     def _refit_promising(self, state: SearchState, evidence: Callable[[HasLogEvidence], float]) -> None:
-        """Refit the structures of highest predicted evidence that were not refitted yet."""
+        """Refit the structures of highest predicted evidence that were not refitted yet.
+
+        Where all of these have a size at its bound, the best ones without these terms are refitted in turn:
+        a linearisation knows no bounds.
+        """
         least = evidence(state.refitted[state.best_by(evidence)]) - self.options.refit_margin
         predicted = state.corrected_predictions().values()
         new = [p for p in predicted if p.structure not in state.refitted and evidence(p) > least]
-        promising = sorted(new, key=evidence, reverse=True)[: self.options.max_refits]
-        self._refit_predicted(state, promising)
+        while new:
+            promising = sorted(new, key=evidence, reverse=True)[: self.options.max_refits]
+            self._refit_predicted(state, promising)
+            bounded = [state.refitted[p.structure].at_bound for p in promising]
+            if not all(bounded):
+                break
+            new = [p for p in new if p.structure.isdisjoint(frozenset().union(*bounded))]
 
     def _refit_predicted(self, state: SearchState, predicted: Sequence[Prediction]) -> None:
         """Refit structures from the fit where they were predicted, with their predicted values."""
@@ -317,7 +326,7 @@ class StructureSearch:
         """Refit structures from one fit, in parallel, with their predicted values."""
         values = [state.values_of(structure) for structure in structures]
         for structure in structures:
-            self.progress(f"refitting {', '.join(sorted(structure)) or 'the baseline'}")
+            self.progress(f"refitting {_described(structure)}")
         fits = side_by_side(lambda pair: self._refit(near, *pair), list(zip(structures, values, strict=True)))
         for fitted, begun in zip(fits, values, strict=True):
             self._record_better(state, fitted, begun)
@@ -370,7 +379,8 @@ class StructureSearch:
         choice = tuple(variants[t][0] for t in fitted.terms if t in structure and t in variants)
         prediction = enumeration.evaluate([choice])[0]
         # a size at its bound shows that the effect is of another kind
-        correction = 0.0 if self._within_bounds(fitted, structure) else -np.inf
+        at_bound = self._terms_at_bound(fitted, structure)
+        correction = -np.inf if at_bound else 0.0
         correction += convergence_deficit(fitted, enumeration.responses.grams.dof)
         state.refitted[structure] = RefittedStructure(
             fitted,
@@ -379,11 +389,15 @@ class StructureSearch:
             choice,
             enumeration,
             enumeration.relevance(choice),
+            at_bound,
         )
 
-    def _within_bounds(self, fitted: Fitted, structure: Structure) -> bool:
-        """Whether no size of the added terms is at a bound other than zero."""
+    def _terms_at_bound(self, fitted: Fitted, structure: Structure) -> Structure:
+        """The added terms with a size at a bound other than zero."""
         parameters, places = self.data.model.parameters, index_of(self.data.model.parameters)
-        sizes = [p for p in parameters if p.term in structure and not p.shape]
-        values = [float(fitted.theta[places[p.key]]) for p in sizes]
-        return not any(value and p.at_bound(value) for p, value in zip(sizes, values, strict=True))
+        sizes = [(p, float(fitted.theta[places[p.key]])) for p in parameters if not p.shape]
+        return frozenset(p.term for p, value in sizes if p.term in structure and value and p.at_bound(value))
+
+
+def _described(structure: Structure) -> str:
+    return "the baseline" + "".join(f" + {term}" for term in listed(sorted(structure)))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -18,7 +19,7 @@ from labhil.diagnose.search_result import SearchResult
 from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import estimate_spectral_noise
-from labhil.diagnose.structures.enumerate import candidates
+from labhil.diagnose.structures.prior import candidates
 from labhil.diagnose.structures.search import Progress, SearchOptions, StructureSearch
 from labhil.ending import EndedEarly, accept
 from labhil.identify.fitted import Fitted, fit_terms
@@ -36,6 +37,7 @@ def search_structures(
     progress: Progress,
     options: SearchOptions | None = None,
     *,
+    others: Sequence[Fitted] = (),
     rival: Fitted | None = None,
 ) -> SearchResult:
     """Find the terms that a fitted baseline lacks, by Bayesian model comparison.
@@ -45,6 +47,7 @@ def search_structures(
         baseline: fit of the baseline to the searched data.
         progress: is called with a line of text before each step.
         options: options of the search; None for the defaults.
+        others: fits of further structures to begin with.
         rival: a fit that the result has to beat. Where the short windows very strongly favour it, the search
             ends with them, without a nonparametric force.
 
@@ -59,7 +62,7 @@ def search_structures(
     try:
         nominal = {size.key: size.nominal for size in far_from_nominal(data, baseline)}
         for wanted in _window_lengths(data, options):
-            begin, length = [baseline], wanted
+            begin, length = [baseline, *others], wanted
             if finished:
                 begin, theta = finished[-1].leading_fits(), finished[-1].best.theta
                 data, correlation = _with_estimated_noise(data, finished[-1].best)

@@ -12,14 +12,8 @@ import numpy as np
 from scipy.special import expit
 
 from labhil.diagnose.search_result import Alternative, Rival
-from labhil.diagnose.structures.enumerate import (
-    Choice,
-    Enumeration,
-    Prediction,
-    Structure,
-    relevance,
-    with_disturbance,
-)
+from labhil.diagnose.structures.enumerate import Choice, Enumeration, Prediction, relevance, with_disturbance
+from labhil.diagnose.structures.prior import Structure
 from labhil.diagnose.structures.responses import linearise_to_flatter_side
 from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model
@@ -37,6 +31,7 @@ class RefittedStructure:
         choice: variant of each term.
         enumeration: the linearisation at the fit, with the responses of the fit's own terms.
         relevance: relevance of each term as that linearisation predicts it.
+        at_bound: terms with a size at its bound; with any, there is no evidence.
     """
 
     fitted: Fitted
@@ -45,6 +40,7 @@ class RefittedStructure:
     choice: Choice
     enumeration: Enumeration
     relevance: Mapping[str, float]
+    at_bound: Structure = frozenset()
 
     def affected_outputs(self, terms: Collection[str]) -> BoolArray:
         """Whether any of these terms changes an output, (c,)."""
