@@ -89,8 +89,10 @@ class XmlText:
         ]
 
     def set(self, element: Element, attribute: str, value: str, why: str) -> None:
-        """Set an attribute; the same value as before is no change."""
+        """Set an attribute; the same value as before is no change, also of one number among several."""
         before = self.current(element, attribute)
+        if before is not None:
+            value = _keep_equal_numbers(before, value)
         if before == value:
             return
         self._changed_attributes.setdefault(element.number, {})[attribute] = value
@@ -192,3 +194,17 @@ def _set_attribute(tag: bytes, name: str, value: str) -> bytes:
     end = re.search(rb"\s*/?>$", tag)
     at = len(tag) if end is None else end.start()
     return tag[:at] + b" " + name.encode() + b'="' + quoted + b'"' + tag[at:]
+
+
+def _keep_equal_numbers(before: str, after: str) -> str:
+    """The numbers of ``after``, as they stood before where they differ by no more than rounding."""
+    old, new = before.split(), after.split()
+    try:
+        numbers = [(float(a), float(b)) for a, b in zip(old, new, strict=True)]
+    except ValueError:
+        return after
+    rounding = 1e-9 * max((abs(b) for _, b in numbers), default=0.0)
+    return " ".join(
+        text if abs(a - b) <= rounding else changed
+        for text, changed, (a, b) in zip(old, new, numbers, strict=True)
+    )
