@@ -1,4 +1,4 @@
-"""Location of a mismatch: when it occurs, and in which range of which physical coordinate.
+"""Location of a mismatch: in which range of which physical coordinate it occurs; when, in ``error_times.py``.
 
 ``statements.py`` puts this into sentences; ``report/plots.py`` draws contributions over their coordinate.
 """
@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.diagnose.error_times import error_reduction
 from labhil.identify.fitted import Fitted
 from labhil.identify.score import Score
 from labhil.physics.extra_force import AcceptsExtraForce
-from labhil.physics.model import Metric, Model, index_of
+from labhil.physics.model import Model, index_of
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import unkeyed
 from labhil.signals import FloatArray
@@ -98,7 +99,7 @@ class HeldOut:
         It is summed over the outputs of a ``joint`` and those that belong to none; None takes all outputs.
         """
         columns = [j for j, c in enumerate(self.after.channels) if joint is None or c.joint in (None, joint)]
-        return np.asarray(_error_reduction(self.before, self.after)[:, columns].sum(axis=1))
+        return np.asarray(error_reduction(self.before, self.after)[:, columns].sum(axis=1))
 
 
 Motion = tuple[Record, Windows, FloatArray, np.ndarray]
@@ -214,8 +215,8 @@ def contribution(
     reduced = without_sizes(model, final.theta, term)
     along = model.coordinates(final.theta, record, windows, states)
     driven = model.drive_coordinates(reduced, record, windows, along)
-    values = model.generalised_force(final.theta, along) - model.generalised_force(
-        reduced, {**along, **driven}
+    values = _difference(
+        model.generalised_force(final.theta, along), model.generalised_force(reduced, {**along, **driven})
     )
     unit = model.force_unit if isinstance(model, AcceptsExtraForce) and np.any(values) else ""
     if not np.any(values) and driven:
@@ -229,6 +230,13 @@ def contribution(
     return _of_one_joint(
         model, final.theta, term, values, along, unit, joint if term_joint is None else term_joint
     )
+
+
+def _difference(with_term: FloatArray, without_term: FloatArray) -> FloatArray:
+    """The first less the second, (N, …); zero throughout where they differ by rounding only."""
+    difference = with_term - without_term
+    rounding = 1e-12 * np.max(np.abs(with_term), initial=0.0)
+    return difference if np.max(np.abs(difference), initial=0.0) > rounding else np.zeros_like(difference)
 
 
 def without_sizes(model: Model, theta: FloatArray, term: str) -> FloatArray:
@@ -351,47 +359,3 @@ def _runs(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """First bin of each run of chosen bins, and the bin after its last."""
     steps = np.diff(np.r_[0, chosen.astype(np.int64), 0])
     return np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-
-
-def times(
-    before: Score, after: Score, record: Record, most: int = 5, n_blocks: int = 12
-) -> tuple[tuple[tuple[float, float], ...], tuple[int, ...]]:
-    """List the ``most`` scored windows that together hold half of the error reduction, worst first.
-
-    A recording of a single window is cut into ``n_blocks``. Returned are begin and end (s) of each, and,
-    where there are several recordings, the number of each one's recording.
-    """
-    excess = _error_reduction(before, after).sum(axis=1)
-    pieces = [np.flatnonzero(before.window == w) for w in np.unique(before.window)]
-    if len(pieces) == 1 or after.metric is Metric.INVERSE_DYNAMICS:
-        blocks = max(n_blocks // len(pieces), 1)
-        pieces = [block for piece in pieces for block in np.array_split(piece, blocks)]
-    sums = np.array([excess[piece].sum() for piece in pieces])
-    order = np.argsort(sums)[::-1]
-    spans, numbers, held = [], list[int](), 0.0
-    for i in order[:most]:
-        if sums[i] <= 0 or held > 0.5 * sums[sums > 0].sum():
-            break
-        rows = before.rows[pieces[i]]
-        number, begin = record.own_time(int(rows[0]))
-        spans.append((begin, record.own_time(int(rows[-1]))[1]))
-        numbers.append(number)
-        held += float(sums[i])
-    return tuple(spans), tuple(numbers) if len(record.begins) > 1 else ()
-
-
-def _error_reduction(before: Score, after: Score) -> FloatArray:
-    """Reduction of the squared errors of each scored sample, in squared noise floors, (N, c)."""
-    floors = np.array([channel.noise_floor for channel in after.channels])
-    return np.asarray((before.errors / floors) ** 2 - (after.errors / floors) ** 2)
-
-
-def recording_shares(before: Score, after: Score) -> str:
-    """A sentence with the share of each of several recordings in the error reduction; "" of one recording."""
-    excess = _error_reduction(before, after).sum(axis=1)
-    sums = np.array([max(float(excess[recording.places].sum()), 0.0) for recording in after.recordings])
-    if not np.any(sums):
-        return ""
-    shares = 100.0 * sums / sums.sum()
-    parts = [f"{s:.0f} % in recording {r.recording}" for s, r in zip(shares, after.recordings, strict=True)]
-    return f" Of the excess error {', '.join(parts)}."

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labhil.diagnose import locate
+from labhil.diagnose import error_times, locate
 from labhil.diagnose.answer import Curve, Missing, RivalTerm, Undecided
 from labhil.diagnose.claim_probability import claim_probability
 from labhil.diagnose.conclude import DOUBTFUL_EXCESS
@@ -228,7 +228,7 @@ def location(
     return replace(
         place,
         statement=place.statement
-        + (AUGMENTED_SEARCH if augmented else locate.recording_shares(before, after)),
+        + (AUGMENTED_SEARCH if augmented else error_times.recording_shares(before, after)),
     )
 
 
@@ -240,7 +240,7 @@ def _named_location(result: SearchResult, before: Score, after: Score, held_out:
     terms = [step.terms[0] for step in result.missing]
     channel, joint = _channel(before, after)
     _, regimes = locate.locate_terms(result.final, terms, scores, joint)
-    times, recordings = locate.times(before, after, held_out)
+    times, recordings = error_times.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,
@@ -298,7 +298,7 @@ def _curve_location(
     along = model.coordinate.values(motion)[counted]
     regimes = locate.regimes({name: along}, np.interp(along, force_curve.x, force_curve.value) ** 2)
     channel, joint = _channel(before, after)
-    times, recordings = locate.times(before, after, held_out)
+    times, recordings = error_times.times(before, after, held_out)
     return locate.Location(
         channel=channel,
         joint=joint,

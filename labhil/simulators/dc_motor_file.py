@@ -34,10 +34,20 @@ def read_cogging(model: Any, actuator: int) -> dict[str, float]:
     }
 
 
-def cogging_numbers(values: Mapping[str, float], gear: float) -> tuple[float, float, float]:
-    """Return amplitude (N·m), number of poles and phase (rad) of the motor's attribute ``cogging``."""
+def cogging_numbers(
+    values: Mapping[str, float], gear: float, *, tolerance: float = 1e-3
+) -> tuple[float, float, float]:
+    """Return amplitude (N·m), number of poles and phase (rad) of the motor's attribute ``cogging``.
+
+    Args:
+        values: parameters of the effect cogging_torque by name.
+        gear: gear of the motor.
+        tolerance: relative error up to which the number of poles is a whole one, as a motor has it.
+    """
     sine, cosine = -values.get(SINE, 0.0) / gear, -values.get(COSINE, 0.0) / gear
     poles = values[ORDER] / gear
+    if abs(poles - round(poles)) <= tolerance * abs(poles):
+        poles = float(round(poles))
     if poles < 0.0:  # a gear that turns the motor the other way
         return hypot(sine, cosine), -poles, atan2(cosine, -sine)
     return hypot(sine, cosine), poles, atan2(cosine, sine)

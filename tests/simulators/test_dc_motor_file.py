@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labhil.errors import UsageError
-from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, read_cogging
+from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, cogging_numbers, read_cogging
 from labhil.simulators.mjcf import read_mechanism
 from labhil.simulators.patches import patch_mjcf
 from labhil.simulators.xml_text import XmlText
@@ -68,3 +68,9 @@ def test_cogging_that_a_result_does_without_is_taken_out(tmp_path: Path) -> None
 def test_a_motor_with_a_state_of_its_own_is_refused_with_a_remedy(tmp_path: Path, attribute: str) -> None:
     with pytest.raises(UsageError, match="leave inductance, thermal and lugre out"):
         rig_of(written(tmp_path, with_motor(attribute)))
+
+
+@pytest.mark.parametrize(("order", "poles"), [(11.9999, 12.0), (24.01, 24.0), (12.3, 12.3), (-11.9999, 12.0)])
+def test_a_motor_has_a_whole_number_of_poles(order: float, poles: float) -> None:
+    gear = -1.0 if order < 0.0 else 1.0
+    assert cogging_numbers({SINE: 1e-3, COSINE: 0.0, ORDER: abs(order)}, gear)[1] == poles
