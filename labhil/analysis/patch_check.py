@@ -16,6 +16,7 @@ from labhil.errors import UsageError
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, index_of, start_values
+from labhil.physics.warming import WARMS
 from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig
 from labhil.simulators.companion import sort_effects
@@ -96,11 +97,19 @@ class PatchCheck:
         )
 
 
+ADVICE = {
+    "added_inertia": "correct an inertia in the body or the parameter",
+    WARMS: "multiply the damping by exp(−rate·(T − 20 °C)) in each step of your simulation",
+}
+"""What to do by hand about effects that no file holds."""
+
+
 def refusal_of_unknown(into: Path, terms: tuple[str, ...]) -> UsageError:
     """Make the error where a file can hold some effects in no way."""
+    advice = "; ".join(ADVICE[term] for term in terms if term in ADVICE)
     return UsageError(
-        f"{into}: no way is known to write {', '.join(terms)} of this size into a file (correct an inertia "
-        "in the body or the parameter); nothing is written"
+        f"{into}: no way is known to write {', '.join(terms)} of this size into a file"
+        f"{advice and f' ({advice})'}; nothing is written"
     )
 
 

@@ -16,6 +16,7 @@ from labhil.compiled import specialised
 from labhil.physics import friction, sliding
 from labhil.physics.friction import Law
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion
+from labhil.signals import FloatArray
 
 Acceleration = Callable[[float, float, float, Any], float]
 """Maps (x, v, u, p) to the acceleration of the coordinate."""
@@ -42,9 +43,10 @@ class Pushes(NamedTuple):
 
 
 class Course(NamedTuple):
-    """No parameter changes along a recording."""
+    """What changes along a recording: viscous friction over that of ``law``, (n,)."""
 
-    nothing: float
+    change: FloatArray
+    law: Law
 
 
 def compile_laws_at_port(acceleration: Acceleration) -> Laws[Any, Any]:
@@ -77,7 +79,7 @@ def compile_laws_at_port(acceleration: Acceleration) -> Laws[Any, Any]:
         return frictionless(s, u, part), friction.break_away_force(s.x, pushes.load * abs(u), pushes.law)
 
     max_step = _compile_max_step(total)
-    return Laws(total, _no_target, _no_follower, _no_value, pull_and_hold, max_step, _no_damping, _same_part)
+    return Laws(total, _no_target, _no_follower, _no_value, pull_and_hold, max_step, _no_damping, _part_at)
 
 
 def _compile_max_step(
@@ -129,5 +131,8 @@ def _no_damping(s: Motion, side: float, part: Any) -> tuple[float, float]:
 
 
 @specialised
-def _same_part(part: Any, course: Any, k: int) -> Any:
-    return part
+def _part_at(part: Any, course: Any, k: int) -> Any:
+    """The part between samples k and k + 1."""
+    p, of = part
+    law = friction.scale_viscous(course.law, course.change[k])
+    return p, Pushes(of.extra, law, of.share, of.load, of.stiff, of.quick)

@@ -25,6 +25,7 @@ from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
+from labhil.physics.warming import RATE, viscous_change, warming_friction
 from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
@@ -32,8 +33,8 @@ from labhil.signals import FloatArray
 HORIZON_TIME_CONSTANTS = 3.0
 """Scored horizon in time constants of mass and viscous friction."""
 
-REFERENCE_TEMPERATURE = 20.0
-"""Temperature (°C) at which viscous friction has its stated value."""
+TEMPERATURE = "temperature"
+"""Channel with the temperature of what rubs, °C."""
 
 INITIAL_STATE_SPAN = 0.05
 """Span of the line fit that gives the initial state of a window, s."""
@@ -113,13 +114,7 @@ def catalogue(s: Sizes) -> dict[str, Term]:
             "standard", "acceleration",
             (Parameter("added_inertia.mass", "kg", 0.1 * s.mass, -0.5 * s.mass),),
         ),
-        Term(
-            "temperature_dependent_friction", Enters.FORCE, "viscous friction that falls as the axis warms",
-            "c(T) = c·exp(−α·(T − 20 °C))", "viscosity of grease",
-            "long runs that warm the axis",
-            (Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2),),
-            needs=("temperature",),
-        ),
+        warming_friction("the axis", TEMPERATURE),
     )  # fmt: skip
     terms = friction_terms("N", "m", level, s.speed) + loads + input_terms("N")
     terms += (load_dependent_friction("the drive's force"),)
@@ -155,7 +150,7 @@ class AxisModel:
         self.volts = record is not None and record.input_names[0] == "drive_voltage"
         self.fixed = known_numbers(rig)
         self.sizes = Sizes(record, self.fixed.get("drive_gain", 1.0) if self.volts else 1.0)
-        available = set(record.auxiliary) if record is not None else {"temperature"}
+        available = set(record.auxiliary) if record is not None else {TEMPERATURE}
         everything = catalogue(self.sizes)
         self.terms: Mapping[str, Term] = {
             k: t
@@ -289,12 +284,7 @@ class AxisModel:
 
     def _warming(self, theta: FloatArray, record: Record) -> FloatArray:
         """Viscous friction over that at the reference temperature, (n,)."""
-        rate = self._values.of(theta, "temperature_dependent_friction.rate")
-        return (
-            np.exp(-rate * (record.auxiliary["temperature"] - REFERENCE_TEMPERATURE))
-            if rate
-            else np.ones(len(record))
-        )
+        return viscous_change(self._values.of(theta, RATE), record, TEMPERATURE)
 
     def _trajectory(
         self, theta: FloatArray, record: Record, windows: Windows, states: FloatArray

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from labhil.physics import winding
-from labhil.physics.dc_motor_terms import REFERENCE_TEMPERATURE, Sizes, catalogue, motor_parameters
+from labhil.physics.dc_motor_terms import Sizes, catalogue, motor_parameters
 from labhil.physics.driven import InputPath
 from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.guesses import characteristic_scales_of
@@ -24,6 +24,7 @@ from labhil.physics.model import Metric
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
+from labhil.physics.warming import RATE, REFERENCE_TEMPERATURE, viscous_change
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
@@ -250,7 +251,4 @@ class DcMotorModel:
 
     def _viscous_change(self, theta: FloatArray, record: Record) -> FloatArray:
         """Viscous friction over that at the reference temperature, (n,)."""
-        rate = self._values.of(theta, "temperature_dependent_friction.rate")
-        if not rate:
-            return np.ones(len(record))
-        return np.asarray(np.exp(-rate * (record.auxiliary["winding_temperature"] - REFERENCE_TEMPERATURE)))
+        return viscous_change(self._values.of(theta, RATE), record, "winding_temperature")

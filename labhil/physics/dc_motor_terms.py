@@ -15,13 +15,11 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.record import Record
 from labhil.physics.terms import Enters, Parameter, Term
+from labhil.physics.warming import warming_friction
 from labhil.signals import FloatArray
 
 COPPER_COEFFICIENT = 0.0039
 """Temperature coefficient of the resistance of copper, 1/K."""
-
-REFERENCE_TEMPERATURE = 20.0
-"""Temperature (°C) at which resistance and viscous friction have their stated values."""
 
 TYPICAL_SPEED = 3.0
 TYPICAL_VOLTAGE = 5.0
@@ -243,16 +241,7 @@ def _load_terms(s: Sizes, level: float) -> tuple[Term, ...]:
             (Parameter("spring_force.stiffness", "N·m/rad", level),),
             needs=("angle",),
         ),
-        Term(
-            "temperature_dependent_friction",
-            Enters.FORCE,
-            "viscous friction that falls as the motor warms",
-            "c(T) = c·exp(−α·(T − 20 °C))",
-            "viscosity of grease",
-            "long runs that warm the motor",
-            (Parameter("temperature_dependent_friction.rate", "1/K", 0.02, -0.2, 0.2),),
-            needs=("winding_temperature",),
-        ),
+        warming_friction("the motor", "winding_temperature"),
     )
 
 

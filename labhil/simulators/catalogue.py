@@ -13,8 +13,12 @@ from labhil.physics.friction_terms import friction_terms, load_dependent_frictio
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.record import Record
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
+from labhil.physics.warming import warming_friction
 from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.signals import FloatArray
+
+TEMPERATURE = "temperature"
+"""Channel of a recording with the temperature of what rubs, °C."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +121,8 @@ def catalogue(
     """
     level = 0.1 * sizes.force
     terms = friction_terms(force, length, level, sizes.speed) + force_terms(sizes, force, length, position)
-    terms += (load_dependent_friction("the drive's force"), *input_terms(drive))
+    terms += (load_dependent_friction("the drive's force"), warming_friction("the mechanism", TEMPERATURE))
+    terms += input_terms(drive)
     terms += (*output_terms(channel, unit, sizes.span), offset_term(channel, unit, 0.1 * sizes.span))
     return {term.key: term for term in terms}
 

@@ -24,9 +24,10 @@ from labhil.physics.moving_part import Stops
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.physics.values import Values, known_numbers
+from labhil.physics.warming import RATE, WARMS, viscous_change
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-from labhil.simulators.catalogue import Sizes, catalogue, velocities_of
+from labhil.simulators.catalogue import TEMPERATURE, Sizes, catalogue, velocities_of
 from labhil.simulators.confounded import find_confounded, find_dependent
 from labhil.simulators.laws import Kernels
 from labhil.simulators.probing import find_dead_parameters
@@ -95,9 +96,9 @@ class SimulatorModel:
         self._non_smooth = self._right_hand_side.non_smooth
         parameters = tuple(q.parameter(n) for n, q in simulator.parameters.items() if n not in self.fixed)
         self._set_terms(parameters, {}, Sizes())
+        self.unobservable_terms: Mapping[str, str] = {}
         self._scale_to(parameters, record)
         self.horizon = rig.metric.horizon or simulator.horizon or self.sizes.horizon
-        self.unobservable_terms: Mapping[str, str] = {}
         self.notes: list[str] = []
         if record is not None:
             self._examine(parameters, record)
@@ -127,9 +128,11 @@ class SimulatorModel:
         length = self.simulator.states[self.position]
         channel, unit = next(iter(self.simulator.outputs.items()))
         drive = next(iter(self.simulator.inputs.values()))
-        self._set_terms(
-            parameters, catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit), sizes
-        )
+        terms = catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit)
+        measured = {TEMPERATURE} if record is None else set(record.auxiliary)
+        missing = {key: term.needs for key, term in terms.items() if not set(term.needs) <= measured}
+        self.unobservable_terms = {key: f"needs {', '.join(needs)}" for key, needs in missing.items()}
+        self._set_terms(parameters, {k: t for k, t in terms.items() if k not in missing}, sizes)
 
     def _set_range(self, record: Record) -> None:
         """Choose the range in which the simulator is evaluated by a recording."""
@@ -164,7 +167,10 @@ class SimulatorModel:
             dependent = find_dependent(self, estimated, record, windows, states)
             self.notes += [_dependent_note(name, self.simulator) for name in dependent]
             estimated = self._fix(estimated, dependent)
-        self.unobservable_terms = find_confounded(self, estimated, record, windows, states)
+        confounded = find_confounded(self, estimated, record, windows, states)
+        if "viscous_friction" in confounded and WARMS in self.terms:
+            confounded[WARMS] = "the friction that warms is the simulator's own"
+        self.unobservable_terms = {**self.unobservable_terms, **confounded}
         observable = {key: term for key, term in self.terms.items() if key not in self.unobservable_terms}
         self._set_terms(estimated, observable, self.sizes)
 
@@ -315,6 +321,8 @@ class SimulatorModel:
         out = np.empty((len(windows.rows), 3))
         initial = np.column_stack([states, np.zeros(len(states))])
         part, inertia = self._part(theta)
+        warming = viscous_change(self._values.of(theta, RATE), record, TEMPERATURE)
+        course = Course(warming, part[1].law)
         arguments = (
             record.t,
             nodes,
@@ -326,10 +334,10 @@ class SimulatorModel:
         )
         additional = self._values.additional_force(theta, inertia, self._extra, record)
         if additional is None:
-            self._kernels.run(*arguments, part, Course(0.0), out)
+            self._kernels.run(*arguments, part, course, out)
         else:
-            force, course = additional
-            self._kernels.run_pushed(*arguments, Pushed(part, force), PushedCourse(Course(0.0), course), out)
+            force, along = additional
+            self._kernels.run_pushed(*arguments, Pushed(part, force), PushedCourse(course, along), out)
         return out[:, :2]
 
 

@@ -20,6 +20,7 @@ from labhil.physics.rigs import RigModel, declare_model
 from labhil.rig import RigFile, default_rig
 from labhil.rig_sections import ModelSection
 from labhil.signals import Direction, Hold, Signal
+from labhil.simulators.catalogue import TEMPERATURE
 from labhil.simulators.pointwise import one_at_a_time
 from labhil.simulators.probing import (
     EXACT,
@@ -138,7 +139,15 @@ class Simulator:
             (tuple(self.inputs),),
             tuple(signals[Direction.OUTPUT]),
             known,
+            auxiliary=self._auxiliary,
         )
+
+    @property
+    def _auxiliary(self) -> tuple[Signal, ...]:
+        """Channels of which effects may depend."""
+        if TEMPERATURE in {*self.states, *self.inputs, *self.parameters}:
+            return ()
+        return (Signal(TEMPERATURE, "°C", Direction.STATUS, description="of what rubs"),)
 
     @property
     def rig_file(self) -> RigFile:
