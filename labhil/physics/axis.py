@@ -25,16 +25,13 @@ from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
-from labhil.physics.warming import RATE, viscous_change, warming_friction
+from labhil.physics.warming import RATE, TEMPERATURE, viscous_change, warming_friction
 from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
 
 HORIZON_TIME_CONSTANTS = 3.0
 """Scored horizon in time constants of mass and viscous friction."""
-
-TEMPERATURE = "temperature"
-"""Channel with the temperature of what rubs, °C."""
 
 INITIAL_STATE_SPAN = 0.05
 """Span of the line fit that gives the initial state of a window, s."""

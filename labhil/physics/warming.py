@@ -14,6 +14,9 @@ REFERENCE_TEMPERATURE = 20.0
 WARMS = "temperature_dependent_friction"
 RATE = f"{WARMS}.rate"
 
+TEMPERATURE = "temperature"
+"""Channel with the temperature of what rubs, °C, of an axis and of a user's simulator."""
+
 
 def warming_friction(part: str, channel: str) -> Term:
     """Make the term of viscous friction that falls with warmth.

@@ -5,20 +5,19 @@ The same laws as for the built-in rigs (:mod:`labhil.physics.friction_terms`, ``
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from labhil.physics.friction_terms import friction_terms, load_dependent_friction
 from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.record import Record
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
-from labhil.physics.warming import warming_friction
+from labhil.physics.warming import TEMPERATURE, warming_friction
 from labhil.physics.weak_form import regress_mass_and_drag
 from labhil.signals import FloatArray
-
-TEMPERATURE = "temperature"
-"""Channel of a recording with the temperature of what rubs, °C."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +78,23 @@ class Sizes:
             * np.pi
             * (float(np.std(record.outputs[:, 0])) / speed if has_position else speed / acceleration)
         )
-        memory = time_constants * _time_constant(record, 0.25 * period) if has_position else np.inf
+        recordings = record.recordings() if has_position else _with_positions(record)
+        memory = time_constants * _time_constant(recordings, 0.25 * period)
         horizon = min(max(min(periods * period, memory), min_samples * record.period), record.max_horizon)
         return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon)
 
 
-def _time_constant(record: Record, test_width: float) -> float:
-    """Inertia over viscous friction, s; infinite where the recording shows none."""
-    inertia, drag = regress_mass_and_drag(record.recordings(), 1.0, test_width)
+def _with_positions(record: Record) -> list[Record]:
+    """Recordings of a velocity, integrated."""
+    return [
+        replace(part, outputs=cumulative_trapezoid(part.outputs, part.t, axis=0, initial=0.0))
+        for part in record.recordings()
+    ]
+
+
+def _time_constant(recordings: Sequence[Record], test_width: float) -> float:
+    """Inertia over viscous friction, s; infinite where the recordings show none."""
+    inertia, drag = regress_mass_and_drag(recordings, 1.0, test_width)
     return inertia / drag if inertia * drag > 0.0 else np.inf
 
 

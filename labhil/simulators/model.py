@@ -24,10 +24,10 @@ from labhil.physics.moving_part import Stops
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Parameter, Term
 from labhil.physics.values import Values, known_numbers
-from labhil.physics.warming import RATE, WARMS, viscous_change
+from labhil.physics.warming import RATE, TEMPERATURE, WARMS, viscous_change
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
-from labhil.simulators.catalogue import TEMPERATURE, Sizes, catalogue, velocities_of
+from labhil.simulators.catalogue import Sizes, catalogue, velocities_of
 from labhil.simulators.confounded import find_confounded, find_dependent
 from labhil.simulators.laws import Kernels
 from labhil.simulators.probing import find_dead_parameters

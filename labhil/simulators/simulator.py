@@ -17,10 +17,10 @@ from labhil.errors import UsageError, suggestion
 from labhil.kinds import Known, RigKind, declare_kind
 from labhil.physics.quantity import Quantity
 from labhil.physics.rigs import RigModel, declare_model
+from labhil.physics.warming import TEMPERATURE
 from labhil.rig import RigFile, default_rig
 from labhil.rig_sections import ModelSection
 from labhil.signals import Direction, Hold, Signal
-from labhil.simulators.catalogue import TEMPERATURE
 from labhil.simulators.pointwise import one_at_a_time
 from labhil.simulators.probing import (
     EXACT,
