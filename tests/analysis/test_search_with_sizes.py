@@ -18,7 +18,7 @@ from labhil.physics.model import index_of
 sys.path.insert(0, str(Path(__file__).parent))
 from one_input_rigs import replay, staircase
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.extended
 
 BASELINE = ["viscous_friction"]
 MASS, STATED = 95.0, 30.0

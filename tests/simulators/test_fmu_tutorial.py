@@ -28,7 +28,7 @@ def block(language: str) -> str:
     return str(found)
 
 
-@pytest.mark.long
+@pytest.mark.extended
 @pytest.mark.timeout(1800)
 @pytest.mark.skipif(
     shutil.which("cc") is None, reason="no C compiler here to build an FMU with: apt install gcc"

@@ -50,7 +50,7 @@ def test_the_page_states_the_file_and_what_the_bench_hides(tmp_path: Path) -> No
     np.testing.assert_allclose(table, np.column_stack(record()), rtol=1e-8, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.extended
 @pytest.mark.timeout(1800)
 def test_the_tutorial_ends_with_a_repaired_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cogging and bristles are named, and MuJoCo runs the file with both."""

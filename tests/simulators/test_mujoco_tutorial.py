@@ -27,7 +27,7 @@ def block(language: str) -> str:
     return str(found)
 
 
-@pytest.mark.long
+@pytest.mark.extended
 @pytest.mark.timeout(600)
 def test_the_tutorial_ends_with_a_repaired_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
