@@ -45,7 +45,7 @@ def test_the_tutorial_ends_with_a_repaired_file(
     exec(block("python"), names)
     assert {effect.term for effect in names["found"].missing} == {"coulomb_friction", "added_inertia"}
     # the inertia is no force of the mechanism: it is not located where rounding is
-    assert all(r.unit != "N·m" or r.high > 1e-6 for r in names["found"].location.regimes)
+    assert all(r.unit != "N·m" or r.high > 1e-6 for r in names["found"].where.regimes)
     assert names["fixed"].attempts[-1].ratio <= 1.05
     assert "frictionloss=" in capsys.readouterr().out
     model = mujoco.MjModel.from_xml_path("pendulum_fixed.xml")
