@@ -269,10 +269,13 @@ def _check_names(name: str, states: Mapping[str, str], inputs: Mapping[str, str]
     if not name.isidentifier():
         raise UsageError(f"simulator: expected a name of letters, digits and _, found {name!r}")
     if len(states) != 2 or len(inputs) != 1:
+        alone = next(iter(states), "speed")
+        whole = f"states={{'position': …, {alone!r}: …}}, outputs=[{alone!r}]"
         raise UsageError(
             f"simulator {name!r}: expected 2 states (a position and its velocity) and 1 input, found "
-            f"{len(states)} and {len(inputs)}; for others register a RightHandSide, see "
-            "docs/how-to/add-a-twin-and-a-rig.md"
+            f"{len(states)} and {len(inputs)}; "
+            + (f"where {alone} is a velocity, give {whole}; " if len(states) == 1 else "")
+            + "for others register a RightHandSide, see docs/how-to/add-a-twin-and-a-rig.md"
         )
 
 
