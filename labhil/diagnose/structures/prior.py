@@ -9,10 +9,16 @@ from math import comb, log
 import numpy as np
 
 from labhil.physics.model import Model
+from labhil.physics.terms import listed
 from labhil.signals import BoolArray, FloatArray
 
 Structure = frozenset[str]
 """Keys of the terms that are added to the baseline."""
+
+
+def described(structure: Structure) -> str:
+    """The structure for people: the baseline, and what is added to it."""
+    return "the baseline" + "".join(f" + {term}" for term in listed(sorted(structure)))
 
 
 def candidates(model: Model, present: Sequence[str]) -> list[tuple[str, ...]]:

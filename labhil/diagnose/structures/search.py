@@ -25,7 +25,7 @@ from labhil.diagnose.structures.enumerate import (
     relevance,
     with_disturbance,
 )
-from labhil.diagnose.structures.prior import Structure, candidates
+from labhil.diagnose.structures.prior import Structure, candidates, described
 from labhil.diagnose.structures.responses import compute_responses
 from labhil.diagnose.structures.state import (
     Exchange,
@@ -37,7 +37,6 @@ from labhil.diagnose.structures.state import (
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
 from labhil.identify.waves import starts_for_added_terms
 from labhil.physics.model import index_of
-from labhil.physics.terms import listed
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
@@ -169,7 +168,7 @@ class StructureSearch:
     def _linearise(self, state: SearchState, structure: Structure) -> None:
         """Linearise at a refitted structure, and predict the evidence of all others."""
         near = state.refitted[structure].fitted
-        self.progress(f"evidence of all structures, linearised at {_described(structure)}")
+        self.progress(f"evidence of all structures, linearised at {described(structure)}")
         state.linearised.add(structure)
         state.enumeration = self._linearisation_at(near)
         state.predicted = state.enumeration.search_beam()
@@ -326,7 +325,7 @@ class StructureSearch:
         """Refit structures from one fit, in parallel, with their predicted values."""
         values = [state.values_of(structure) for structure in structures]
         for structure in structures:
-            self.progress(f"refitting {_described(structure)}")
+            self.progress(f"refitting {described(structure)}")
         fits = side_by_side(lambda pair: self._refit(near, *pair), list(zip(structures, values, strict=True)))
         for fitted, begun in zip(fits, values, strict=True):
             self._record_better(state, fitted, begun)
@@ -397,7 +396,3 @@ class StructureSearch:
         parameters, places = self.data.model.parameters, index_of(self.data.model.parameters)
         sizes = [(p, float(fitted.theta[places[p.key]])) for p in parameters if not p.shape]
         return frozenset(p.term for p, value in sizes if p.term in structure and value and p.at_bound(value))
-
-
-def _described(structure: Structure) -> str:
-    return "the baseline" + "".join(f" + {term}" for term in listed(sorted(structure)))
