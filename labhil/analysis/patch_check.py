@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -16,10 +16,11 @@ from labhil.errors import UsageError
 from labhil.identify.score import Score, score
 from labhil.identify.windows import noise_of
 from labhil.physics.model import Model, index_of, start_values
-from labhil.physics.warming import WARMS
+from labhil.physics.record import Record
+from labhil.physics.warming import TEMPERATURE
 from labhil.python_file import object_of
 from labhil.rig import RigFile, default_rig
-from labhil.simulators.companion import sort_effects
+from labhil.simulators.companion import SortedEffects, sort_effects
 from labhil.simulators.rolled_out import RolledOutModel
 from labhil.simulators.simulator import Simulator
 from labhil.simulators.stepped import JointForce, SteppedSimulator
@@ -97,26 +98,22 @@ class PatchCheck:
         )
 
 
-ADVICE = {
-    "added_inertia": "correct an inertia in the body or the parameter",
-    WARMS: "multiply the damping by exp(−rate·(T − 20 °C)) in each step of your simulation",
-}
-"""What to do by hand about effects that no file holds."""
-
-
 def refusal_of_unknown(into: Path, terms: tuple[str, ...]) -> UsageError:
     """Make the error where a file can hold some effects in no way."""
-    advice = "; ".join(ADVICE[term] for term in terms if term in ADVICE)
     return UsageError(
-        f"{into}: no way is known to write {', '.join(terms)} of this size into a file"
-        f"{advice and f' ({advice})'}; nothing is written"
+        f"{into}: no way is known to write {', '.join(terms)} of this size into a file (correct an inertia "
+        "in the body or the parameter); nothing is written"
     )
 
 
-def companion_force(text: str, code: Path) -> JointForce:
-    """Write a companion to a temporary file, and return its function ``force``."""
+def companion_force(text: str, code: Path, effects: SortedEffects, record: Record) -> JointForce:
+    """Write a companion to a temporary file, and return its function ``force`` along a recording."""
     code.write_text(text, encoding="utf-8")
-    return cast("JointForce", object_of(f"{code.name}:force", code.parent))
+    force = cast("Callable[..., float]", object_of(f"{code.name}:force", code.parent))
+    if not effects.needs_temperature:
+        return lambda t, x, v, drive: force(x, v, drive)
+    warmth = record.auxiliary[TEMPERATURE]
+    return lambda t, x, v, drive: force(x, v, drive, float(np.interp(t, record.t, warmth)))
 
 
 def inertia_felt_by_input(simulator: SteppedSimulator, numbers: Sequence[float]) -> float:

@@ -98,7 +98,10 @@ def _run(bench: Bench, candidate: Candidate, out: Path, check: PatchCheck) -> fl
     """RMSE of a candidate, which is loaded under a temporary name from the folder of the new file."""
     with temporary_files(out) as (draft, code):
         draft.write_bytes(candidate.content)
-        force = companion_force(candidate.companion(out.name), code) if candidate.effects.has_force else None
+        force = None
+        if candidate.effects.has_force:
+            text = candidate.companion(out.name)
+            force = companion_force(text, code, candidate.effects, check.dataset.test)
         return check.rmse_of(bench.load(draft, candidate, force), candidate.remaining)
 
 

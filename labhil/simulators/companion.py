@@ -13,6 +13,7 @@ from textwrap import wrap
 from typing import NamedTuple
 
 from labhil.physics.friction_law import FrictionLaw, laws
+from labhil.physics.warming import WARMS
 from labhil.simulators.law_tables import INTERPOLATE, LawTable
 
 WIDTH = 100
@@ -49,6 +50,10 @@ FORCES: Mapping[str, Law] = {
         ("F += {level} * (1.0 - math.exp(-abs(v) / {velocity})) * moving",),
     ),
     "position_dependent_friction": Law("F = -s x sgn v", ("F -= {slope} * x * side",)),
+    WARMS: Law(
+        "c(T) = c exp(-a (T - 20)), T in deg C; c itself is the viscous friction beside this",
+        ("F -= {coefficient} * (math.exp(-{rate} * (temperature - 20.0)) - 1.0) * v",),
+    ),
     "load_dependent_friction": Law("F = -mu |F_drive| sgn v", ("F -= {coefficient} * abs(drive) * side",)),
 }
 INPUTS: Mapping[str, Law] = {
@@ -165,6 +170,11 @@ class SortedEffects(NamedTuple):
         """Whether anything acts as a force."""
         return bool(self.forces or self.tables)
 
+    @property
+    def needs_temperature(self) -> bool:
+        """Whether the force depends on a temperature."""
+        return WARMS in self.forces
+
 
 def sort_effects(values: Mapping[str, float]) -> SortedEffects:
     """Sort values of effects by where they act, in the order of the signal path."""
@@ -205,6 +215,7 @@ def companion_text(
     """
     needs_drive = any("drive" in line for term in effects.forces for line in FORCES[term].lines)
     drive = f", {usage.drive}" if needs_drive else ""
+    drive += ", temperature=temperature" if effects.needs_temperature else ""
     lines_of_use = [
         usage.command if effects.inputs else "",
         usage.force.format(drive=drive) if effects.has_force else "",
@@ -253,7 +264,9 @@ def _force_function(effects: SortedEffects, at_rest: float) -> list[str]:
         f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
         "",
         "",
-        "def force(x, v, drive=0.0):",
+        "def force(x, v, drive=0.0, temperature=20.0):"
+        if effects.needs_temperature
+        else "def force(x, v, drive=0.0):",
         '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
         "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
     ]

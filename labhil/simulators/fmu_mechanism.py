@@ -84,9 +84,9 @@ class ModelExchangeMechanism:
             self._set_parameters(numbers)
             return step_windows(record, nodes, windows, states, self._advance)
 
-    def _advance(self, state: FloatArray, drive: float, length: float) -> FloatArray:
+    def _advance(self, t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
         def rates(at: FloatArray) -> list[float]:
-            return self._rates(0.0, at, drive + self.added_force.at(at, drive))
+            return self._rates(0.0, at, drive + self.added_force.at(t, at, drive))
 
         return runge_kutta(rates, state, length, self.added_force.parts(length))
 
@@ -171,12 +171,12 @@ class CoSimulationMechanism:
                 raise _RefusedStepError
             return after
 
-        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            return step_under_force(step, self.added_force, state, drive, length)
+        def advance(t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
+            return step_under_force(step, self.added_force, t, state, drive, length)
 
-        def integrate(state: FloatArray, drive: float, length: float) -> FloatArray:
+        def integrate(t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
             def rates(at: FloatArray) -> list[float]:
-                return self._rates(starts, at.tolist(), drive + self.added_force.at(at, drive))
+                return self._rates(starts, at.tolist(), drive + self.added_force.at(t, at, drive))
 
             return runge_kutta(rates, state, length, self.added_force.parts(length))
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from math import ceil, degrees
 
 from labhil.errors import UsageError
+from labhil.physics.warming import RATE, WARMS
 from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, cogging_numbers, read_cogging
 from labhil.simulators.mechanism import FRICTION_FIELDS, Field, Value, is_dc_motor, read_value
 from labhil.simulators.mjcf_file import MechanismFile
@@ -60,7 +61,7 @@ def patch_mjcf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) 
             f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
     in_file = {value.name: value for value in file.mechanism.values}
-    remaining = merge_holding_friction(file, values)
+    remaining = with_warming(merge_holding_friction(file, values))
     for name, value in in_file.items():
         if name in remaining:
             _set_file_value(file, text, value, remaining.pop(name))
@@ -99,6 +100,12 @@ def with_holding_friction(values: Mapping[str, float]) -> dict[str, float]:
     """Add extra friction at rest to the dry friction; a companion subtracts it in motion."""
     holding, dry = sum(values.get(name, 0.0) for name in HOLDING_LEVELS), FRICTION_FIELDS[Field.FRICTIONLOSS]
     return {**values, dry: values.get(dry, 0.0) + holding} if holding else dict(values)
+
+
+def with_warming(values: Mapping[str, float]) -> dict[str, float]:
+    """State the friction that falls with warmth beside the rate at which it does, as a companion needs it."""
+    drag = values.get("viscous_friction.coefficient", 0.0)
+    return {**values, f"{WARMS}.coefficient": drag} if values.get(RATE) else dict(values)
 
 
 def drop_inactive(values: Mapping[str, float]) -> dict[str, float]:

@@ -82,6 +82,7 @@ def runge_kutta(
 def step_under_force(
     step: Callable[[FloatArray, float, float], Sequence[float] | FloatArray],
     added: AddedForce,
+    t: float,
     state: FloatArray,
     drive: float,
     length: float,
@@ -93,6 +94,7 @@ def step_under_force(
     Args:
         step: State, input and time (s) to the state after that time.
         added: The force; without one a single step is made.
+        t: Time of the recording, s.
         state: Position and velocity, (2,).
         drive: The input.
         length: Time, s.
@@ -105,8 +107,8 @@ def step_under_force(
         return np.asarray(step(state, drive, length), dtype=np.float64)
     parts = added.parts(length)
     h = length / parts
-    for _ in range(parts):
-        force = added.at(state, drive)
+    for part in range(parts):
+        force = added.at(t + part * h, state, drive)
         if inertia is None:
             state = np.asarray(step(state, drive + force, h), dtype=np.float64)
         else:
@@ -119,7 +121,7 @@ def step_windows(
     nodes: Nodes,
     windows: Windows,
     states: FloatArray,
-    advance: Callable[[FloatArray, float, float], FloatArray],
+    advance: Callable[[float, FloatArray, float, float], FloatArray],
     start: Callable[[FloatArray, float], None] = lambda state, drive: None,
 ) -> FloatArray:
     """Step all windows from sample to sample.
@@ -129,7 +131,7 @@ def step_windows(
         nodes: Times and values of the input.
         windows: w windows of the recording, N samples in total.
         states: Position and velocity at the start of each window, (w, 2).
-        advance: State, mean of the input and time (s) to the state after that time.
+        advance: Time of the recording, state, mean of the input and a time (s) to the state after that time.
         start: Called with the first state and input of each window.
 
     Returns:
@@ -142,7 +144,7 @@ def step_windows(
         start(state, float(drives[0]))
         out[row] = state
         for k, (drive, length) in enumerate(zip(drives.tolist(), np.diff(t).tolist(), strict=False), 1):
-            state = advance(state, drive, length)
+            state = advance(float(t[k - 1]), state, drive, length)
             out[row + k] = state
         row += len(t)
     return out

@@ -49,9 +49,9 @@ class PythonRates:
         """Integrate all windows by Runge-Kutta steps under the mean of the input, (N, 2)."""
         p, inertia = self._parameters(numbers), self.inertia(numbers)
 
-        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
+        def advance(t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
             def rates(at: FloatArray) -> Sequence[float]:
-                force = self.added_force.at(at, drive)
+                force = self.added_force.at(t, at, drive)
                 if inertia is None:
                     return self._rates(p, at.tolist(), drive + force)
                 velocity, acceleration = self._rates(p, at.tolist(), drive)

@@ -102,8 +102,8 @@ class PythonRollout:
         def step(state: FloatArray, drive: float, length: float) -> FloatArray:
             return self._run(numbers, np.array([0.0, length]), np.full(2, drive), state)[-1]
 
-        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            return step_under_force(step, self.added_force, state, drive, length, inertia=inertia)
+        def advance(t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
+            return step_under_force(step, self.added_force, t, state, drive, length, inertia=inertia)
 
         return step_windows(record, nodes, windows, states, advance)
 

@@ -85,7 +85,7 @@ class PythonStep:
         def step(state: FloatArray, drive: float, length: float) -> Sequence[float]:
             return self._step(names(*state.tolist()), inputs(drive), p, length)
 
-        def advance(state: FloatArray, drive: float, length: float) -> FloatArray:
-            return step_under_force(step, self.added_force, state, drive, length, inertia=inertia)
+        def advance(t: float, state: FloatArray, drive: float, length: float) -> FloatArray:
+            return step_under_force(step, self.added_force, t, state, drive, length, inertia=inertia)
 
         return step_windows(record, nodes, windows, states, advance)

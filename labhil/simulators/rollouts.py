@@ -115,11 +115,12 @@ def _step_with_force(
         mujoco.mj_setState(model, data, _full_state(model, data, actuation, nodes, start, states[w]), spec)
         out[w, 0] = states[w]
         for k, u in enumerate(control[w].tolist()):
+            t = float(start) + k * float(model.opt.timestep)
             direct = 0.0 if actuation.actuator >= 0 else u
             if actuation.actuator >= 0:
                 data.ctrl[actuation.control] = u
             drive = u if actuation.actuator < 0 else float(data.qfrc_actuator[0])
-            data.qfrc_applied[0] = direct + joint_force(float(data.qpos[0]), float(data.qvel[0]), drive)
+            data.qfrc_applied[0] = direct + joint_force(t, float(data.qpos[0]), float(data.qvel[0]), drive)
             mujoco.mj_step(model, data)
             out[w, k + 1] = data.qpos[0], data.qvel[0]
     return out

@@ -38,8 +38,9 @@ class NonSmooth:
     rounding: float = ROUNDING
 
 
-JointForce = Callable[[float, float, float], float]
-"""(position, velocity, force of the actuator, or the input) to an additional force at the joint."""
+JointForce = Callable[[float, float, float, float], float]
+"""(time of the recording, position, velocity, force of the actuator or input) to an additional force at the
+joint."""
 
 
 @dataclass(slots=True)
@@ -54,9 +55,9 @@ class AddedForce:
     force: JointForce | None = None
     substeps: int = 1
 
-    def at(self, state: Sequence[float] | FloatArray, drive: float) -> float:
-        """Return the force at a state under an input."""
-        return 0.0 if self.force is None else self.force(float(state[0]), float(state[1]), drive)
+    def at(self, t: float, state: Sequence[float] | FloatArray, drive: float) -> float:
+        """Return the force at a time of the recording and a state under an input."""
+        return 0.0 if self.force is None else self.force(t, float(state[0]), float(state[1]), drive)
 
     def parts(self, length: float) -> int:
         """Return the number of steps for a time in s."""
