@@ -112,9 +112,9 @@ class FmuBench:
         signal = next(iter(self.original.inputs))
         return Usage.of_step(
             signal,
-            f"{signal} += force({position}, {velocity}{{drive}})",
+            f"{signal} += effects.force({position}, {velocity}{{drive}})",
             step,
-            "start_values = PARAMETERS (a tool may leave the starts of the binary itself)",
+            "start_values = effects.PARAMETERS (a tool may leave the starts of the binary itself)",
         )
 
     @staticmethod

@@ -103,7 +103,7 @@ class PythonBench:
     def _usage(self, step: float) -> Usage:
         """How a simulation with steps of at most ``step`` s calls the companion."""
         (position, velocity), signal = self.original.states, next(iter(self.original.inputs))
-        force = f"force({position}, {velocity}{{drive}})"
+        force = f"effects.force({position}, {velocity}{{drive}})"
         inertia = self.original.coordinate.inertia
         if not inertia:
             return Usage.of_step(signal, f"{signal} += {force}", step)

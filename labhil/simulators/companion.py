@@ -107,8 +107,8 @@ class Usage(NamedTuple):
         signal: Name of the recorded input.
         force: Line that adds ``force``; ``{drive}`` stands for its third argument, where it needs one.
         drive: What the third argument is.
-        command: Line that calls ``command``.
-        sensor: Line that calls ``sensor``.
+        command: Line that calls a ``Command``.
+        sensor: Line that calls a ``Sensor``.
         parameters: Line that sets ``PARAMETERS``.
         max_step: Longest step for which the functions hold, s; None where the file states its step.
     """
@@ -126,10 +126,10 @@ class Usage(NamedTuple):
         """Return the lines for MuJoCo's Python interface."""
         return cls(
             signal,
-            "data.qfrc_applied[0] = force(data.qpos[0], data.qvel[0]{drive})",
+            "data.qfrc_applied[0] = effects.force(data.qpos[0], data.qvel[0]{drive})",
             "data.qfrc_actuator[0]",
-            f"data.ctrl[...] = command({signal}, dt), with command = Command()",
-            "measured = sensor(data.qpos[0], dt), with sensor = Sensor()",
+            f"data.ctrl[...] = act({signal}, dt), with act = effects.Command()",
+            "measured = read(data.qpos[0], dt), with read = effects.Sensor()",
         )
 
     @classmethod
@@ -146,8 +146,8 @@ class Usage(NamedTuple):
             signal,
             force,
             signal,
-            f"{signal} = command({signal}, dt), with command = Command()",
-            "measured = sensor(output, dt), with sensor = Sensor()",
+            f"{signal} = act({signal}, dt), with act = effects.Command()",
+            "measured = read(output, dt), with read = effects.Sensor()",
             parameters,
             max_step,
         )
@@ -235,7 +235,11 @@ def companion_text(
         f'"""What {file} cannot hold of the physics that was found; made by `labhil patch`. SI units.',
         *(["", "Before the simulation:", "", f"    {usage.parameters}"] if parameters else []),
         *(
-            ["", f"In each step of the simulation{_at_most(usage.max_step)}:", ""]
+            [
+                "",
+                f"In each step of the simulation{_at_most(usage.max_step)}, with this file as `effects`:",
+                "",
+            ]
             if any(lines_of_use)
             else []
         ),

@@ -91,13 +91,13 @@ def test_what_the_format_cannot_hold_is_a_function_with_its_law(tmp_path: Path) 
     assert force(0.0, -5.0) == pytest.approx(-0.2)  # type: ignore[operator]
     assert command()(0.5, 0.01) == pytest.approx(0.3)  # type: ignore[operator]
     assert "F = -F_st exp(-|v| / v_s) sgn v" in code
-    assert "= force(data.qpos[0], data.qvel[0])\n" in code
+    assert "= effects.force(data.qpos[0], data.qvel[0])\n" in code
 
 
 def test_friction_that_grows_with_the_load_is_given_the_load() -> None:
     effects = sort_effects({"load_dependent_friction.coefficient": 0.1})
     code = companion_text(effects, "new.xml", Usage.in_mujoco("torque"), 1e-4)
-    assert "= force(data.qpos[0], data.qvel[0], data.qfrc_actuator[0])\n" in code
+    assert "= effects.force(data.qpos[0], data.qvel[0], data.qfrc_actuator[0])\n" in code
     names: dict[str, object] = {}
     exec(code, names)
     assert names["force"](0.0, 5.0, -2.0) == pytest.approx(-0.2)  # type: ignore[operator]
