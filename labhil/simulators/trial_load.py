@@ -85,13 +85,43 @@ def main() -> None:
 
     _limit_resources()
     try:
-        model = mujoco.MjModel.from_xml_path(sys.argv[1])
+        model = _load(mujoco, sys.argv[1])
     except (ValueError, MemoryError) as error:
         sys.exit(_fail(str(error) or f"one that needs more than {MAX_MEMORY >> 20} MB of memory"))
     if max(model.nbody, model.ngeom) > MAX_PARTS:
         size = f"{model.nbody} bodies with {model.ngeom} shapes"
         sys.exit(_fail(f"{size}; at most {MAX_PARTS} of either are taken"))
     mujoco.mj_saveModel(model, sys.argv[2], None)
+
+
+def _load(mujoco: Any, path: str) -> Any:
+    """Load a file; an arm whose meshes are not there (``package://…`` of a ROS package) without them.
+
+    The inverse dynamics of an arm needs no shapes where each link has an inertia of its own.
+    """
+    try:
+        return mujoco.MjModel.from_xml_path(path)
+    except ValueError as error:
+        if "opening file" not in str(error):
+            raise
+        without = _without_meshes(mujoco, path)
+        if without is None or without.njnt < 2:
+            raise
+        return without
+
+
+def _without_meshes(mujoco: Any, path: str) -> Any:
+    """Load a file without its meshes; None where one of them gives a body its inertia."""
+    spec = mujoco.MjSpec.from_file(path)
+    for body in spec.bodies:
+        shaped = [geom for geom in body.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]
+        if shaped and not body.explicitinertial:
+            return None
+        for geom in shaped:
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    return spec.compile()
 
 
 def _fail(text: str) -> int:

@@ -203,7 +203,7 @@ def _keep_equal_numbers(before: str, after: str) -> str:
         numbers = [(float(a), float(b)) for a, b in zip(old, new, strict=True)]
     except ValueError:
         return after
-    rounding = 1e-9 * max((abs(b) for _, b in numbers), default=0.0)
+    rounding = max(1e-9 * max((abs(b) for _, b in numbers), default=0.0), 1e-12)
     return " ".join(
         text if abs(a - b) <= rounding else changed
         for text, changed, (a, b) in zip(old, new, numbers, strict=True)

@@ -55,6 +55,41 @@ def tree_of(folder: Path, text: str) -> tuple[Tree, mujoco.MjModel]:
     return arm_simulator(path).arm.tree, mujoco.MjModel.from_xml_path(str(path))
 
 
+MESHED = URDF.replace(
+    "<inertial>",
+    """<visual><geometry><mesh filename="package://reach/meshes/link.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="package://reach/meshes/link.stl"/></geometry></collision>
+    <inertial>""",
+)
+"""As programs of ROS write it: where the meshes are, only ROS knows."""
+
+
+def test_an_arm_needs_no_meshes_where_its_links_have_inertias(tmp_path: Path) -> None:
+    arms = {}
+    for name, text in (("meshed", MESHED), ("bare", URDF)):
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(text, encoding="utf-8")
+        arms[name] = arm_simulator(path).arm
+    for field in ("body_mass", "body_inertia", "body_ipos", "jnt_axis"):
+        meshed, bare = (getattr(arms[name].model, field) for name in ("meshed", "bare"))
+        np.testing.assert_allclose(meshed, bare)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        MESHED.replace("<inertial>", "<!--", 1).replace("</inertial>", "-->", 1),
+        MESHED.replace('type="revolute"', 'type="fixed"', 2).replace('type="continuous"', 'type="fixed"', 2),
+    ],
+    ids=["a mesh that gives a link its inertia", "a mechanism of one joint, which may touch something"],
+)
+def test_meshes_that_matter_are_asked_for(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match=r"found: .*meshes/link"):
+        lh.mujoco_simulator(path)
+
+
 @pytest.mark.extended
 def test_torques_are_those_of_mujoco_for_any_arrangement_of_hinges(tmp_path: Path) -> None:
     tree, model = tree_of(tmp_path, BRANCHED)

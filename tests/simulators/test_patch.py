@@ -36,12 +36,13 @@ SPRUNG = """<mujoco model="door">
 
 
 def test_a_number_that_differs_by_rounding_stays_as_it_was_written() -> None:
-    text = XmlText.of(Path("file.xml"), b'<body pos="0.10 -8e-05 1" mass="2.50" name="2.5"/>')
+    text = XmlText.of(Path("file.xml"), b'<body pos="0.10 -8e-05 1" mass="2.50" name="2.5" size="0 0"/>')
     (body,) = text.elements
     text.set(body, "pos", "0.1 -7.99999999e-05 1.5", "moved")
     text.set(body, "mass", "2.5", "the same")
     text.set(body, "name", "2.5 a", "renamed")
-    assert text.changed() == b'<body pos="0.10 -8e-05 1.5" mass="2.50" name="2.5 a"/>'
+    text.set(body, "size", "-6e-15 9e-18", "of a fit")
+    assert text.changed() == b'<body pos="0.10 -8e-05 1.5" mass="2.50" name="2.5 a" size="0 0"/>'
     assert [change.attribute for change in text.changes] == ["pos", "name"]
 
 
