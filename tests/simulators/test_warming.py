@@ -87,6 +87,7 @@ def undecided(simulator: lh.Simulator, *, warm: bool) -> str:
     return model.unobservable_terms.get(WARMS, "")
 
 
+@pytest.mark.extended
 def test_it_needs_a_temperature_and_friction_that_is_not_the_simulators_own() -> None:
     assert undecided(rig(), warm=True) == ""
     assert undecided(rig(), warm=False) == "needs temperature"
