@@ -12,6 +12,7 @@ from labhil.api.inputs import PathLike, path_of
 from labhil.api.verification import Verification
 from labhil.bounds import read_file
 from labhil.errors import ModelFileError
+from labhil.recording.chunks import is_mcap
 from labhil.unreadable import RESULT, reason_unreadable
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ def load(path: PathLike) -> Fit | Diagnosis | Verification | Comparison:
     except OSError as error:
         reason = reason_unreadable(file, error, RESULT)
         raise ModelFileError(f"{file}: expected the JSON of a result, cannot be read: {reason}") from error
+    if is_mcap(content):
+        raise ModelFileError(
+            f"{file}: expected the JSON of a result, found a recording (MCAP); labhil.read reads recordings"
+        )
     data = json_of(content, str(file))
     schema = data.get("schema") if isinstance(data, dict) else None
     kind = KINDS.get(str(schema))

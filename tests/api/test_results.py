@@ -233,6 +233,8 @@ def test_what_is_no_result_is_not_loaded(tmp_path):
             lh.load(tmp_path / "it.json")
     with pytest.raises(ModelFileError, match="cannot be read"):
         lh.load(tmp_path / "not there.json")
+    with pytest.raises(ModelFileError, match=r"found a recording \(MCAP\); labhil.read reads"):
+        lh.load(ROOT / "recordings" / "ball_beam_test.mcap")
     with pytest.raises(ModelFileError, match="expected a Diagnosis, found a Fit"):
         lh.Diagnosis.load(ROOT / "examples" / "fit.json")
     broken = lh.load(ROOT / "examples" / "fit.json").to_dict() | {"parameters": [{"name": 3}]}
