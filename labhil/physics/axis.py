@@ -55,7 +55,7 @@ class Sizes:
         self.span = max(float(np.ptp(recording.outputs[:, 0])) for recording in recordings) or 1.0
         speeds = np.concatenate([_speeds(recording) for recording in recordings])
         self.speed = float(np.sqrt(np.mean(speeds**2))) or 1.0
-        mass, drag = regress_mass_and_drag(recordings, gain, test_width)
+        mass, drag, _ = regress_mass_and_drag(recordings, gain, test_width)
         self.mass = mass if mass > 0.0 else self.force / (self.speed / test_width)
         self.time_constant = float(np.clip(mass / drag, 0.01, 10.0)) if mass > 0.0 and drag > 0.0 else 0.5
 

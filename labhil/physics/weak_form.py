@@ -6,6 +6,7 @@ The balance is taken in its weak form (Shinbrot, ASME Trans. 79, 1957), so no no
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -17,9 +18,21 @@ SMOOTHED = 0.05
 """Half the span over which positions are averaged for the direction of motion, s."""
 
 
-def regress_mass_and_drag(
-    recordings: Sequence[Record], gain: float, test_width: float
-) -> tuple[float, float]:
+class MassAndDrag(NamedTuple):
+    """Mass and viscous friction in units of the force; noise can make them negative.
+
+    Attributes:
+        mass: M.
+        drag: c.
+        mass_error: Standard error of M, as if stretches did not overlap: too small by about two.
+    """
+
+    mass: float
+    drag: float
+    mass_error: float
+
+
+def regress_mass_and_drag(recordings: Sequence[Record], gain: float, test_width: float) -> MassAndDrag:
     """Estimate mass and viscous friction beside dry friction, a spring and a bias.
 
     F = M·ẍ + c·ẋ + T·sgn ẋ + k·x + b, with the first input and output as force (over ``gain``) and position.
@@ -31,12 +44,17 @@ def regress_mass_and_drag(
             the sampling period.
 
     Returns:
-        M and c, in units of the force; noise can make them negative.
+        M and c.
     """
     weak = np.vstack([_weak_form(recording, gain, test_width) for recording in recordings])
     norms = np.maximum(np.linalg.norm(weak, axis=0), 1e-300)
-    balance = np.linalg.lstsq(weak[:, 1:] / norms[1:], weak[:, 0], rcond=None)[0] / norms[1:]
-    return float(balance[0]), float(balance[1])
+    columns = weak[:, 1:] / norms[1:]
+    scaled = np.linalg.lstsq(columns, weak[:, 0], rcond=None)[0]
+    left = weak[:, 0] - columns @ scaled
+    variance = float(left @ left) / max(len(left) - columns.shape[1], 1)
+    spread = np.sqrt(variance * np.diag(np.linalg.pinv(columns.T @ columns)))
+    balance = scaled / norms[1:]
+    return MassAndDrag(float(balance[0]), float(balance[1]), float(spread[0] / norms[1]))
 
 
 def _weak_form(record: Record, gain: float, test_width: float) -> FloatArray:

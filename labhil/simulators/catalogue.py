@@ -5,7 +5,6 @@ The same laws as for the built-in rigs (:mod:`labhil.physics.friction_terms`, ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from labhil.physics.path_terms import input_terms, offset_term, output_terms
 from labhil.physics.record import Record
 from labhil.physics.terms import TWO_WAVES, Enters, Parameter, Term
 from labhil.physics.warming import TEMPERATURE, warming_friction
-from labhil.physics.weak_form import regress_mass_and_drag
+from labhil.physics.weak_form import MassAndDrag, regress_mass_and_drag
 from labhil.signals import FloatArray
 
 
@@ -30,6 +29,7 @@ class Sizes:
         span: Range of the position; of the velocity where no position is measured.
         inertia: Inertia of the simulator.
         horizon: Length of a scored window, s.
+        measured: Inertia and viscous friction by a regression, in units of the input.
     """
 
     force: float = 1.0
@@ -37,6 +37,7 @@ class Sizes:
     span: float = 1.0
     inertia: float = 1.0
     horizon: float = 2.0
+    measured: MassAndDrag | None = None
 
     @classmethod
     def of(
@@ -79,9 +80,10 @@ class Sizes:
             * (float(np.std(record.outputs[:, 0])) / speed if has_position else speed / acceleration)
         )
         recordings = record.recordings() if has_position else _with_positions(record)
-        memory = time_constants * _time_constant(recordings, 0.25 * period)
+        balance = regress_mass_and_drag(recordings, 1.0, 0.25 * period)
+        memory = time_constants * _time_constant(balance)
         horizon = min(max(min(periods * period, memory), min_samples * record.period), record.max_horizon)
-        return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon)
+        return cls(inertia * acceleration, speed, span or 1.0, inertia, horizon, balance)
 
 
 def _with_positions(record: Record) -> list[Record]:
@@ -92,10 +94,9 @@ def _with_positions(record: Record) -> list[Record]:
     ]
 
 
-def _time_constant(recordings: Sequence[Record], test_width: float) -> float:
-    """Inertia over viscous friction, s; infinite where the recordings show none."""
-    inertia, drag = regress_mass_and_drag(recordings, 1.0, test_width)
-    return inertia / drag if inertia * drag > 0.0 else np.inf
+def _time_constant(measured: MassAndDrag) -> float:
+    """Inertia over viscous friction, s; infinite where a recording shows none."""
+    return measured.mass / measured.drag if measured.mass * measured.drag > 0.0 else np.inf
 
 
 def _stride(record: Record) -> int:

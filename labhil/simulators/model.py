@@ -27,6 +27,7 @@ from labhil.physics.values import Values, known_numbers
 from labhil.physics.warming import RATE, TEMPERATURE, WARMS, viscous_change
 from labhil.rig import RigFile
 from labhil.signals import FloatArray
+from labhil.simulators.agreement import disagreement_note
 from labhil.simulators.catalogue import Sizes, catalogue, velocities_of
 from labhil.simulators.confounded import find_confounded, find_dependent
 from labhil.simulators.laws import Kernels
@@ -161,6 +162,11 @@ class SimulatorModel:
         dead = find_dead_parameters(simulate, theta, [p.name for p in parameters])
         self.notes = [*self.simulator.notes]
         self.notes += [_dead_note(name, self.simulator, self.kind) for name in dead]
+        if self.sizes.measured is not None:
+            names = record.output_names[0], record.input_names[0], self.kind
+            gain = self._dynamics(start_values(parameters)).gain
+            note = disagreement_note(self.sizes.measured, gain, names)
+            self.notes += [note] if note else []
         estimated = self._fix(parameters, dead)
         if self.simulator.stepped is not None:
             self.notes += self._compare_with_steps(self.simulator.stepped, record, windows, states)
