@@ -17,7 +17,7 @@ from labhil.errors import UsageError
 from labhil.python_file import module_of, object_of
 from labhil.rig import RigFile
 from labhil.simulators.companion import Usage
-from labhil.simulators.patches import drop_inactive, format_number, with_holding_friction, with_warming
+from labhil.simulators.patches import drop_inactive, format_number, with_shared_values
 from labhil.simulators.python_rates import PythonRates
 from labhil.simulators.python_rollout import PythonRollout
 from labhil.simulators.python_step import PythonStep
@@ -73,7 +73,7 @@ class PythonBench:
     def candidates(self, check: PatchCheck, out: Path) -> Iterator[Candidate]:
         """Yield the file with its starts, then with shorter steps for the forces beside it."""
         text = PythonText.read(self.path, self.name, self.original.parameters)
-        values = with_warming(with_holding_friction(check.values))
+        values = with_shared_values(check.values)
         starts = {n: values.pop(n, quantity.start) for n, quantity in self.original.parameters.items()}
         for name, quantity in self.original.parameters.items():
             if format_number(starts[name]) != format_number(quantity.start):

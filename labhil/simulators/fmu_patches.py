@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from labhil.simulators.names import identifier
-from labhil.simulators.patches import drop_inactive, format_number, with_holding_friction, with_warming
+from labhil.simulators.patches import drop_inactive, format_number, with_shared_values
 from labhil.simulators.xml_text import Element, XmlText
 
 DESCRIPTION = "modelDescription.xml"
@@ -61,7 +61,7 @@ def patch_fmu(text: XmlText, starts: Mapping[str, float], values: Mapping[str, f
     Returns:
         The changed starts and the values of effects.
     """
-    remaining, changed = with_warming(with_holding_friction(values)), {}
+    remaining, changed = with_shared_values(values), {}
     for name, start in starts.items():
         value = remaining.pop(name, start)
         if format_number(value) != format_number(start):

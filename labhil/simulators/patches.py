@@ -61,7 +61,7 @@ def patch_mjcf(file: MechanismFile, text: XmlText, values: Mapping[str, float]) 
             f"{text.path}: expected an MJCF file (<mujoco>) or URDF (<robot>), found <{text.elements[0].tag}>"
         )
     in_file = {value.name: value for value in file.mechanism.values}
-    remaining = with_warming(merge_holding_friction(file, values))
+    remaining = merge_holding_friction(file, values)
     for name, value in in_file.items():
         if name in remaining:
             _set_file_value(file, text, value, remaining.pop(name))
@@ -93,16 +93,21 @@ def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> 
     own_friction = {
         name: 0.0 for field, name in FRICTION_FIELDS.items() if read_value(file.model, field, 0) != 0.0
     }
-    return with_holding_friction(own_friction | dict(values))
+    return with_shared_values(own_friction | dict(values))
 
 
-def with_holding_friction(values: Mapping[str, float]) -> dict[str, float]:
+def with_shared_values(values: Mapping[str, float]) -> dict[str, float]:
+    """State friction of which a file holds one part and its companion another: at rest, and with warmth."""
+    return _with_warming(_with_holding_friction(values))
+
+
+def _with_holding_friction(values: Mapping[str, float]) -> dict[str, float]:
     """Add extra friction at rest to the dry friction; a companion subtracts it in motion."""
     holding, dry = sum(values.get(name, 0.0) for name in HOLDING_LEVELS), FRICTION_FIELDS[Field.FRICTIONLOSS]
     return {**values, dry: values.get(dry, 0.0) + holding} if holding else dict(values)
 
 
-def with_warming(values: Mapping[str, float]) -> dict[str, float]:
+def _with_warming(values: Mapping[str, float]) -> dict[str, float]:
     """State the friction that falls with warmth beside the rate at which it does, as a companion needs it."""
     drag = values.get("viscous_friction.coefficient", 0.0)
     return {**values, f"{WARMS}.coefficient": drag} if values.get(RATE) else dict(values)

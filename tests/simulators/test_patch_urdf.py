@@ -56,6 +56,15 @@ def rig(tmp_path: Path) -> Path:
     return tmp_path / "rig.toml"
 
 
+def test_friction_that_falls_with_warmth_is_given_what_falls(rig: Path) -> None:
+    """The file holds the viscous friction, and its companion what warmth takes from it."""
+    path = rig.with_name("rod.urdf")
+    described, text = read_mechanism(path, {"torque": "hinge"}), XmlText.read(path)
+    values = {"viscous_friction.coefficient": 0.02, "temperature_dependent_friction.rate": 0.03}
+    found = patch_urdf(described, text, values)
+    assert found.remaining["temperature_dependent_friction.coefficient"] == 0.02
+
+
 def test_only_what_was_found_is_changed(rig: Path) -> None:
     path = rig.with_name("rod.urdf")
     described, text = read_mechanism(path, {"torque": "hinge"}), XmlText.read(path)

@@ -291,19 +291,22 @@ class Enumeration:
         grams, batch = self.responses.grams, _batch(choices, _width(choices[0]))
         solved, table = solve(grams, batch), TermTable(self.model, self.baseline)
         terms, keys = [_terms(choice) for choice in choices], [_key(choice) for choice in choices]
+        added_terms, added_keys = [_terms(a) for a in added], [_key(a) for a in added]
+        prior = table.log_priors(terms, added_terms, self.n_candidates)
+        prior -= self._log_ways(choices)[:, None] + self._log_ways(added)
+        prior[~table.may_be_added(terms, [a[-1].term for a in added], added_terms)] = -np.inf
         for width in sorted({_width(addition) for addition in added}):
-            same = [addition for addition in added if _width(addition) == width]
-            added_terms, added_keys = [_terms(a) for a in same], [_key(a) for a in same]
+            numbers = [j for j, addition in enumerate(added) if _width(addition) == width]
+            same = [added[j] for j in numbers]
             places = np.array([[p for v in addition for p in v.places] for addition in same], dtype=np.int64)
             positive = np.array([[s for v in addition for s in v.positive] for addition in same], dtype=bool)
             logs = np.stack(extended_evidence(grams, batch, solved, places, positive), axis=-1)
-            prior = table.log_priors(terms, added_terms, self.n_candidates)
-            logs += (prior - self._log_ways(choices)[:, None] - self._log_ways(same))[..., None]
-            logs[~table.may_be_added(terms, [a[-1].term for a in same], added_terms)] = -np.inf
-            for i, j in _largest_indices(logs, self.options.ranked_per_width * self.options.width):
+            logs += prior[:, numbers, None]
+            for i, n in _largest_indices(logs, self.options.ranked_per_width * self.options.width):
+                j = numbers[n]
                 structure = terms[i] | added_terms[j]
                 if len(structure) <= self.options.max_terms and structure not in reached:
-                    yield keys[i] | added_keys[j], (*choices[i], *same[j]), logs[i, j]
+                    yield keys[i] | added_keys[j], (*choices[i], *added[j]), logs[i, n]
 
     def _log_ways(self, choices: Sequence[Choice]) -> FloatArray:
         """Log number (S,) of the choices of variants of the same terms."""

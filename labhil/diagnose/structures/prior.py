@@ -100,7 +100,7 @@ class TermTable:
         counted, free = self._counted_and_free(structures)
         counted_added, free_added = self._counted_and_free(additions)
         counts = counted @ free_added.T + free @ counted_added.T
-        by_count = [_log_prior_of(count, n_candidates) for count in range(int(counts.max()) + 1)]
+        by_count = [_log_prior_of(count, n_candidates) for count in range(int(counts.max(initial=0.0)) + 1)]
         return np.array(by_count)[counts.astype(np.int64)]
 
     def _counted_and_free(self, sets: Sequence[Collection[str]]) -> tuple[FloatArray, FloatArray]:
