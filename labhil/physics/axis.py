@@ -23,7 +23,14 @@ from labhil.physics.guesses import characteristic_scales_of, states_from_line_fi
 from labhil.physics.model import Metric
 from labhil.physics.path_terms import input_terms, output_terms
 from labhil.physics.record import Record, Windows
-from labhil.physics.terms import TWO_WAVES, CharacteristicScale, Enters, Parameter, Term
+from labhil.physics.terms import (
+    TWO_WAVES,
+    CharacteristicScale,
+    Enters,
+    Parameter,
+    Term,
+    why_without_channels,
+)  # fmt: skip
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.physics.warming import RATE, TEMPERATURE, viscous_change, warming_friction
 from labhil.physics.weak_form import regress_mass_and_drag
@@ -156,7 +163,7 @@ class AxisModel:
         }
         self.unobservable_terms: Mapping[str, str] = {
             "sensor_offset": "a constant offset of position is taken up by each window's own initial state"
-        } | {k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if not set(t.needs) <= available}
+        } | why_without_channels(everything, available)
         typical = {"moving_mass": ("kg", self.sizes.mass)}
         if self.volts and "drive_gain" not in self.fixed:
             typical["drive_gain"] = ("N/V", 1.0)

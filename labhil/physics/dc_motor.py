@@ -22,7 +22,7 @@ from labhil.physics.extra_force import ExtraForce, MovedPart
 from labhil.physics.guesses import characteristic_scales_of
 from labhil.physics.model import Metric
 from labhil.physics.record import Record, Windows
-from labhil.physics.terms import CharacteristicScale, Term
+from labhil.physics.terms import CharacteristicScale, Term, why_without_channels
 from labhil.physics.values import Values, horizon_of, known_numbers, limit_horizon
 from labhil.physics.warming import RATE, REFERENCE_TEMPERATURE, viscous_change
 from labhil.rig import RigFile
@@ -74,9 +74,7 @@ class DcMotorModel:
         self.fixed = known_numbers(rig)
         everything = catalogue(self.sizes, self.outputs, "inertia" in self.fixed)
         self.terms: Mapping[str, Term] = {k: t for k, t in everything.items() if set(t.needs) <= available}
-        self.unobservable_terms: Mapping[str, str] = {
-            k: f"needs {', '.join(t.needs)}" for k, t in everything.items() if k not in self.terms
-        }
+        self.unobservable_terms: Mapping[str, str] = why_without_channels(everything, available)
         estimated = tuple(p for n, p in motor_parameters(self.sizes).items() if n not in self.fixed)
         self.parameters = estimated + tuple(p for term in self.terms.values() for p in term.parameters)
         self.state_scale = np.array([0.05 * self.sizes.speed, 0.1 * self.sizes.current])

@@ -7,7 +7,7 @@ Friction terms are in ``physics.friction_terms``, those of actuators and sensors
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from math import pi
@@ -174,6 +174,19 @@ def enumerated(names: Sequence[str]) -> str:
         ('a', 'a, b and c')
     """
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def why_without_channels(terms: Mapping[str, Term], measured: Collection[str]) -> dict[str, str]:
+    """Say of each term which channels it depends on, where a recording lacks one of them.
+
+    Args:
+        terms: Terms by key.
+        measured: Names of the recorded channels.
+
+    Returns:
+        The reasons by the keys of these terms.
+    """
+    return {k: f"needs {', '.join(t.needs)}" for k, t in terms.items() if not set(t.needs) <= set(measured)}
 
 
 def listed(keys: Iterable[str]) -> list[str]:

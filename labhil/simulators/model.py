@@ -22,7 +22,7 @@ from labhil.physics.guesses import characteristic_scales_of
 from labhil.physics.model import Metric, index_of, start_values
 from labhil.physics.moving_part import Stops
 from labhil.physics.record import Record, Windows
-from labhil.physics.terms import CharacteristicScale, Parameter, Term
+from labhil.physics.terms import CharacteristicScale, Parameter, Term, why_without_channels
 from labhil.physics.values import Values, known_numbers
 from labhil.physics.warming import RATE, TEMPERATURE, WARMS, viscous_change
 from labhil.rig import RigFile
@@ -131,8 +131,7 @@ class SimulatorModel:
         drive = next(iter(self.simulator.inputs.values()))
         terms = catalogue(sizes, self.force_unit, length, self.position, drive, channel, unit)
         measured = {TEMPERATURE} if record is None else set(record.auxiliary)
-        missing = {key: term.needs for key, term in terms.items() if not set(term.needs) <= measured}
-        self.unobservable_terms = {key: f"needs {', '.join(needs)}" for key, needs in missing.items()}
+        missing = self.unobservable_terms = why_without_channels(terms, measured)
         self._set_terms(parameters, {k: t for k, t in terms.items() if k not in missing}, sizes)
 
     def _set_range(self, record: Record) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,20 +13,10 @@ import labhil as lh
 from labhil.physics.rigs import model_for, record_of
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bare_pendulum import pendulum
 from pendulum_plant import swung, torques
 
-
-def swing(t: float, x: Any, u: Any, p: Any) -> Any:
-    return x.rate, (u.torque - p.gravity * math.sin(x.angle)) / p.inertia
-
-
-PENDULUM = lh.simulator(
-    swing,
-    name="agreed",
-    states={"angle": "rad", "rate": "rad/s"},
-    inputs={"torque": "N·m"},
-    parameters={"inertia": lh.Quantity(0.02, "kg·m²"), "gravity": lh.Quantity(0.5, "N·m")},
-)
+PENDULUM = pendulum(name="agreed")
 
 
 def notes(of_angle: float = 1.0, of_torque: float = 1.0, *, driven: bool = True) -> list[str]:

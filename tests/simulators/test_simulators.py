@@ -15,6 +15,7 @@ import labhil as lh
 from labhil.errors import RecordingError, RigFileError, UsageError
 
 sys.path.insert(0, str(Path(__file__).parent))
+from bare_pendulum import pendulum
 from pendulum_plant import GRAVITY, INERTIA, swung, torques
 
 BENCH = """
@@ -32,20 +33,6 @@ pendulum = lh.simulator(
     parameters={"inertia": lh.Quantity(0.02, "kg·m²"), "gravity_torque": lh.Quantity(0.5, "N·m")},
 )
 """
-
-
-def swing(t: float, x: Any, u: Any, p: Any) -> Any:
-    return x.rate, (u.torque - p.gravity_torque * math.sin(x.angle)) / p.inertia
-
-
-def pendulum(f: Callable[..., Any] = swing, **changes: Any) -> lh.Simulator:
-    stated: dict[str, Any] = {
-        "name": "pendulum",
-        "states": {"angle": "rad", "rate": "rad/s"},
-        "inputs": {"torque": "N·m"},
-        "parameters": {"inertia": lh.Quantity(0.02, "kg·m²"), "gravity_torque": lh.Quantity(0.5, "N·m")},
-    }
-    return lh.simulator(f, **{**stated, **changes})
 
 
 def recorded(
