@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from labhil.diagnose.judge import Data
-from labhil.identify.fitted import Fitted, covariances, fit_terms
+from labhil.identify.fitted import Fitted, fit_terms
 from labhil.identify.identifiability import weak_parameters
 from labhil.physics.model import Model
 
@@ -96,7 +96,7 @@ def _identifiable(data: Data, terms: Sequence[str], far: Sequence[Collapsed]) ->
         iterations=0, thorough=False, held=data.held,
     )  # fmt: skip
     free = [data.model.parameters[i] for i in start_fit.problem.free]
-    weak = weak_parameters(free, start_fit.theta[start_fit.problem.free], covariances(start_fit)[2], 1.0)
+    weak = weak_parameters(free, start_fit.theta[start_fit.problem.free], start_fit.covariances[2], 1.0)
     unknown = {parameter.key for parameter, is_weak in zip(free, weak, strict=True) if is_weak}
     return tuple(size for size in far if size.key not in unknown)
 

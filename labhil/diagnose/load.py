@@ -20,7 +20,7 @@ from labhil.diagnose.judge import Data, is_supported
 from labhil.diagnose.minor import drop_minor_terms
 from labhil.diagnose.refit import refit
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.fitted import Fitted
 from labhil.physics.model import Model, index_of
 from labhil.signals import FloatArray
 
@@ -126,7 +126,7 @@ def find_load(
     keys = [key for key in model.sizes_of_load(1.0, (0.0, 0.0, 0.0)) if key in _free_keys(fitted)]
     if len(keys) < len(PAYLOAD_KEYS) or not set(keys) & set(accepted.values):
         return None
-    robust, _, _ = covariances(fitted)
+    robust, _, _ = fitted.covariances
     places = [_free_keys(fitted).index(key) for key in keys]
     spread = robust[np.ix_(places, places)]
     values = fitted.theta[fitted.problem.free[places]]

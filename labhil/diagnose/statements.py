@@ -17,7 +17,7 @@ from labhil.diagnose.conclude import DOUBTFUL_EXCESS
 from labhil.diagnose.force_curve import ForceCurve
 from labhil.diagnose.minor import MIN_EXPLAINED_SHARE
 from labhil.diagnose.search_result import Rival, SearchResult, Step
-from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.fitted import Fitted
 from labhil.identify.intervals import quantile
 from labhil.identify.score import Score
 from labhil.identify.statistics import Estimate
@@ -89,7 +89,7 @@ def _combined_size(fitted: Fitted, rows: Sequence[Estimate]) -> str:
     keys = [fitted.problem.model.parameters[place].key for place in fitted.problem.free]
     if any(row.key not in keys for row in rows):
         return ""
-    robust, _, _ = covariances(fitted)
+    robust, _, _ = fitted.covariances
     places = [keys.index(row.key) for row in rows]
     name, value, error = sum_or_difference(
         np.array([row.value for row in rows]), robust[np.ix_(places, places)]

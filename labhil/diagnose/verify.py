@@ -19,7 +19,7 @@ from labhil.diagnose.accepted import Accepted
 from labhil.diagnose.evidence import effective_samples
 from labhil.identify.adequacy import NOISE_FLOOR_FACTOR, Adequacy, adequacy_of
 from labhil.identify.continuation import WINDOW_IN_HORIZONS
-from labhil.identify.fitted import Fitted, covariances, free_parameter_indices
+from labhil.identify.fitted import Fitted, free_parameter_indices
 from labhil.identify.identifiability import undetermined_directions
 from labhil.identify.least_squares import least_squares
 from labhil.identify.problem import Point, Problem
@@ -164,7 +164,7 @@ def verify(
     window = min(accepted.window or WINDOW_IN_HORIZONS * model.horizon, float(record.t[-1] - record.t[0]))
     refit = _refit(model, record, accepted, theta, window, sigma)
     progress("comparing")
-    robust, _, jacobian = covariances(refit)
+    robust, _, jacobian = refit.covariances
     keys = [model.parameters[i].key for i in refit.problem.free]
     before = accepted.covariance_of(keys)
     channels = _channels(model, record, accepted, accepted_score, theta, before, refit, jacobian)

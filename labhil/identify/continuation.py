@@ -19,7 +19,6 @@ from labhil.identify.fitted import (
     INTERMEDIATE_TOLERANCE,
     MAX_RESIDUAL_GROWTH,
     Fitted,
-    covariances,
     fit_briefly,
     fit_by_continuation,
     fit_terms,
@@ -36,6 +35,9 @@ from labhil.signals import FloatArray
 
 if TYPE_CHECKING:
     from labhil.identify.fit import Options
+
+SEARCHED_WINDOWS = 12
+"""Number of windows, evenly spread, over which the default searches for a start; least squares take all."""
 
 WINDOW_IN_HORIZONS = 1.5
 """Length of the longest fitted windows, in scored horizons."""
@@ -186,40 +188,33 @@ def fit_inverse_dynamics(
 def _fit_shortest_windows(task: FitTask) -> Fitted:
     """The fit on the shortest windows: from the model's own starts, from a global search, or the better.
 
-    The default estimator tries the model's own starts only where the search leaves more than noise.
+    The default estimator searches only where the model's own starts leave more than noise.
     """
-    model, record, terms, sigma, estimator = (
-        task.model,
-        task.record,
-        task.terms,
-        task.sigma,
-        task.options.estimator,
-    )
+    model, record, options = task.model, task.record, task.options
     shortest, longest = task.lengths[0], task.lengths[-1]
     tolerance = INTERMEDIATE_TOLERANCE if len(task.lengths) > 1 else TOLERANCE
-    if estimator == "nlse":
-        return fit_terms(
-            model,
-            record,
-            terms,
-            shortest,
-            sigma,
-            start=task.begin,
-            new_terms=task.new_terms,
-            tolerance=tolerance,
-        )
-    windows = fit_windows(record, longest if model.fading_memory else shortest)
-    problem = Problem(model, record, windows, free_parameter_indices(model, terms), task.begin, sigma)
+    fit_from = partial(fit_terms, model, record, task.terms, shortest, task.sigma, tolerance=tolerance)
+    if options.estimator == "nlse":
+        return fit_from(start=task.begin, new_terms=task.new_terms)
     # short windows hardly determine widths; they are profiled afterwards
-    fit_from = partial(fit_terms, model, record, terms, shortest, sigma, shapes=False, tolerance=tolerance)
-    scout = _search_and_scout(problem, fit_from, task)
-    if estimator == DEFAULT and scout.noise >= task.restarts.explained_in_noise:
-        unsearched = fit_from(start=task.begin, new_terms=task.new_terms, max_scout_cost=scout.solution.cost)
-        if unsearched.solution.cost < scout.solution.cost:
-            return unsearched
-    searched = fit_from(start=scout.theta, states=scout.solution.point.states, new_terms=())
-    searched.problem.evaluations += problem.evaluations + scout.problem.evaluations
-    return searched
+    fit_from = partial(fit_from, shapes=False)
+    fits: list[Fitted] = []
+    if options.estimator == DEFAULT:
+        fits.append(fit_from(start=task.begin, new_terms=task.new_terms))
+        if fits[0].noise < task.restarts.explained_in_noise:
+            return fits[0]
+    windows = fit_windows(record, longest if model.fading_memory else shortest)
+    free = free_parameter_indices(model, task.terms)
+    problem = Problem(model, record, windows, free, task.begin, task.sigma)
+    try:
+        scout = _search_and_scout(problem, fit_from, task)
+        fits.append(fit_from(start=scout.theta, states=scout.solution.point.states, new_terms=()))
+    except EndedEarly as early:
+        early.theta = fits[0].theta if fits else early.theta
+        raise
+    best = min(fits, key=lambda fitted: fitted.solution.cost)
+    best.problem.evaluations += problem.evaluations + scout.problem.evaluations
+    return best
 
 
 def _search_and_scout(problem: Problem, fit_from: Callable[..., Fitted], task: FitTask) -> Fitted:
@@ -230,9 +225,10 @@ def _search_and_scout(problem: Problem, fit_from: Callable[..., Fitted], task: F
     """
     options, restarts = task.options, task.restarts
     scouts: list[Fitted] = []
+    searched = problem.on_some_windows(SEARCHED_WINDOWS) if options.estimator == DEFAULT else problem
     for again in range(restarts.max_searches if options.estimator == DEFAULT else 1):
         options.progress(f"searching by {options.estimator}" + (", another seed" if again else ""))
-        begin = search(problem, options.estimator, seed=options.seed + again, progress=options.progress)
+        begin = search(searched, options.estimator, seed=options.seed + again, progress=options.progress)
         try:
             scouts.append(fit_from(start=begin.theta, new_terms=(), max_scout_cost=0.0))
         except EndedEarly as early:
@@ -269,7 +265,7 @@ def trusted_fit_index(fits: Sequence[Fitted], lengths: Sequence[float], horizon:
 
 def settle_fit(fitted: Fitted) -> Fitted:
     """Refine a fit to the lowest minimum within its uncertainty, by restarts from perturbed parameters."""
-    _, classical, _ = covariances(fitted)
+    _, classical, _ = fitted.covariances
     scale = fitted.problem.scale
     relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)
     variances, directions = np.linalg.eigh(relative) if len(scale) else (np.empty(0), np.empty((0, 0)))

@@ -19,11 +19,12 @@ from labhil.identify.continuation import (
     FitTask,
     fit_inverse_dynamics,
     fit_on_growing_windows,
+    settle_fit,
     trusted_fit_index,
     window_lengths,
 )
 from labhil.identify.estimators import DEFAULT
-from labhil.identify.fitted import Fitted, covariances, start_theta
+from labhil.identify.fitted import Fitted, refit_from, start_theta
 from labhil.identify.identifiability import Identifiability, identifiability
 from labhil.identify.intervals import Intervals
 from labhil.identify.sampling import hold_shifts, sampling_notes
@@ -36,6 +37,9 @@ from labhil.physics.rigs import by_inverse_dynamics
 from labhil.signals import FloatArray
 
 Progress = Callable[[str], None]
+
+MAX_LOWER_MINIMA = 3
+"""How often a fit begins again from a lower minimum that a profile came upon."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +236,14 @@ def _evaluate(
     chosen = trusted_fit_index(fits, lengths, model.horizon)
     options.progress(f"statistics and scores, intervals by {options.intervals}")
     by_window = [_window_estimate(r, length) for r, length in zip(fits, lengths, strict=False)]
-    table = table_of(fits[chosen], options.intervals, options.simultaneous)
+    fits = list(fits)
+    for again in range(MAX_LOWER_MINIMA + 1):
+        last = again == MAX_LOWER_MINIMA
+        table = table_of(fits[chosen], options.intervals, options.simultaneous, stop_at_lower=not last)
+        if table.lower is None or last:
+            break
+        options.progress("a profile led to a lower minimum: fitting from there")
+        fits[chosen] = settle_fit(refit_from(fits[chosen], table.lower))
     scores = tuple(_score_with_forces(model, fits[chosen].theta, r) for r in (record, test) if r is not None)
     return _assemble(scores, fits, chosen, by_window, table, options)
 
@@ -245,7 +256,7 @@ def _score_with_forces(model: Model, theta: FloatArray, record: Record) -> Score
 
 def _window_estimate(fitted: Fitted, length: float) -> WindowEstimate:
     """Estimates and robust standard errors of a fit on windows of ``length`` s."""
-    robust, _, _ = covariances(fitted)
+    robust, _, _ = fitted.covariances
     names = [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
     errors = np.sqrt(np.maximum(np.diag(robust), 0.0))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class ScoutOptions:
     n_continued: int = 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Fitted:
     """A fit of one set of terms on windows of one length.
 
@@ -95,6 +95,32 @@ class Fitted:
         """Degrees of freedom: residuals less fitted parameters and initial states, at least 1."""
         fitted = len(self.problem.free) + self.solution.point.states.size
         return max(len(self.solution.residuals) - fitted, 1)
+
+    @cached_property
+    def covariances(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Covariances of the estimates, and the slopes behind them.
+
+        Robust (sandwich) covariance (P, P) and classical covariance (P, P) in SI units; Jacobian (N, P) of
+        the residuals by parameters in SI units, the initial states projected out. Variances of parameters
+        without effect are infinite.
+        """
+        problem, solution = self.problem, self.solution
+        slopes = sensitivities(problem, solution.point, solution.residuals, self.noise)
+        jacobian = slopes / problem.scale
+        if not jacobian.shape[1]:
+            return np.empty((0, 0)), np.empty((0, 0)), jacobian
+        unit = np.linalg.norm(jacobian, axis=0)
+        unit[unit == 0.0] = 1.0
+        scaled = jacobian / unit
+        channels = len(problem.sigma)
+        robust = statistics.robust_covariance(scaled, solution.residuals, self.dof, channels, problem.begins)
+        inverse = statistics.inverse_information(scaled)
+        without_effect = np.linalg.norm(jacobian, axis=0) == 0.0
+        for matrix in (robust, inverse):
+            matrix[without_effect, without_effect] = np.inf
+        # also at zero cost an infinite variance stays infinite
+        classical = inverse * max(solution.cost, 1e-300) / self.dof
+        return robust / np.outer(unit, unit), classical / np.outer(unit, unit), jacobian
 
 
 def free_parameter_indices(model: Model, terms: Sequence[str], held: Collection[str] = ()) -> np.ndarray:
@@ -261,36 +287,6 @@ def _best_scout(
     return min(scouts, key=lambda scout: scout[1].cost)
 
 
-def covariances(fitted: Fitted) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Covariance of the estimates.
-
-    Args:
-        fitted: a fit of P free parameters.
-
-    Returns:
-        Robust (sandwich) covariance (P, P) and classical covariance (P, P) in SI units; Jacobian (N, P) of
-        the residuals by parameters in SI units, the initial states projected out. Variances of parameters
-        without effect are infinite.
-    """
-    problem, solution = fitted.problem, fitted.solution
-    slopes = sensitivities(problem, solution.point, solution.residuals, fitted.noise)
-    jacobian = slopes / problem.scale
-    if not jacobian.shape[1]:
-        return np.empty((0, 0)), np.empty((0, 0)), jacobian
-    unit = np.linalg.norm(jacobian, axis=0)
-    unit[unit == 0.0] = 1.0
-    scaled = jacobian / unit
-    channels = len(problem.sigma)
-    robust = statistics.robust_covariance(scaled, solution.residuals, fitted.dof, channels, problem.begins)
-    inverse = statistics.inverse_information(scaled)
-    without_effect = np.linalg.norm(jacobian, axis=0) == 0.0
-    for matrix in (robust, inverse):
-        matrix[without_effect, without_effect] = np.inf
-    # also at zero cost an infinite variance stays infinite
-    classical = inverse * max(solution.cost, 1e-300) / fitted.dof
-    return robust / np.outer(unit, unit), classical / np.outer(unit, unit), jacobian
-
-
 def fit_by_continuation(
     model: Model,
     record: Record,
@@ -341,6 +337,13 @@ def fit_by_continuation(
             fitted = min(fitted, fit(start=restart), key=lambda candidate: candidate.solution.cost)
         fits.append(fitted)
     return fits
+
+
+def refit_from(fitted: Fitted, begin: Point) -> Fitted:
+    """Repeat a fit from another point, on the same windows."""
+    problem = fitted.problem
+    solution = least_squares(problem, begin, settled=True, thorough=False)
+    return replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
 
 
 def _restart_off_bounds(fitted: Fitted, begin: FloatArray) -> FloatArray | None:

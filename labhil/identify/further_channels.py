@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.fitted import Fitted
 from labhil.identify.identifiability import Identifiability, identifiability, with_helpful_options
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
@@ -54,7 +54,7 @@ def suggest_measurements(
 def _with_known(fitted: Fitted, j: int) -> Identifiability:
     """Identifiability when the free parameter ``j`` is known."""
     problem = fitted.problem
-    _, _, jacobian = covariances(fitted)
+    _, _, jacobian = fitted.covariances
     others = np.delete(np.arange(len(problem.free)), j)
     parameters = [problem.model.parameters[i] for i in problem.free[others]]
     values = fitted.theta[problem.free[others]]

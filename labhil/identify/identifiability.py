@@ -109,7 +109,7 @@ def undetermined_directions(
     jacobian: FloatArray,
     noise: float,
     *,
-    undetermined_error: float = 20.0,
+    undetermined_error: float = 5.0,
 ) -> tuple[IntArray, np.ndarray]:
     """Choose parameters to hold, so that no direction is left along which a refit could drift by factors.
 
@@ -129,7 +129,7 @@ def undetermined_directions(
     _, singular, rows = relative_svd(parameters, values, jacobian)
     undetermined = rows[noise / np.maximum(singular, 1e-300) > undetermined_error]
     involved = np.asarray(np.any(np.abs(undetermined) > MIN_COMPONENT, axis=0))
-    return np.array(sorted(_pivots(undetermined)), dtype=np.int64), involved
+    return np.array(sorted(pivots(undetermined)), dtype=np.int64), involved
 
 
 def with_helpful_options(
@@ -192,7 +192,7 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
     directions = directions[largest > 0.0] / largest[largest > 0.0, None]
     involved = [i for i in range(len(names)) if np.any(np.abs(directions[:, i]) > MIN_COMPONENT)]
     moving = directions[:, involved]
-    free = _pivots(moving)
+    free = pivots(moving)
     others = [j for j in range(len(involved)) if j not in free]
     texts = []
     for j in others:
@@ -204,7 +204,7 @@ def invariants(names: Sequence[str], directions: FloatArray) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _pivots(directions: FloatArray) -> list[int]:
+def pivots(directions: FloatArray) -> list[int]:
     """Choose as many columns as there are rows, the strongest first, by pivoting (first of equals)."""
     remaining = directions.copy()
     chosen: list[int] = []

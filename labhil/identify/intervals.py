@@ -9,6 +9,7 @@ keeps their correlation. ``table`` chooses among them for each parameter.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -18,6 +19,7 @@ from labhil.errors import UnknownNameError
 from labhil.identify.least_squares import Solution, least_squares
 from labhil.identify.problem import Point, Problem
 from labhil.identify.sensitivities import sensitivities
+from labhil.identify.slopes import Slopes
 from labhil.identify.statistics import ALPHA, bandwidth, inverse_information, recording_slices
 from labhil.identify.window_states import search_states
 from labhil.signals import FloatArray
@@ -126,23 +128,66 @@ def bootstrap_intervals(
     return [(float(v - a), float(v - b)) for v, a, b in zip(values, low, high, strict=True)]
 
 
-def profile_interval(
-    problem: Problem, solution: Solution, j: int, covariance: FloatArray, inflation: float, reach: float
-) -> tuple[float, float]:
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Likelihood profile of one parameter.
+
+    Attributes:
+        low: Where it crosses its threshold below the estimate, SI units; a bound where it does not.
+        high: The same above the estimate.
+        lower: A minimum clearly below the fit's that was found on the way; the ends then mean nothing.
+    """
+
+    low: float
+    high: float
+    lower: Solution | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CrossingOptions:
+    """How the crossing of a profile with its threshold is found.
+
+    Attributes:
+        max_steps: Largest number of refits to each side.
+        tolerance: Of the square root of the profile's rise, relative to the threshold's.
+        refit_tolerance: Decrease of the cost, over the threshold, below which a refit has converged.
+        max_rise_to_search: Rise over the threshold up to which the windows' states are searched, in case that
+            windows were left in worse minima.
+        iterations: Largest number of steps of a refit.
+        min_decrease: Decrease of the cost that makes a minimum a lower one, in squares of the noise.
+    """
+
+    max_steps: int = 8
+    tolerance: float = 0.06
+    refit_tolerance: float = 0.03
+    max_rise_to_search: float = 9.0
+    iterations: int = 40
+    min_decrease: float = 0.3
+
+
+def profile_of(
+    problem: Problem,
+    solution: Solution,
+    slopes: Slopes,
+    j: int,
+    covariance: FloatArray,
+    inflation: float,
+    reach: float,
+    options: CrossingOptions | None = None,
+) -> Profile:
     """Find where the likelihood profile of a parameter crosses its threshold.
 
     Args:
         problem: What was estimated.
         solution: The best fit.
+        slopes: Those of the problem at the best fit.
         j: Index of the parameter among the free ones.
         covariance: (P, P) classical covariance of the scaled parameters, for the first step and for the
             direction in which the other parameters follow.
         inflation: Robust over classical variance, by which the threshold grows where residuals are
             correlated.
         reach: Two-sided normal quantile of the level; the threshold is its square.
-
-    Returns:
-        Lower and upper end, SI units; a bound where the profile does not cross the threshold.
+        options: How the crossing is found; None for the defaults.
     """
     dof = max(len(solution.residuals) - len(problem.free) - solution.point.states.size, 1)
     threshold = reach**2 * inflation * solution.cost / dof
@@ -150,18 +195,24 @@ def profile_interval(
     error = float(np.sqrt(inflation * covariance[j, j]))
     if problem.model.parameters[problem.free[j]].in_steps:
         error = max(error, problem.step[j])  # the slope within a step is unrelated to its width
-    path = _path_of(problem, j, along)
-    ends = [
-        _find_crossing(problem, solution, j, path, side * reach * error, threshold) * problem.scale[j]
-        for side in (-1, 1)
-    ]
-    return min(ends), max(ends)
+    walk = _ProfileWalk(
+        problem,
+        solution,
+        slopes.without(np.array([j])),
+        j,
+        path_of(problem, j, along),
+        threshold,
+        options or CrossingOptions(),
+    )
+    ends = [walk.crossing(side * reach * error) * problem.scale[j] for side in (-1, 1)]
+    is_lower = walk.lowest.cost < solution.cost - walk.options.min_decrease * solution.cost / dof
+    return Profile(min(ends), max(ends), walk.lowest if is_lower else None)
 
 
 Path = Callable[[FloatArray, float], FloatArray]
 
 
-def _path_of(problem: Problem, j: int, along: FloatArray) -> Path:
+def path_of(problem: Problem, j: int, along: FloatArray) -> Path:
     """How all parameters (P,) change when ``j`` is moved to a value, to first order, within bounds.
 
     With a positive constant all change by factors: data often determine such constants only up to products
@@ -179,56 +230,102 @@ def _path_of(problem: Problem, j: int, along: FloatArray) -> Path:
     return by_factors if problem.is_positive_constant(j) else straight
 
 
-def _find_crossing(
-    problem: Problem,
-    solution: Solution,
-    j: int,
-    path: Path,
-    step: float,
-    threshold: float,
-    *,
-    max_steps: int = 6,
-    tolerance: float = 0.06,
-) -> float:
-    """Scaled value of parameter ``j`` at which its profile has risen by ``threshold``, or its bound.
+class _ProfileWalk:
+    """Walks along the profile of free parameter ``j``, every other parameter and all states refitted.
 
-    ``tolerance`` is that of the rise's square root, relative to the threshold's.
+    Args:
+        problem: What was estimated.
+        solution: The best fit.
+        slopes: Those by the other parameters at the best fit.
+        j: Index of the parameter.
+        path: How the others follow it.
+        threshold: Rise of the cost at which the profile is crossed.
+        options: How the crossing is found.
     """
-    centre, point = solution.point.z[j], solution.point
-    by_factors = problem.is_positive_constant(j)
-    if by_factors:
-        step = float(np.clip(step / centre, -MAX_LOG_STEP, MAX_LOG_STEP))
-    z = centre
-    for number in range(max_steps):
-        wanted = centre * np.exp(step) if by_factors else centre + step
-        z = float(np.clip(wanted, problem.lower[j], problem.upper[j]))
-        point, cost = _refit_at(problem, Point(path(point.z, z), point.states), j, z, thorough=number == 0)
-        rise = float(np.sqrt(max(cost - solution.cost, 0.0) / threshold))
-        if abs(rise - 1.0) < tolerance or (z != wanted and rise < 1.0):
-            break
-        step *= float(np.clip(1.0 / max(rise, 1e-3), 0.4, 2.5))
-        # a refit beyond the crossing may have ended in a worse minimum
-        point = solution.point if rise > 1.0 else point
-    return z
 
+    def __init__(
+        self,
+        problem: Problem,
+        solution: Solution,
+        slopes: Slopes,
+        j: int,
+        path: Path,
+        threshold: float,
+        options: CrossingOptions,
+    ) -> None:
+        self.problem = problem
+        self.solution = solution
+        self.slopes = slopes
+        self.j = j
+        self.path = path
+        self.threshold = threshold
+        self.options = options
+        self.lowest = solution
 
-def _refit_at(
-    problem: Problem, point: Point, j: int, z: float, *, thorough: bool, trials: int = 6
-) -> tuple[Point, float]:
-    """Refit all other parameters and all states with parameter ``j`` held at ``z``; the cost comes second.
+    def crossing(self, step: float) -> float:
+        """Scaled value at which the profile has risen by the threshold, or the bound; ``step`` comes first.
 
-    ``thorough`` also searches each window's state from so many random ``trials``.
-    """
-    theta = problem.theta(point.z)
-    theta[problem.free[j]] = z * problem.scale[j]
-    held_problem = problem.pin(np.array([j]), theta)
-    others, states = np.delete(point.z, j), point.states
-    if thorough:
-        states = search_states(held_problem, others, states, np.random.default_rng(0), trials=trials)
-    begin = Point(others, states)
-    refit = least_squares(held_problem, begin, iterations=40, tolerance=1e-5, settled=True, thorough=False)
-    problem.evaluations += held_problem.evaluations
-    return Point(np.insert(refit.point.z, j, z), refit.point.states), refit.cost
+        The square root of the rise is about proportional to the distance. A positive constant is moved by
+        factors.
+        """
+        problem, options = self.problem, self.options
+        centre, point = self.solution.point.z[self.j], self.solution.point
+        by_factors = problem.is_positive_constant(self.j)
+        if by_factors:
+            step = float(np.clip(step / centre, -MAX_LOG_STEP, MAX_LOG_STEP))
+        z, below, beyond = centre, (0.0, 0.0), None
+        for _ in range(options.max_steps):
+            wanted = centre * np.exp(step) if by_factors else centre + step
+            z = float(np.clip(wanted, problem.lower[self.j], problem.upper[self.j]))
+            refit = self._refit(Point(self.path(point.z, z), point.states), z)
+            rise = float(np.sqrt(max(refit.cost - self.solution.cost, 0.0) / self.threshold))
+            if abs(rise - 1.0) < options.tolerance or (z != wanted and rise < 1.0):
+                break
+            if rise < 1.0:
+                below, point = (step, rise), refit.point
+            else:  # this refit may have ended in a worse minimum: the next one does not start there
+                beyond = (step, rise)
+            if beyond is None:
+                longer = step * float(np.clip(1.0 / max(rise, 1e-3), 1.0, 2.5))
+                # other parameters follow by a factor of ten at most
+                step = (
+                    float(np.clip(longer, step - MAX_LOG_STEP, step + MAX_LOG_STEP)) if by_factors else longer
+                )
+            else:
+                share = (1.0 - below[1]) / max(beyond[1] - below[1], 1e-9)
+                step = below[0] + float(np.clip(share, 0.1, 0.9)) * (beyond[0] - below[0])
+        return z
+
+    def _refit(self, begin: Point, z: float) -> Solution:
+        """Refit everything else at the value ``z``, again from other states where the cost rose far."""
+        refit = self._refit_from(begin, z, trials=0)
+        rise = (refit.cost - self.solution.cost) / self.threshold
+        if (1.0 + self.options.tolerance) ** 2 < rise < self.options.max_rise_to_search:
+            searched = self._refit_from(begin, z, trials=6)
+            refit = min(refit, searched, key=lambda either: either.cost)
+        self.lowest = min(self.lowest, refit, key=lambda either: either.cost)
+        return refit
+
+    def _refit_from(self, begin: Point, z: float, trials: int) -> Solution:
+        """Refit from a point; each window's state is first searched from so many random ``trials``."""
+        problem, j = self.problem, self.j
+        theta = problem.theta(begin.z)
+        theta[problem.free[j]] = z * problem.scale[j]
+        held_problem = problem.pin(np.array([j]), theta)
+        others, states = np.delete(begin.z, j), begin.states
+        if trials:
+            states = search_states(held_problem, others, states, np.random.default_rng(0), trials=trials)
+        refit = least_squares(
+            held_problem,
+            Point(others, states),
+            iterations=self.options.iterations,
+            tolerance=self.options.refit_tolerance * self.threshold / max(self.solution.cost, 1e-300),
+            settled=True,
+            thorough=False,
+            slopes=self.slopes,
+        )
+        problem.evaluations += held_problem.evaluations
+        return replace(refit, point=Point(np.insert(refit.point.z, j, z), refit.point.states))
 
 
 def cramer_rao_bounds(problem: Problem, point: Point) -> FloatArray:

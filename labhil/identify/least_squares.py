@@ -10,8 +10,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from labhil.identify.problem import Linearised, Point, Problem
+from labhil.identify.slopes import Slopes
 from labhil.identify.window_products import without_states
 from labhil.identify.window_states import (
     MAX_DAMPING,
@@ -83,6 +86,7 @@ def least_squares(
     thorough: bool = True,
     on_step: Callable[[float], None] | None = None,
     options: StepOptions = DEFAULT_STEPS,
+    slopes: Slopes | None = None,
 ) -> Solution:
     """Minimise the sum of squared residuals from ``start``; bounds hold throughout.
 
@@ -95,6 +99,8 @@ def least_squares(
         thorough: Estimate the states of outlying windows anew from other starts, first and at convergence.
         on_step: Called with the cost after each step.
         options: How steps are chosen.
+        slopes: Slopes of this problem near ``start``, which serve as long as steps gain at least half of what
+            they predict; None where there are none.
 
     Returns:
         The solution; it has also converged where no damping finds a lower cost.
@@ -111,12 +117,12 @@ def least_squares(
     damping = options.initial_damping
     for iteration in range(iterations):
         cost = float(residuals @ residuals)
-        step = _lower_cost(problem, point, residuals, damping, tolerance, options)
+        step = _lower_cost(problem, point, residuals, slopes, damping, tolerance, options)
         if step is None and thorough:
             step = _improve_states(problem, point, residuals, options)
         if step is None:
             return Solution(point, residuals, iteration, True)
-        point, residuals, damping = step
+        point, residuals, damping, slopes = step.point, step.residuals, step.damping, step.slopes
         decrease = cost - float(residuals @ residuals)
         if on_step is not None:
             on_step(cost - decrease)
@@ -124,7 +130,7 @@ def least_squares(
             better = _improve_states(problem, point, residuals, options) if thorough else None
             if better is None:
                 return Solution(point, residuals, iteration + 1, True)
-            point, residuals, damping = better
+            point, residuals, damping, slopes = better.point, better.residuals, better.damping, None
     return Solution(point, residuals, iterations, False)
 
 
@@ -156,38 +162,74 @@ def search_lower_minima(
     """
     random = np.random.default_rng(seed)
     threshold = min_decrease * max(1.0, solution.cost / max(len(solution.residuals), 1))
-    best = _alternate(problem, solution, threshold, random)
+    slopes = Slopes.at(problem, solution.point, solution.residuals)
+    best = _alternate(problem, solution, slopes, threshold, random)
     for _ in range(restarts):
         z = best.point.z + spread @ random.standard_normal(len(best.point.z))
         begin = Point(np.clip(z, problem.lower, problem.upper), best.point.states)
-        trial = least_squares(problem, begin, iterations=12, settled=True, thorough=False)
+        trial = _fit_nearby(problem, begin, slopes, 12, threshold / best.cost)
         if trial.cost < best.cost - threshold:
-            best = _alternate(problem, trial, threshold, random)
+            best = _alternate(problem, trial, slopes, threshold, random)
     return best
 
 
 def _alternate(
-    problem: Problem, solution: Solution, threshold: float, random: np.random.Generator
+    problem: Problem, solution: Solution, slopes: Slopes, threshold: float, random: np.random.Generator
 ) -> Solution:
-    """Improve states and parameters in turn, until the cost falls by less than ``threshold``."""
+    """Improve states and parameters in turn, until the cost falls by less than ``threshold``.
+
+    ``slopes`` are those of a point nearby.
+    """
     best = solution
     for _ in range(6):
         states = search_states(problem, best.point.z, best.point.states, random)
         begin = Point(best.point.z, states)
-        trial = least_squares(problem, begin, iterations=20, settled=True, thorough=False)
+        trial = _fit_nearby(problem, begin, slopes, 20, threshold / best.cost)
         if trial.cost > best.cost - threshold:
             return trial if trial.cost < best.cost else best
         best = trial
     return best
 
 
+def _fit_nearby(
+    problem: Problem, begin: Point, slopes: Slopes, iterations: int, tolerance: float
+) -> Solution:
+    """Fit from a point near one whose slopes are known."""
+    return least_squares(
+        problem,
+        begin,
+        iterations=iterations,
+        tolerance=tolerance,
+        settled=True,
+        thorough=False,
+        slopes=slopes,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """A step that lowered the cost.
+
+    Attributes:
+        point: Where it led.
+        residuals: (N·c,) there.
+        damping: Of the next step.
+        slopes: Those for the next step, None where they are to be taken anew.
+    """
+
+    point: Point
+    residuals: FloatArray
+    damping: float
+    slopes: Slopes | None = None
+
+
 def _improve_states(
     problem: Problem, point: Point, residuals: FloatArray, options: StepOptions
-) -> tuple[Point, FloatArray, float] | None:
+) -> _Step | None:
     """The same parameters with better states of some windows, or None where there are none."""
     better = reestimate(problem, point.z, States(point.states, residuals))
     if better.cost < (1.0 - options.min_decrease_by_states) * float(residuals @ residuals):
-        return Point(point.z, better.states), better.residuals, options.initial_damping
+        return _Step(Point(point.z, better.states), better.residuals, options.initial_damping)
     return None
 
 
@@ -195,32 +237,37 @@ def _lower_cost(
     problem: Problem,
     point: Point,
     residuals: FloatArray,
+    known: Slopes | None,
     damping: float,
     tolerance: float,
     options: StepOptions,
-) -> tuple[Point, FloatArray, float] | None:
-    """A point of lower cost, its residuals and the next damping; None where no damping finds one.
+) -> _Step | None:
+    """A step to a lower cost; None where no damping finds one.
 
-    Where a step lowers the cost by much less than predicted, the windows improve their own states before the
-    step is accepted or rejected.
+    Where a step lowers the cost by much less than predicted, the windows improve their own states before it
+    is accepted or rejected; slopes that were taken elsewhere (``known``) are first taken anew.
     """
-    lin = problem.linearise(point, residuals)
+    slopes = known.with_residuals(residuals) if known else Slopes.at(problem, point, residuals)
     cost = float(residuals @ residuals)
     while damping < options.max_damping:
-        trial, predicted = _damped_step(problem, point, lin, damping, options)
+        trial, predicted = _damped_step(problem, point, slopes.lin, damping, tolerance * cost, options)
         if abs(predicted) < tolerance * cost:
             return None
         reached = evaluate(problem, trial.z, trial.states)
-        if cost - reached.cost < options.min_gain_ratio * predicted:
+        is_good = cost - reached.cost >= options.min_gain_ratio * predicted
+        if known is not None and not is_good:
+            return _lower_cost(problem, point, residuals, None, damping, tolerance, options)
+        if not is_good:
             reached = refine(problem, trial.z, reached, evaluate(problem, trial.z, point.states))
         if reached.cost < cost:
-            return Point(trial.z, reached.states), reached.residuals, max(0.1 * damping, 1e-8)
+            end = Point(trial.z, reached.states)
+            return _Step(end, reached.residuals, max(0.1 * damping, 1e-8), known)
         damping *= 8.0
     return None
 
 
 def _damped_step(
-    problem: Problem, point: Point, lin: Linearised, damping: float, options: StepOptions
+    problem: Problem, point: Point, lin: Linearised, damping: float, least_gain: float, options: StepOptions
 ) -> tuple[Point, float]:
     """One damped Gauss-Newton step, and the decrease of the cost that the linearised model predicts.
 
@@ -228,7 +275,7 @@ def _damped_step(
     minimum, an undamped step of its state leads nowhere however short the step of the parameters is.
     """
     state_damping = damping if damping > options.initial_damping else 0.0
-    z = _parameter_step(problem, point, lin, damping, state_damping)
+    z = _parameter_step(problem, point, lin, damping, state_damping, least_gain)
     gram = problem.state_gram(lin.by_states, np.full(len(point.states), state_damping))
     linearised = lin.residuals + lin.by_parameters @ (z - point.z)
     gradient = problem.products(lin.by_states, linearised[:, None])
@@ -239,9 +286,9 @@ def _damped_step(
 
 
 def _parameter_step(
-    problem: Problem, point: Point, lin: Linearised, damping: float, state_damping: float
+    problem: Problem, point: Point, lin: Linearised, damping: float, state_damping: float, least_gain: float
 ) -> FloatArray:
-    """Scaled parameters (P,) after a damped step; those that the gradient presses onto a bound stay there."""
+    """Scaled parameters (P,) after the best damped step within the bounds."""
     if not len(point.z):
         return point.z
     projected = problem.project(lin, np.column_stack([lin.by_parameters, lin.residuals]), state_damping)
@@ -249,9 +296,37 @@ def _parameter_step(
     normal = lin.by_parameters.T @ projected[:, :-1]
     diagonal = np.diag(normal)
     normal = normal + np.diag(damping * diagonal + 1e-9 * diagonal.max() + 1e-12)
-    at_bound = ((point.z <= problem.lower) & (gradient > 0)) | ((point.z >= problem.upper) & (gradient < 0))
-    z = point.z.copy()
-    inactive = np.flatnonzero(~at_bound)
-    if len(inactive):
-        z[inactive] -= np.linalg.solve(normal[np.ix_(inactive, inactive)], gradient[inactive])
-    return np.clip(z, problem.lower, problem.upper)
+    lower, upper = problem.reach(point.z)
+    step = _worthwhile_step(normal, gradient, least_gain)
+    if np.any((point.z + step < lower) | (point.z + step > upper)):
+        step = _bounded_minimum(normal, gradient, lower - point.z, upper - point.z)
+    return problem.stepped(point.z, step)
+
+
+def _worthwhile_step(normal: FloatArray, gradient: FloatArray, least_gain: float) -> FloatArray:
+    """Minimum (P,) of ½·dᵀ·normal·d + gradientᵀ·d without the directions that lower it next to nothing.
+
+    Along what the data hardly determine a step would be long for a gain below ``least_gain`` in all, and the
+    model is no straight line over such lengths.
+    """
+    unit = np.sqrt(np.diag(normal))
+    curvature, directions = np.linalg.eigh(normal / np.outer(unit, unit))
+    slope = directions.T @ (gradient / unit)
+    lengths = -slope / np.maximum(curvature, 1e-300)
+    lengths[slope * -lengths < least_gain / len(slope)] = 0.0
+    return np.asarray(directions @ lengths / unit)
+
+
+def _bounded_minimum(
+    normal: FloatArray, gradient: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """Minimum (P,) of ½·dᵀ·normal·d + gradientᵀ·d within bounds (Stark and Parker 1995, BVLS)."""
+    unit = np.sqrt(np.diag(normal))
+    root = np.linalg.cholesky(normal / np.outer(unit, unit)).T
+    target = -solve_triangular(root, gradient / unit, trans="T")
+    least = np.minimum(lower, 0.0) * unit
+    most = np.maximum(upper, 0.0) * unit
+    open_ = most > least
+    step = np.zeros(len(gradient))
+    step[open_] = lsq_linear(root[:, open_], target, (least[open_], most[open_]), method="bvls").x
+    return step / unit

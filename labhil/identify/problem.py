@@ -24,6 +24,9 @@ from labhil.signals import BoolArray, FloatArray, IntArray
 STATE_STEP = 1e-5
 """Step of the finite differences by initial states, in units of the states' scale."""
 
+MAX_FACTOR = 3.0
+"""Largest factor by which a step changes a positive constant."""
+
 MAX_RESIDUAL = 1e7
 """Size, in units of noise, at which residuals are clipped: their squares stay finite numbers."""
 
@@ -71,6 +74,16 @@ def recording_starts(record: Record, windows: Windows) -> tuple[int, ...]:
     return tuple(sorted({0, *(int(place) for place in places if place < len(windows.rows))}))
 
 
+def evenly_spread(n: int, count: int) -> IntArray:
+    """At most ``count`` of the indices below ``n``, evenly spread.
+
+    Example:
+        >>> evenly_spread(9, 3).tolist()
+        [0, 4, 8]
+    """
+    return np.unique(np.linspace(0, n - 1, min(count, n)).round().astype(np.int64))
+
+
 class Problem:
     """Residuals of simulated windows against a record, in units of the noise.
 
@@ -110,20 +123,24 @@ class Problem:
     ) -> None:
         self.model = model
         self.record = record
-        self.free = free
         self.base = base
         self.sigma = sigma
-        chosen = [model.parameters[i] for i in free]
+        self.evaluations = 0
+        self._set_free(free)
+        self._set_windows(windows)
+        self.guess = model.initial_states(record, windows)
+
+    def _set_free(self, free: IntArray) -> None:
+        """Estimate the parameters of these indices."""
+        self.free = free
+        chosen = [self.model.parameters[i] for i in free]
         self.scale = np.array([p.scale for p in chosen])
         self.step = [p.step for p in chosen]
         self.lower = np.array([p.lower for p in chosen]) / self.scale
         self.upper = np.array([p.upper for p in chosen]) / self.scale
         self._linear = np.array([p.linear for p in chosen], dtype=bool)
-        if self._linear.any() and not isinstance(model, PartlyLinear):
+        if self._linear.any() and not isinstance(self.model, PartlyLinear):
             self._linear[:] = False
-        self.evaluations = 0
-        self._set_windows(windows)
-        self.guess = model.initial_states(record, windows)
 
     def _set_windows(self, windows: Windows) -> None:
         """Take everything but the guessed states from these windows of the record."""
@@ -149,6 +166,10 @@ class Problem:
         part.guess = self.guess[chosen]
         return part
 
+    def on_some_windows(self, count: int) -> Problem:
+        """The same problem on at most ``count`` of its windows, evenly spread."""
+        return self.select_windows(evenly_spread(len(self.windows), count))
+
     def without_guess(self, windows: Windows) -> Problem:
         """The same problem on other windows of its record, whose initial states are not guessed."""
         part = copy(self)
@@ -168,12 +189,38 @@ class Problem:
             places: Indices of these among the free parameters.
             theta: The model's parameter vector with the values that they are held at.
         """
-        others = np.delete(self.free, places)
-        return Problem(self.model, self.record, self.windows, others, theta, self.sigma)
+        pinned = copy(self)
+        pinned.base = theta
+        pinned.evaluations = 0
+        pinned._set_free(np.delete(self.free, places))
+        return pinned
 
     def is_positive_constant(self, j: int) -> bool:
         """Whether free parameter ``j`` is a constant of the rig that cannot be zero: a mass, a resistance."""
         return self.model.parameters[self.free[j]].term is None and bool(self.lower[j] > 0.0)
+
+    def reach(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Bounds (P,) of one step from scaled parameters ``z`` (P,).
+
+        A positive constant (a mass, a resistance) changes by a factor of ``MAX_FACTOR`` at most: the model
+        depends on its inverse, too, of which a straight line knows nothing.
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        positive = [j for j in range(len(z)) if self.is_positive_constant(j)]
+        lower[positive] = np.maximum(lower[positive], z[positive] / MAX_FACTOR)
+        upper[positive] = np.minimum(upper[positive], z[positive] * MAX_FACTOR)
+        return lower, upper
+
+    def stepped(self, z: FloatArray, step: FloatArray) -> FloatArray:
+        """Scaled parameters (P,) after a ``step`` (P,) from ``z`` (P,), within the bounds.
+
+        Positive constants change by a factor, as all products of their powers then do.
+        """
+        moved = z + step
+        positive = [j for j in range(len(z)) if self.is_positive_constant(j)]
+        moved[positive] = z[positive] * np.exp(step[positive] / z[positive])
+        lower, upper = self.reach(z)
+        return np.clip(moved, lower, upper)
 
     def start(self) -> Point:
         """The point of the base values, with initial states guessed from the measurement."""

@@ -11,17 +11,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labhil.identify import statistics
-from labhil.identify.fitted import Fitted, covariances
+from labhil.identify.fitted import Fitted
 from labhil.identify.identifiability import undetermined_directions, weak_parameters
 from labhil.identify.intervals import (
     Intervals,
     bootstrap_intervals,
-    profile_interval,
+    profile_of,
     quantile,
     simultaneous_quantile,
 )
 from labhil.identify.problem import Point
 from labhil.identify.shapes import POORLY_KNOWN_RELATIVE_ERROR
+from labhil.identify.slopes import Slopes
 from labhil.identify.statistics import inverse_information
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
@@ -58,15 +59,21 @@ class ParameterTable:
         rows: One for each free parameter.
         covariance: (P, P) robust, SI units.
         jacobian: (N, P) of the residuals, in units of noise per SI unit, states projected out.
+        lower: Where a profile found a lower minimum than the fit's; None where none did.
     """
 
     rows: list[statistics.Estimate]
     covariance: FloatArray
     jacobian: FloatArray
+    lower: Point | None = None
 
 
 def table_of(
-    fitted: Fitted, method: Intervals = Intervals.WALD, simultaneous: bool = False
+    fitted: Fitted,
+    method: Intervals = Intervals.WALD,
+    simultaneous: bool = False,
+    *,
+    stop_at_lower: bool = False,
 ) -> ParameterTable:
     """Make the table of a fitted model.
 
@@ -74,18 +81,19 @@ def table_of(
         fitted: The fit.
         method: How intervals are made.
         simultaneous: Intervals hold for all parameters together with 99 %, not for each.
+        stop_at_lower: Make no further profiles once one came upon a lower minimum.
     """
-    robust, classical, jacobian = covariances(fitted)
+    robust, classical, jacobian = fitted.covariances
     chosen = [fitted.problem.model.parameters[i] for i in fitted.problem.free]
     values = fitted.theta[fitted.problem.free]
     n = len(fitted.solution.residuals)
     unknown = weak_parameters(chosen, values, jacobian, fitted.noise)
     reach = simultaneous_quantile(robust) if simultaneous else quantile()
-    ends = _intervals(fitted, method, robust, classical, jacobian, reach)
+    ends, lower = _intervals(fitted, method, robust, classical, jacobian, reach, stop_at_lower)
     rows = statistics.estimates(chosen, values, robust, classical, n, unknown, ends)
     if method is not Intervals.WALD:
         rows = _mark_undetermined(rows, chosen, robust, reach)
-    return ParameterTable(rows, robust, jacobian)
+    return ParameterTable(rows, robust, jacobian, lower)
 
 
 def widen(
@@ -117,7 +125,7 @@ def widen(
         for row, error, parameter in zip(table.rows, new, parameters, strict=True)
     ]
     covariance = table.covariance * np.outer(factor, factor)
-    return ParameterTable(rows, covariance, table.jacobian)
+    return replace(table, rows=rows, covariance=covariance)
 
 
 def _spread(
@@ -174,8 +182,12 @@ def _intervals(
     classical: FloatArray,
     jacobian: FloatArray,
     reach: float,
-) -> list[Interval]:
-    """Intervals of all parameters (SI), ``reach`` normal standard errors to either side, rivals included."""
+    stop_at_lower: bool,
+) -> tuple[list[Interval], Point | None]:
+    """Intervals of all parameters (SI), ``reach`` normal standard errors to either side, rivals included.
+
+    The second is a point of lower cost that a profile came upon.
+    """
     problem, solution = fitted.problem, fitted.solution
     values, errors = fitted.theta[problem.free], np.sqrt(np.maximum(np.diag(robust), 0.0))
     finite = np.isfinite(np.diag(robust))
@@ -187,9 +199,10 @@ def _intervals(
         ends = bootstrap_intervals(
             jacobian, solution.residuals, values, fitted.dof, reach, begins=tuple(begins)
         )
+    lower = None
     profiled = np.isfinite(errors) & _needs_profile(fitted, errors, method)
     if np.any(profiled):
-        profiles = _profiles(fitted, profiled, jacobian, inflation, reach)
+        profiles, lower = _profiles(fitted, profiled, jacobian, inflation, reach, stop_at_lower)
         parameters = [problem.model.parameters[i] for i in problem.free]
         ends = [
             wald if profile is None else _with_min_width(profile, wald, parameter)
@@ -198,13 +211,18 @@ def _intervals(
     for rival in fitted.rivals:
         further = _intervals_of_rival(rival, fitted, inflation, reach)
         ends = [_hull(*pair) for pair in zip(ends, further, strict=True)]
-    return ends
+    return ends, lower
 
 
 def _profiles(
-    fitted: Fitted, profiled: np.ndarray, jacobian: FloatArray, inflation: FloatArray, reach: float
-) -> list[Interval | None]:
-    """Profile intervals of the parameters ``profiled`` (P,) of bool, None for others.
+    fitted: Fitted,
+    profiled: np.ndarray,
+    jacobian: FloatArray,
+    inflation: FloatArray,
+    reach: float,
+    stop_at_lower: bool,
+) -> tuple[list[Interval | None], Point | None]:
+    """Profile intervals of the parameters ``profiled`` (P,) of bool, None for others; then a lower minimum.
 
     Of each direction that the data do not determine, one parameter is held and none is profiled. This changes
     no profile of the others, and keeps their refits from drifting along it.
@@ -219,12 +237,21 @@ def _profiles(
     scaled = jacobian[:, kept] * problem.scale
     unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
     covariance = inverse_information(scaled / unit) / np.outer(unit, unit) * fitted.noise**2
+    slopes = Slopes.at(problem, point, solution.residuals)
     ends: list[Interval | None] = [None] * len(free)
+    lower: Point | None = None
     for j, place in enumerate(kept):
+        if lower is not None and stop_at_lower:
+            break
         if profiled[place] and not involved[place]:
-            ends[place] = profile_interval(problem, solution, j, covariance, float(inflation[place]), reach)
+            profile = profile_of(problem, solution, slopes, j, covariance, float(inflation[place]), reach)
+            ends[place] = profile.low, profile.high
+            if profile.lower is not None:
+                z = fitted.solution.point.z.copy()
+                z[kept] = profile.lower.point.z
+                lower = Point(z, profile.lower.point.states)
     full_problem.evaluations += problem.evaluations
-    return ends
+    return ends, lower
 
 
 def _with_min_width(
@@ -244,7 +271,7 @@ def _intervals_of_rival(
     rival: Fitted, best: Fitted, inflation: FloatArray, reach: float
 ) -> list[Interval | None]:
     """Intervals around a rival minimum, narrower as its cost is higher; None where it is out of reach."""
-    _, classical, _ = covariances(rival)
+    _, classical, _ = rival.covariances
     values, errors = rival.theta[rival.problem.free], np.sqrt(np.maximum(np.diag(classical), 0.0))
     excess = max(rival.solution.cost - best.solution.cost, 0.0) / best.noise**2
     remaining = np.sqrt(np.maximum(reach**2 * inflation - excess, 0.0)) * errors

@@ -335,7 +335,7 @@ def _grow_windows(
 
 
 def reestimate(problem: Problem, z: FloatArray, estimate: States) -> States:
-    """Take the better of an estimate and a new one from the problem's guess, in every window.
+    """Take the better of an estimate and a new one from the problem's guess, in windows beyond the noise.
 
     Steps of the parameters may have led windows, even most of them, into wrong local minima. Where less than
     half of the windows still have residuals beyond the noise, these are searched further.
@@ -345,9 +345,13 @@ def reestimate(problem: Problem, z: FloatArray, estimate: States) -> States:
         z: (P,), scaled parameters, held fixed.
         estimate: the estimate so far.
     """
-    if not problem.model.state_names:
+    unexplained = _unexplained_windows(problem, estimate)
+    if not problem.model.state_names or not len(unexplained):
         return estimate
-    estimate = estimate.or_better(problem, estimate_states(problem, z, thorough=False))
+    part = problem.select_windows(unexplained)
+    anew = estimate_states(part, z, thorough=False)
+    best = _of_windows(problem, estimate, unexplained).or_better(part, anew)
+    estimate = _with_windows(problem, estimate, unexplained, best)
     few = 2 * len(_unexplained_windows(problem, estimate)) < len(estimate.states)
     return _search_unexplained(problem, z, estimate) if few else estimate
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labhil.identify.fitted import covariances, fit_terms
+from labhil.identify.fitted import fit_terms
 from labhil.identify.known import IdentifiableDirections
 from labhil.identify.problem import Point, Problem
 from labhil.physics.model import index_of
@@ -50,7 +50,7 @@ def ratio(fitted, above, below):
     i, j = names.index(above), names.index(below)
     slopes = np.zeros((1, len(values)))
     slopes[0, i], slopes[0, j] = 1.0 / values[j], -values[i] / values[j] ** 2
-    known = IdentifiableDirections.of(fitted, covariances(fitted)[2])
+    known = IdentifiableDirections.of(fitted, fitted.covariances[2])
     return values[i] / values[j], float(np.sqrt(known.covariance(slopes)[0, 0]))
 
 
@@ -66,7 +66,7 @@ def test_a_ratio_is_known_where_neither_value_is(motor, factor):
 
 def test_a_value_with_a_part_in_an_unknown_direction_is_not_known(motor):
     fitted = along_the_valley(motor, 1.0)
-    known = IdentifiableDirections.of(fitted, covariances(fitted)[2])
+    known = IdentifiableDirections.of(fitted, fitted.covariances[2])
     assert len(known.unknown) == 1
     names = [fitted.problem.model.parameters[i].key for i in fitted.problem.free]
     alone = np.eye(len(names))[[names.index("torque_constant")]]
@@ -80,7 +80,7 @@ def test_where_all_is_known_errors_are_those_of_the_fit(motor):
     problem = Problem(old.model, old.record, old.windows, without, fitted.theta, SIGMA)
     point = Point(problem.start().z, fitted.solution.point.states)
     held = replace(fitted, problem=problem, solution=replace(fitted.solution, point=point))
-    robust, _, jacobian = covariances(held)
+    robust, _, jacobian = held.covariances
     known = IdentifiableDirections.of(held, jacobian)
     assert not len(known.unknown)
     found = known.covariance(np.eye(len(without)))

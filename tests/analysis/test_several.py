@@ -15,7 +15,7 @@ from labhil.diagnose.diagnosis import diagnose
 from labhil.diagnose.intake import FaultKind, assess_usability, detect_faults
 from labhil.errors import RecordingError, UnknownNameError, UsageError
 from labhil.identify import statistics
-from labhil.identify.fitted import covariances, fit_terms, start_theta
+from labhil.identify.fitted import fit_terms, start_theta
 from labhil.identify.intervals import bootstrap_intervals
 from labhil.identify.score import score
 from labhil.identify.windows import (
@@ -272,7 +272,7 @@ def test_one_recording_is_what_it_was():
     one, other = (fit_terms(model, record, TERMS, 1.0, sigma, iterations=10) for model in (plain, wrapped))
     assert type(plain).__name__ == "AxisModel"
     assert np.array_equal(one.theta, other.theta)
-    assert all(np.array_equal(a, b) for a, b in zip(covariances(one), covariances(other), strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(one.covariances, other.covariances, strict=True))
     assert np.array_equal(
         score(plain, one.theta, record, sigma).errors, score(wrapped, one.theta, record, sigma).errors
     )
@@ -287,7 +287,7 @@ def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
     found = fit_terms(model, record, TERMS, 1.0, np.array([NOISE]))
     keys = [model.parameters[i].key for i in found.problem.free]
     values = dict(zip(keys, found.theta[found.problem.free], strict=True))
-    _, classical, _ = covariances(found)
+    _, classical, _ = found.covariances
     errors = dict(zip(keys, np.sqrt(np.diag(classical)), strict=True))
     truth = {"moving_mass@1": 95.0, "moving_mass@2": 120.0, "moving_mass@3": 70.0,
              "constant_force.force@1": -3.2, "constant_force.force@2": 4.0, "constant_force.force@3": 0.5,
@@ -300,7 +300,7 @@ def test_the_joint_fit_is_the_weighted_mean_of_single_ones(three):
         single = fit_terms(model_for(rig, each), each, TERMS, 1.0, np.array([NOISE]))
         own = [single.problem.model.parameters[i].key for i in single.problem.free]
         places = [own.index(key) for key in shared]
-        _, covariance, _ = covariances(single)
+        _, covariance, _ = single.covariances
         weight = np.linalg.inv(covariance[np.ix_(places, places)])
         weights += weight
         sums += weight @ single.theta[single.problem.free][places]
@@ -482,7 +482,7 @@ def test_a_loud_recording_says_less_than_a_quiet_one():
         model = model_for(rig_of("axis"), join_records(records))
         record = with_noise_scales(model, join_records(records))
         found = fit_terms(model, record, TERMS, 1.0, noise_of(record))
-        _, classical, _ = covariances(found)
+        _, classical, _ = found.covariances
         errors.append(np.sqrt(np.diag(classical)))
     assert np.all(errors[1] < 1.1 * errors[0])
     marks = score(model, found.theta, record, noise_of(record), 1.0)

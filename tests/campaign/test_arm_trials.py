@@ -27,7 +27,7 @@ from labhil.campaign.trials.show import show
 from labhil.campaign.trials.stated_answer import parse_stated_answer
 from labhil.campaign.trials.truth import model_values
 from labhil.diagnose.contradiction import structure_p_value
-from labhil.identify.fitted import covariances, fit_terms
+from labhil.identify.fitted import fit_terms
 from labhil.identify.noise import estimate_coloured_noise
 from labhil.identify.windows import noise_of
 from labhil.physics.arm.motion import LowPass
@@ -195,7 +195,7 @@ def test_structure_is_looked_for_across_windows_without_states(null):
     window = 0.375 * oracle.model.horizon
     fitted = fit_terms(oracle.model, oracle.search, BASELINE, window, oracle.sigma)
     residuals = fitted.solution.residuals
-    _, _, jacobian = covariances(fitted)
+    _, _, jacobian = fitted.covariances
     found = structure_p_value(fitted.problem, fitted.solution.point, residuals, jacobian)
     # a window is shorter than the autoregression that whitens it
     assert np.isfinite(found).all()

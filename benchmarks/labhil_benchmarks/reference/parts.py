@@ -13,7 +13,6 @@ from labhil.identify.estimators import Budget, CostEvaluator
 from labhil.identify.estimators.search import Box
 from labhil.identify.estimators.swarm import reference_swarm
 from labhil.identify.fit import Fit, Options, fit
-from labhil.identify.fitted import covariances
 from labhil.identify.identifiability import weak_parameters
 from labhil.identify.intervals import Intervals
 from labhil.identify.least_squares import least_squares
@@ -153,7 +152,7 @@ def _belief(bench: Bench, result: Fit, values: FloatArray) -> Belief:
     """Errors, intervals and bounds of the rows, the covariance of sums included."""
     levels, problem = bench.study.levels, result.fitted.problem
     keys = [bench.model.parameters[i].key for i in problem.free]
-    robust, classical, _ = covariances(result.fitted)
+    robust, classical, _ = result.fitted.covariances
     errors, text = (
         np.sqrt(np.maximum(np.diag(levels.covariance(c, keys)), 0.0)) for c in (robust, classical)
     )
