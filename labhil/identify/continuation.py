@@ -57,7 +57,7 @@ class RestartOptions:
 
     max_searches: int = 4
     explained_in_noise: float = 1.1
-    same_minimum_ratio: float = 1.02
+    same_minimum_ratio: float = 1.005
 
 
 @dataclass(frozen=True, slots=True)
