@@ -196,7 +196,9 @@ class Valley:
             z[amplitudes] /= problem.scale[amplitudes]
             z[j] = value / problem.scale[j]
             return z
-        path = path_of(problem, j, self._covariance[:, j] / self._covariance[j, j])
+        variance = self._covariance[j, j]
+        following = self._covariance[:, j] / variance if variance else np.eye(len(z))[j]
+        path = path_of(problem, j, following)
         return path(z, value / problem.scale[j])
 
     def refit(self, begin: Point, j: int, iterations: int) -> tuple[Solution, int]:
