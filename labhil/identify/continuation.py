@@ -213,7 +213,9 @@ def _fit_shortest_windows(task: FitTask) -> Fitted:
         early.theta = fits[0].theta if fits else early.theta
         raise
     best = min(fits, key=lambda fitted: fitted.solution.cost)
-    best.problem.evaluations += problem.evaluations + scout.problem.evaluations
+    best.problem.evaluations = (
+        sum(fitted.problem.evaluations for fitted in (*fits, scout)) + problem.evaluations
+    )
     return best
 
 
@@ -239,6 +241,8 @@ def _search_and_scout(problem: Problem, fit_from: Callable[..., Fitted], task: F
         explained = noise[0] < restarts.explained_in_noise
         if explained or agreed or begin.search.stopped_because == INTERRUPTED:
             break
+    if searched is not problem:
+        problem.evaluations += searched.evaluations
     return min(scouts, key=lambda scout: scout.solution.cost)
 
 

@@ -235,7 +235,6 @@ def _evaluate(
     """Statistics and scores of the fits on windows of these ``lengths`` (s), or on the first few of them."""
     chosen = trusted_fit_index(fits, lengths, model.horizon)
     options.progress(f"statistics and scores, intervals by {options.intervals}")
-    by_window = [_window_estimate(r, length) for r, length in zip(fits, lengths, strict=False)]
     fits = list(fits)
     for again in range(MAX_LOWER_MINIMA + 1):
         last = again == MAX_LOWER_MINIMA
@@ -244,6 +243,7 @@ def _evaluate(
             break
         options.progress("a profile led to a lower minimum: fitting from there")
         fits[chosen] = settle_fit(refit_from(fits[chosen], table.lower))
+    by_window = [_window_estimate(r, length) for r, length in zip(fits, lengths, strict=False)]
     scores = tuple(_score_with_forces(model, fits[chosen].theta, r) for r in (record, test) if r is not None)
     return _assemble(scores, fits, chosen, by_window, table, options)
 

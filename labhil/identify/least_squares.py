@@ -326,7 +326,8 @@ def _bounded_minimum(
     target = -solve_triangular(root, gradient / unit, trans="T")
     least = np.minimum(lower, 0.0) * unit
     most = np.maximum(upper, 0.0) * unit
-    open_ = most > least
+    movable = most > least
     step = np.zeros(len(gradient))
-    step[open_] = lsq_linear(root[:, open_], target, (least[open_], most[open_]), method="bvls").x
+    bounds = (least[movable], most[movable])
+    step[movable] = lsq_linear(root[:, movable], target, bounds, method="bvls").x
     return step / unit

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -160,7 +161,6 @@ class Valley:
         begin = Point(fitted.solution.point.z, fitted.solution.point.states[self._chosen])
         residuals = self.problem.residuals(begin)
         self.bottom = replace(fitted.solution, point=begin, residuals=residuals)
-        self.slopes = Slopes.at(self.problem, begin, residuals)
         _, _, jacobian = fitted.covariances
         scaled = np.delete(jacobian * fitted.problem.scale, held, axis=1)
         unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
@@ -168,6 +168,11 @@ class Valley:
         kept = np.delete(np.arange(len(covariance)), held)
         covariance[np.ix_(kept, kept)] = inverse_information(scaled / unit) / np.outer(unit, unit)
         self._covariance = covariance
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """Slopes at the bottom."""
+        return Slopes.at(self.problem, self.bottom.point, self.bottom.residuals)
 
     @classmethod
     def of(cls, fitted: Fitted, options: ProfileOptions) -> Valley:

@@ -112,7 +112,7 @@ def test_ctrl_c_ends_a_fit_with_a_marked_result(tmp_path: Path, how: signal.Sign
     command = [*LABHIL, "fit", str(RECORDING), "--json", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stderr is not None
-        next(line for line in process.stderr if line.startswith("searching"))
+        next(line for line in process.stderr if line.startswith("fitting"))
         process.send_signal(how)
         drain = threading.Thread(target=process.stderr.read)
         drain.start()
