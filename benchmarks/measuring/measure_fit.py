@@ -5,7 +5,7 @@
 The recording is the DC motor of the reference text's case two, speed alone: 20 s at 1 kHz, noise 28 dB below
 the speed, five terms of friction and four constants of the motor, ten parameters. Each recording is fitted by
 ``scipy.optimize.least_squares`` on ``odeint`` with a right-hand side in plain Python, from starts within a
-factor of 1.5 of the truth, and by labhil, which is told nothing: least squares alone with Wald's intervals,
+factor of 1.5 of the truth, and by labhil without any: least squares alone with Wald's intervals,
 and the default with its statistics. All in this process, one after the other, on one core; kernels are
 compiled before. χ² is the sum of squared residuals over the recording's noise: equal values are one minimum.
 """

@@ -232,7 +232,7 @@ def minimise_penalised(curve: CurveFit, start: Point | None, iterations: int) ->
     solution = minimise(problem, start or fitted.solution.point, curve.penalty, iterations)
     linear, _ = Projected.at(problem, solution.point, solution.residuals)
     penalty = _select_penalty(linear, curve.model)
-    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    fitted = fitted.with_solution(solution)
     return replace(
         curve, fitted=fitted, penalty=penalty, linearised=linear, degrees=linear.effective_dof(penalty)
     )
@@ -395,5 +395,5 @@ def fix_gauge(curve: CurveFit, *, iterations: int = 3, max_cost_ratio: float = 1
     if solution.cost > max_cost_ratio * fitted.solution.cost:
         return curve
     linearised, _ = Projected.at(problem, solution.point, solution.residuals)
-    fitted = replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    fitted = fitted.with_solution(solution)
     return replace(curve, fitted=fitted, linearised=linearised)

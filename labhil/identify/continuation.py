@@ -6,7 +6,7 @@ Single steps of these fits are in fitted.py; fit.py evaluates the results.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -274,5 +274,4 @@ def settle_fit(fitted: Fitted) -> Fitted:
     relative = np.nan_to_num(classical / np.outer(scale, scale), posinf=1.0)
     variances, directions = np.linalg.eigh(relative) if len(scale) else (np.empty(0), np.empty((0, 0)))
     spread = directions * np.sqrt(np.clip(variances, 0.0, 1.0))
-    solution = search_lower_minima(fitted.problem, fitted.solution, spread)
-    return replace(fitted, theta=fitted.problem.theta(solution.point.z), solution=solution)
+    return fitted.with_solution(search_lower_minima(fitted.problem, fitted.solution, spread))

@@ -96,6 +96,10 @@ class Fitted:
         fitted = len(self.problem.free) + self.solution.point.states.size
         return max(len(self.solution.residuals) - fitted, 1)
 
+    def with_solution(self, solution: Solution) -> Fitted:
+        """The same fit with another solution of its problem."""
+        return replace(self, theta=self.problem.theta(solution.point.z), solution=solution)
+
     @cached_property
     def covariances(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Covariances of the estimates, and the slopes behind them.
@@ -341,9 +345,7 @@ def fit_by_continuation(
 
 def refit_from(fitted: Fitted, begin: Point) -> Fitted:
     """Repeat a fit from another point, on the same windows."""
-    problem = fitted.problem
-    solution = least_squares(problem, begin, settled=True, thorough=False)
-    return replace(fitted, theta=problem.theta(solution.point.z), solution=solution)
+    return fitted.with_solution(least_squares(fitted.problem, begin, settled=True, thorough=False))
 
 
 def _restart_off_bounds(fitted: Fitted, begin: FloatArray) -> FloatArray | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labhil.identify.statistics import inverse_information
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray, IntArray
 
@@ -130,6 +131,21 @@ def undetermined_directions(
     undetermined = rows[noise / np.maximum(singular, 1e-300) > undetermined_error]
     involved = np.asarray(np.any(np.abs(undetermined) > MIN_COMPONENT, axis=0))
     return np.array(sorted(pivots(undetermined)), dtype=np.int64), involved
+
+
+def covariance_without(slopes: FloatArray, held: IntArray) -> FloatArray:
+    """Covariance of parameters at unit noise, some of them held.
+
+    Args:
+        slopes: (N, P) of the residuals, states projected out.
+        held: Indices of the parameters to hold (K,).
+
+    Returns:
+        (P − K, P − K) of the others.
+    """
+    kept = np.delete(slopes, held, axis=1)
+    unit = np.maximum(np.linalg.norm(kept, axis=0), 1e-300)
+    return np.asarray(inverse_information(kept / unit) / np.outer(unit, unit))
 
 
 def with_helpful_options(

@@ -17,9 +17,8 @@ from scipy import stats
 
 from labhil.errors import UnknownNameError
 from labhil.identify.least_squares import Solution, least_squares
-from labhil.identify.problem import Point, Problem
+from labhil.identify.problem import Linearised, Point, Problem
 from labhil.identify.sensitivities import sensitivities
-from labhil.identify.slopes import Slopes
 from labhil.identify.statistics import ALPHA, bandwidth, inverse_information, recording_slices
 from labhil.identify.window_states import search_states
 from labhil.signals import FloatArray
@@ -168,7 +167,7 @@ class CrossingOptions:
 def profile_of(
     problem: Problem,
     solution: Solution,
-    slopes: Slopes,
+    slopes: Linearised,
     j: int,
     covariance: FloatArray,
     inflation: float,
@@ -247,7 +246,7 @@ class _ProfileWalk:
         self,
         problem: Problem,
         solution: Solution,
-        slopes: Slopes,
+        slopes: Linearised,
         j: int,
         path: Path,
         threshold: float,

@@ -7,14 +7,13 @@ every step of the parameters each window may improve its own. ``penalised`` adds
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from labhil.identify.problem import Linearised, Point, Problem
-from labhil.identify.slopes import Slopes
 from labhil.identify.window_products import without_states
 from labhil.identify.window_states import (
     MAX_DAMPING,
@@ -86,7 +85,7 @@ def least_squares(
     thorough: bool = True,
     on_step: Callable[[float], None] | None = None,
     options: StepOptions = DEFAULT_STEPS,
-    slopes: Slopes | None = None,
+    slopes: Linearised | None = None,
 ) -> Solution:
     """Minimise the sum of squared residuals from ``start``; bounds hold throughout.
 
@@ -99,7 +98,7 @@ def least_squares(
         thorough: Estimate the states of outlying windows anew from other starts, first and at convergence.
         on_step: Called with the cost after each step.
         options: How steps are chosen.
-        slopes: Slopes of this problem near ``start``, which serve as long as steps gain at least half of what
+        slopes: Those of this problem near ``start``, which serve as long as steps gain at least half of what
             they predict; None where there are none.
 
     Returns:
@@ -162,7 +161,7 @@ def search_lower_minima(
     """
     random = np.random.default_rng(seed)
     threshold = min_decrease * max(1.0, solution.cost / max(len(solution.residuals), 1))
-    slopes = Slopes.at(problem, solution.point, solution.residuals)
+    slopes = problem.linearise(solution.point, solution.residuals)
     best = _alternate(problem, solution, slopes, threshold, random)
     for _ in range(restarts):
         z = best.point.z + spread @ random.standard_normal(len(best.point.z))
@@ -174,7 +173,7 @@ def search_lower_minima(
 
 
 def _alternate(
-    problem: Problem, solution: Solution, slopes: Slopes, threshold: float, random: np.random.Generator
+    problem: Problem, solution: Solution, slopes: Linearised, threshold: float, random: np.random.Generator
 ) -> Solution:
     """Improve states and parameters in turn, until the cost falls by less than ``threshold``.
 
@@ -192,7 +191,7 @@ def _alternate(
 
 
 def _fit_nearby(
-    problem: Problem, begin: Point, slopes: Slopes, iterations: int, tolerance: float
+    problem: Problem, begin: Point, slopes: Linearised, iterations: int, tolerance: float
 ) -> Solution:
     """Fit from a point near one whose slopes are known."""
     return least_squares(
@@ -220,7 +219,7 @@ class _Step:
     point: Point
     residuals: FloatArray
     damping: float
-    slopes: Slopes | None = None
+    slopes: Linearised | None = None
 
 
 def _improve_states(
@@ -237,7 +236,7 @@ def _lower_cost(
     problem: Problem,
     point: Point,
     residuals: FloatArray,
-    known: Slopes | None,
+    known: Linearised | None,
     damping: float,
     tolerance: float,
     options: StepOptions,
@@ -247,10 +246,10 @@ def _lower_cost(
     Where a step lowers the cost by much less than predicted, the windows improve their own states before it
     is accepted or rejected; slopes that were taken elsewhere (``known``) are first taken anew.
     """
-    slopes = known.with_residuals(residuals) if known else Slopes.at(problem, point, residuals)
+    lin = replace(known, residuals=residuals) if known else problem.linearise(point, residuals)
     cost = float(residuals @ residuals)
     while damping < options.max_damping:
-        trial, predicted = _damped_step(problem, point, slopes.lin, damping, tolerance * cost, options)
+        trial, predicted = _damped_step(problem, point, lin, damping, tolerance * cost, options)
         if abs(predicted) < tolerance * cost:
             return None
         reached = evaluate(problem, trial.z, trial.states)

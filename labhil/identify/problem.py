@@ -8,7 +8,7 @@ free parameters, however many windows there are. Estimators (``least_squares``, 
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,10 @@ class Linearised:
     residuals: FloatArray
     by_parameters: FloatArray
     by_states: FloatArray
+
+    def without(self, places: IntArray) -> Linearised:
+        """The same with the free parameters at these places (K,) held."""
+        return replace(self, by_parameters=np.delete(self.by_parameters, places, axis=1))
 
 
 def recording_starts(record: Record, windows: Windows) -> tuple[int, ...]:
@@ -138,6 +142,7 @@ class Problem:
         self.step = [p.step for p in chosen]
         self.lower = np.array([p.lower for p in chosen]) / self.scale
         self.upper = np.array([p.upper for p in chosen]) / self.scale
+        self._positive = np.array([p.term is None and p.lower > 0.0 for p in chosen], dtype=bool)
         self._linear = np.array([p.linear for p in chosen], dtype=bool)
         if self._linear.any() and not isinstance(self.model, PartlyLinear):
             self._linear[:] = False
@@ -197,7 +202,7 @@ class Problem:
 
     def is_positive_constant(self, j: int) -> bool:
         """Whether free parameter ``j`` is a constant of the rig that cannot be zero: a mass, a resistance."""
-        return self.model.parameters[self.free[j]].term is None and bool(self.lower[j] > 0.0)
+        return bool(self._positive[j])
 
     def reach(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Bounds (P,) of one step from scaled parameters ``z`` (P,).
@@ -205,8 +210,7 @@ class Problem:
         A positive constant (a mass, a resistance) changes by a factor of ``MAX_FACTOR`` at most: the model
         depends on its inverse, too, of which a straight line knows nothing.
         """
-        lower, upper = self.lower.copy(), self.upper.copy()
-        positive = [j for j in range(len(z)) if self.is_positive_constant(j)]
+        lower, upper, positive = self.lower.copy(), self.upper.copy(), self._positive
         lower[positive] = np.maximum(lower[positive], z[positive] / MAX_FACTOR)
         upper[positive] = np.minimum(upper[positive], z[positive] * MAX_FACTOR)
         return lower, upper
@@ -216,8 +220,7 @@ class Problem:
 
         Positive constants change by a factor, as all products of their powers then do.
         """
-        moved = z + step
-        positive = [j for j in range(len(z)) if self.is_positive_constant(j)]
+        moved, positive = z + step, self._positive
         moved[positive] = z[positive] * np.exp(step[positive] / z[positive])
         lower, upper = self.reach(z)
         return np.clip(moved, lower, upper)

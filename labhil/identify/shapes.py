@@ -19,15 +19,14 @@ from labhil.cores import side_by_side
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted
 from labhil.identify.identifiability import (
     MIN_COMPONENT,
+    covariance_without,
     pivots,
     relative_svd,
     undetermined_directions,
 )
 from labhil.identify.intervals import path_of
 from labhil.identify.least_squares import Solution, least_squares
-from labhil.identify.problem import Point, Problem, evenly_spread
-from labhil.identify.slopes import Slopes
-from labhil.identify.statistics import inverse_information
+from labhil.identify.problem import Linearised, Point, Problem, evenly_spread
 from labhil.identify.waves import scan_orders
 from labhil.signals import FloatArray, IntArray
 
@@ -162,17 +161,14 @@ class Valley:
         residuals = self.problem.residuals(begin)
         self.bottom = replace(fitted.solution, point=begin, residuals=residuals)
         _, _, jacobian = fitted.covariances
-        scaled = np.delete(jacobian * fitted.problem.scale, held, axis=1)
-        unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
-        covariance = np.zeros((len(fitted.problem.free),) * 2)
-        kept = np.delete(np.arange(len(covariance)), held)
-        covariance[np.ix_(kept, kept)] = inverse_information(scaled / unit) / np.outer(unit, unit)
-        self._covariance = covariance
+        self._covariance = np.zeros((len(fitted.problem.free),) * 2)
+        kept = np.delete(np.arange(len(self._covariance)), held)
+        self._covariance[np.ix_(kept, kept)] = covariance_without(jacobian * fitted.problem.scale, held)
 
     @cached_property
-    def slopes(self) -> Slopes:
+    def slopes(self) -> Linearised:
         """Slopes at the bottom."""
-        return Slopes.at(self.problem, self.bottom.point, self.bottom.residuals)
+        return self.problem.linearise(self.bottom.point, self.bottom.residuals)
 
     @classmethod
     def of(cls, fitted: Fitted, options: ProfileOptions) -> Valley:
@@ -249,7 +245,7 @@ def refit_from_rivals(
         solution = least_squares(
             problem, begin, iterations=30, tolerance=tolerance, settled=True, thorough=False
         )
-        fits.append(replace(fitted, theta=problem.theta(solution.point.z), solution=solution))
+        fits.append(fitted.with_solution(solution))
     best = min(fits, key=lambda fit: fit.solution.cost)
     return replace(best, rivals=tuple(_rivals(best, fits, options)))
 
@@ -280,7 +276,7 @@ def _profile(valley: Valley, j: int, values: FloatArray, options: ProfileOptions
             settled=True,
             thorough=False,
         )
-        yield replace(fitted, theta=problem.theta(freed.point.z), solution=freed)
+        yield fitted.with_solution(freed)
 
 
 def _refits(valley: Valley, begins: Sequence[Point], j: int, iterations: int) -> list[Solution]:

@@ -12,7 +12,11 @@ import numpy as np
 
 from labhil.identify import statistics
 from labhil.identify.fitted import Fitted
-from labhil.identify.identifiability import undetermined_directions, weak_parameters
+from labhil.identify.identifiability import (
+    covariance_without,
+    undetermined_directions,
+    weak_parameters,
+)
 from labhil.identify.intervals import (
     Intervals,
     bootstrap_intervals,
@@ -22,8 +26,6 @@ from labhil.identify.intervals import (
 )
 from labhil.identify.problem import Point
 from labhil.identify.shapes import POORLY_KNOWN_RELATIVE_ERROR
-from labhil.identify.slopes import Slopes
-from labhil.identify.statistics import inverse_information
 from labhil.physics.terms import Parameter
 from labhil.signals import FloatArray
 
@@ -234,10 +236,8 @@ def _profiles(
     problem = full_problem.pin(held, theta)
     point = Point(fitted.solution.point.z[kept], fitted.solution.point.states)
     solution = replace(fitted.solution, point=point)
-    scaled = jacobian[:, kept] * problem.scale
-    unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
-    covariance = inverse_information(scaled / unit) / np.outer(unit, unit) * fitted.noise**2
-    slopes = Slopes.at(problem, point, solution.residuals)
+    covariance = covariance_without(jacobian * full_problem.scale, held) * fitted.noise**2
+    slopes = problem.linearise(point, solution.residuals)
     ends: list[Interval | None] = [None] * len(free)
     lower: Point | None = None
     for j, place in enumerate(kept):

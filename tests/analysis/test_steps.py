@@ -16,7 +16,6 @@ from labhil.identify.intervals import profile_of, quantile
 from labhil.identify.least_squares import _bounded_minimum, _worthwhile_step, least_squares
 from labhil.identify.problem import Point, evenly_spread
 from labhil.identify.shapes import _other_minima
-from labhil.identify.slopes import Slopes
 from labhil.identify.table import table_of
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -26,7 +25,7 @@ from test_least_squares import measured, solved
 
 def test_a_fit_with_known_slopes_takes_fewer_simulations_to_the_same_place():
     problem, solution = solved(*measured(1.0, -2.0, 4))
-    slopes = Slopes.at(problem, solution.point, solution.residuals)
+    slopes = problem.linearise(solution.point, solution.residuals)
     start = problem.start()
     counts, ends = [], []
     for known in (None, slopes):
@@ -82,7 +81,7 @@ def test_the_profile_of_a_linear_problem_ends_where_walds_interval_does():
     problem, solution = solved(*measured(1.0, -2.0, 5))
     fitted = Fitted(("straight",), problem.theta(solution.point.z), problem, solution, 1.0)
     _, classical, _ = fitted.covariances
-    slopes = Slopes.at(problem, solution.point, solution.residuals)
+    slopes = problem.linearise(solution.point, solution.residuals)
     for j in range(2):
         scaled = classical / np.outer(problem.scale, problem.scale)
         profile = profile_of(problem, solution, slopes, j, scaled, 1.0, quantile())
@@ -97,7 +96,7 @@ def test_a_profile_that_comes_upon_a_lower_minimum_hands_it_on():
     off = Point(solution.point.z + np.array([0.4, 0.0]), solution.point.states)
     worse = least_squares(problem, off, iterations=0, settled=True, thorough=False)
     fitted = Fitted(("straight",), problem.theta(worse.point.z), problem, worse, 1.0)
-    slopes = Slopes.at(problem, worse.point, worse.residuals)
+    slopes = problem.linearise(worse.point, worse.residuals)
     _, classical, _ = fitted.covariances
     profile = profile_of(
         problem, worse, slopes, 1, classical / np.outer(problem.scale, problem.scale), 1.0, 2.6
