@@ -114,4 +114,5 @@ def _sizes_at_bound(fitted: Fitted, min_noise: float = COMPLETE_FIT_NOISE) -> li
     sizes = [
         problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_positive_constant(j)
     ]
-    return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]
+    own = [size for size in sizes if size.term is None]
+    return [size.key for size in own if size.at_bound(fitted.estimates[size.key])]

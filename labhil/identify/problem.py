@@ -142,7 +142,7 @@ class Problem:
         self.step = [p.step for p in chosen]
         self.lower = np.array([p.lower for p in chosen]) / self.scale
         self.upper = np.array([p.upper for p in chosen]) / self.scale
-        self._positive = np.array([p.term is None and p.lower > 0.0 for p in chosen], dtype=bool)
+        self._positive = np.array([p.is_positive for p in chosen], dtype=bool)
         self._linear = np.array([p.linear for p in chosen], dtype=bool)
         if self._linear.any() and not isinstance(self.model, PartlyLinear):
             self._linear[:] = False
@@ -201,13 +201,13 @@ class Problem:
         return pinned
 
     def is_positive_constant(self, j: int) -> bool:
-        """Whether free parameter ``j`` is a constant of the rig that cannot be zero: a mass, a resistance."""
+        """Whether free parameter ``j`` is a size that cannot be zero: a mass, a resistance."""
         return bool(self._positive[j])
 
     def reach(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Bounds (P,) of one step from scaled parameters ``z`` (P,).
 
-        A positive constant (a mass, a resistance) changes by a factor of ``MAX_FACTOR`` at most: the model
+        A positive constant (a mass, a length) changes by a factor of ``MAX_FACTOR`` at most: the model
         depends on its inverse, too, of which a straight line knows nothing.
         """
         lower, upper, positive = self.lower.copy(), self.upper.copy(), self._positive

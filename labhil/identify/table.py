@@ -171,10 +171,9 @@ def _is_too_wide(
 ) -> bool:
     """Whether the interval spans orders of magnitude, or far more than Wald's."""
     low, high = row.ci99
-    is_positive = parameter.term is None and parameter.lower > 0.0
     wald_width = 2.0 * reach * row.std_error
     is_flat = not parameter.in_steps and high - low > options.max_width_ratio * wald_width
-    return (is_positive and high > options.max_end_ratio * low) or is_flat
+    return (parameter.is_positive and high > options.max_end_ratio * low) or is_flat
 
 
 def _intervals(
@@ -303,5 +302,5 @@ def _is_curved(fitted: Fitted, errors: FloatArray, parameters: list[Parameter]) 
     model, free = fitted.problem.model, fitted.problem.free
     shaped = {key for key, term in model.terms.items() if any(p.shape for p in term.parameters)}
     has_shape = np.array([p.term in shaped for p in parameters], dtype=bool)
-    is_positive = np.array([p.term is None and p.lower > 0.0 for p in parameters], dtype=bool)
+    is_positive = np.array([p.is_positive for p in parameters], dtype=bool)
     return has_shape | (is_positive & (errors > POORLY_KNOWN_RELATIVE_ERROR * np.abs(fitted.theta[free])))

@@ -71,15 +71,26 @@ def compile_laws_at_port(acceleration: Acceleration) -> Laws[Any, Any]:
     @specialised
     def total(s: Motion, side: float, u: float, part: Any) -> float:
         pushes = part[1]
-        return frictionless(s, u, part) - friction.friction(s.x, s.v, side, pushes.load * abs(u), pushes.law)
+        return frictionless(s, u, part) - friction.friction(
+            s.x, s.v, s.bend, pushes.load * abs(u), pushes.law
+        )
 
     @specialised
     def pull_and_hold(s: Motion, u: float, part: Any) -> tuple[float, float]:
         pushes = part[1]
-        return frictionless(s, u, part), friction.break_away_force(s.x, pushes.load * abs(u), pushes.law)
+        load = pushes.load * abs(u)
+        return friction.pull_and_hold(frictionless(s, u, part), s.x, s.bend, load, pushes.law)
+
+    @specialised
+    def first_bend(s: Motion, u: float, part: Any) -> float:
+        pushes = part[1]
+        return friction.first_bend(frictionless(s, u, part), s.x, s.v, pushes.load * abs(u), pushes.law)
 
     max_step = _compile_max_step(total)
-    return Laws(total, _no_target, _no_follower, _no_value, pull_and_hold, max_step, _no_damping, _part_at)
+    return Laws(
+        total, _no_target, _no_follower, _no_value, pull_and_hold, max_step, _no_damping, _part_at,
+        _bend_after, first_bend,
+    )  # fmt: skip
 
 
 def _compile_max_step(
@@ -101,7 +112,7 @@ def _compile_max_step(
             sliding.MAX_STEP_OF_OSCILLATION / np.sqrt(stiff + TINY),
             friction.MAX_STEP_SHARE / (pushes.quick + TINY),
         )
-        size = min(size, friction.max_friction_step(s.v, total(s, side, u, part), pushes.law))
+        size = min(size, friction.max_friction_step(s.v, side, s.bend, total(s, side, u, part), pushes.law))
         if bend != 0.0:
             size = min(size, friction.MAX_STEP_SHARE / (abs(extra.cogging_order * s.v) + TINY))
         return max(size, finest)
@@ -128,6 +139,11 @@ def _no_follower(s: Motion, part: Any) -> Follows:
 def _no_damping(s: Motion, side: float, part: Any) -> tuple[float, float]:
     # the damping of f is not known: it is resolved by small steps and never counts as creeping
     return 0.0, 0.0
+
+
+@specialised
+def _bend_after(bend: float, side: float, way: float, part: Any) -> float:
+    return friction.bend_after(bend, side, way, part[1].law)
 
 
 @specialised

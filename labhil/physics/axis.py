@@ -220,15 +220,18 @@ class AxisModel:
     def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Input behind the effects of the input path, (N,)."""
-        return {"acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n))}
+        """Input behind the effects of the input path, and bend of the bristles, each (N,)."""
+        return {
+            "acting_drive": self._path.at_samples(record, windows, lambda n: self._values.of(theta, n)),
+            "bend": self._values.bends(theta, windows, along["position"], along["axis_velocity"]),
+        }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the moving mass at these coordinates, (N,), N; zero where it is at rest."""
         x, v = coordinates["position"], coordinates["axis_velocity"]
-        u = coordinates["acting_drive"]
+        u, bend = coordinates["acting_drive"], coordinates["bend"]
         part, law = self._part(theta), self._values.friction_law(theta, self._mass(theta))
-        force = sliding.accelerations(u, x, v, self._table(theta), part, law) * self._mass(theta)
+        force = sliding.accelerations(u, x, v, bend, self._table(theta), part, law) * self._mass(theta)
         return np.asarray(force - self._values.added_drag(theta, v))
 
     def balance(self, theta: FloatArray, record: Record) -> Balance:
@@ -247,7 +250,12 @@ class AxisModel:
 
     def inverse_dynamics(self, theta: FloatArray, record: Record, motion: DriveMotion) -> FloatArray:
         """Inverse dynamics: drive force that a motion needs, M·ẍ + friction − other forces, (n,), N."""
-        idle = {"position": motion.x, "axis_velocity": motion.v, "acting_drive": np.zeros_like(motion.x)}
+        idle = {
+            "position": motion.x,
+            "axis_velocity": motion.v,
+            "acting_drive": np.zeros_like(motion.x),
+            "bend": np.sign(motion.v),
+        }
         force = self._mass(theta) * motion.a - self.generalised_force(theta, idle)
         if np.any(change := self._warming(theta, record) - 1.0):
             drag = self._values.of(theta, "viscous_friction.coefficient")

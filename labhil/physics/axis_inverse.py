@@ -21,7 +21,7 @@ from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale, Enters, Term
 from labhil.signals import FloatArray, Hold
 
-TERMS_AT_REST = ("static_friction",)
+TERMS_NEAR_REST = ("static_friction", "presliding_friction")
 NOT_IN_INVERSE_DYNAMICS = "inverse dynamics shows only forces on the moving part; fit by simulation"
 
 
@@ -54,7 +54,7 @@ class AxisInverse:
         self.terms: Mapping[str, Term] = {
             key: term
             for key, term in inner.terms.items()
-            if term.enters is Enters.FORCE and key not in TERMS_AT_REST
+            if term.enters is Enters.FORCE and key not in TERMS_NEAR_REST
         }
         unobservable = {key: NOT_IN_INVERSE_DYNAMICS for key in inner.terms if key not in self.terms}
         self.unobservable_terms: Mapping[str, str] = {**inner.unobservable_terms, **unobservable}

@@ -236,17 +236,22 @@ class BallBeamModel:
     def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Sine of the beam angle and its rate (rad/s) behind the input path, each (N,)."""
+        """Sine and rate (rad/s) of the beam behind the input path, and bend of the bristles, each (N,)."""
         nodes, angle = self._effective_angle(theta, record)
         sine = self._ratio(theta) * np.sin(np.interp(record.t, nodes, angle))
         rate = np.gradient(np.arcsin(np.clip(sine, -1.0, 1.0)), record.t)
-        return {"beam_sine": sine[windows.rows], "beam_rate": rate[windows.rows]}
+        return {
+            "beam_sine": sine[windows.rows],
+            "beam_rate": rate[windows.rows],
+            "bend": self._values.bends(theta, windows, along["ball_position"], along["ball_velocity"]),
+        }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Acceleration of the ball times its effective mass, (N,), N (m/s² per unit of mass)."""
         k = self._kernel(theta)
         x, v = coordinates["ball_position"], coordinates["ball_velocity"]
-        a = accelerations(x, v, coordinates["beam_sine"], coordinates["beam_rate"], k)
+        sine, rate, bend = (coordinates[name] for name in ("beam_sine", "beam_rate", "bend"))
+        a = accelerations(x, v, bend, sine, rate, k)
         return np.asarray(a * self._effective_mass(theta) - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
@@ -279,7 +284,7 @@ class BallBeamModel:
         )
 
     def _kernel(self, theta: FloatArray) -> FloatArray:
-        """Coefficients over the effective mass, (15,), in the order of ``physics.rolling``."""
+        """Coefficients over the effective mass, (17,), in the order of ``physics.rolling``."""
         m_eff = self._effective_mass(theta)
         if self._gain_per_servo_radian:
             share = SOLID_BALL_ACCELERATION / GRAVITY
@@ -295,6 +300,9 @@ class BallBeamModel:
         for place, name in KERNEL_PLACES.items():
             k[place] = self._values.of(theta, name) / m_eff
         k[rolling.STRIBECK_VELOCITY] = self._values.of(theta, "stribeck_friction.velocity")
+        if k[list(rolling.DRY)].any():
+            k[rolling.PRESLIDING_LENGTH] = self._values.of(theta, "presliding_friction.length")
+            k[rolling.BRISTLE_TIME] = self._values.of(theta, "presliding_friction.time_constant")
         return k
 
     def _trajectory(
@@ -347,18 +355,20 @@ KERNEL_PLACES = {
 
 
 def accelerations(
-    x: FloatArray, v: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray
+    x: FloatArray, v: FloatArray, bend: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray
 ) -> FloatArray:
-    """Accelerations (n,) at positions, velocities, beam sines and rates (n,), m/s²; zero at rest."""
+    """Accelerations (n,) at positions, velocities, bends, beam sines and rates (n,), m/s²; zero at rest."""
     drive = (
         k[rolling.GRAVITY] * sine
         + k[rolling.CENTRIFUGAL] * x * rate**2
         + k[rolling.CONSTANT]
         - x * (k[rolling.SPRING] + k[rolling.HARDENING] * x**2)
     )
-    speed, side = np.abs(v), np.sign(v)
+    speed = np.abs(v)
     dry = k[rolling.COULOMB] + k[rolling.DRY_SLOPE] * x
     dry = dry + k[rolling.STRIBECK] * np.exp(-speed / k[rolling.STRIBECK_VELOCITY])
     viscous = v * (k[rolling.VISCOUS] + k[rolling.QUADRATIC] * speed + k[rolling.CUBIC] * v**2)
-    moving = drive - side * dry - viscous - k[rolling.ASYMMETRIC_VISCOUS] * speed
+    if k[rolling.PRESLIDING_LENGTH] > 0.0:
+        bend = bend + k[rolling.BRISTLE_TIME] * (v - speed * bend) / k[rolling.PRESLIDING_LENGTH]
+    moving = drive - bend * dry - viscous - k[rolling.ASYMMETRIC_VISCOUS] * speed
     return np.where(speed > 0.0, moving, 0.0)

@@ -174,21 +174,25 @@ class DcMotorModel:
     def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Voltage behind the input path, minus brush drop and the rise of R·i by warming, (N,), V."""
+        """Voltage behind the input path less brush drop and warming (V), bend of the bristles, each (N,)."""
         node_t, voltage = self._path.nodes(record, 0, lambda name: self._values.of(theta, name))
         u = np.interp(record.t[windows.rows], node_t, voltage)
         u = u * (1.0 - self._values.of(theta, "supply_sag.coefficient") * np.abs(u))
         warm = (self._warm(theta, record)[windows.rows] - 1.0) * self._values.of(theta, "resistance")
         brushes = self._values.of(theta, "brush_drop.voltage")
         across = np.clip(along["current"] / (BRUSH_WIDTH_SHARE * self.sizes.current), -1.0, 1.0)
-        return {"acting_voltage": u - warm * along["current"] - brushes * across}
+        return {
+            "acting_voltage": u - warm * along["current"] - brushes * across,
+            "bend": self._values.bends(theta, windows, along["shaft_angle"], along["shaft_velocity"]),
+        }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Torque on the rotor at these coordinates, (N,), N·m; zero where it is at rest."""
         i, angle, w = (coordinates[name] for name in ("current", "shaft_angle", "shaft_velocity"))
         inertia = self._inertia(theta)
         law = self._values.friction_law(theta, inertia)
-        torque = winding.accelerations(i, angle, w, self._motor(theta), law) * inertia
+        bend = coordinates["bend"]
+        torque = winding.accelerations(i, angle, w, bend, self._motor(theta), law) * inertia
         return np.asarray(torque - self._values.added_drag(theta, w))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:

@@ -334,7 +334,10 @@ def with_extra_force(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCours
     Returns:
         Laws of the same part, as :class:`Pushed`, with the force.
     """
-    acceleration, target, follow, steady_value, pull_and_hold, max_step, damping, part_at = laws
+    (
+        acceleration, target, follow, steady_value, pull_and_hold, max_step, damping, part_at, bend_after,
+        first_bend,
+    ) = laws  # fmt: skip
 
     @specialised
     def extra_acceleration(s: Motion, side: float, u: float, p: Pushed[Part]) -> float:
@@ -372,7 +375,15 @@ def with_extra_force(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCours
         force = CompiledForce(b.over, b.low, b.per_unit, b.turn, b.width, b.values, c.along[k], b.friction)
         return Pushed(part_at(p.part, c.course, k), force)
 
+    @specialised
+    def extra_bend_after(bend: float, side: float, way: float, p: Pushed[Part]) -> float:
+        return bend_after(bend, side, way, p.part)
+
+    @specialised
+    def extra_first_bend(s: Motion, u: float, p: Pushed[Part]) -> float:
+        return first_bend(s, u, p.part)
+
     return Laws(
         extra_acceleration, extra_target, extra_follow, extra_steady_value, extra_pull_and_hold,
-        extra_max_step, extra_damping, extra_part_at,
+        extra_max_step, extra_damping, extra_part_at, extra_bend_after, extra_first_bend,
     )  # fmt: skip

@@ -46,6 +46,7 @@ def friction_terms(force: str, length: str, level: float, speed: float) -> tuple
         _coulomb(force, level),
         _static(force, level),
         _stribeck(force, length, level, speed),
+        _presliding(length, speed),
         *_drag(force, length, level, speed),
         *_direction_and_position(force, length, level, speed),
         *(law.term(force, length, level, speed) for law in laws()),
@@ -140,6 +141,31 @@ def _stribeck(force: str, length: str, level: float, speed: float) -> Term:
         with_terms=("coulomb_friction",),
         narrow="static_friction",
         statement_if_negative="dry friction that is smaller as motion sets in and rises to its full value",
+    )
+
+
+def _presliding(length: str, speed: float) -> Term:
+    """Dry friction that turns over a short way after a reversal."""
+    return Term(
+        "presliding_friction",
+        Enters.FORCE,
+        "dry friction that turns over a short way after a reversal (bristles)",
+        "b + τ·db/dt in the place of sgn v, db = (dx − b·|dx|)/ℓ",
+        "LuGre (Canudas de Wit et al. 1995): ℓ is level over stiffness, τ damping over stiffness",
+        "reversals",
+        (
+            Parameter(
+                "presliding_friction.length",
+                length,
+                1e-4 * speed,
+                1e-7 * speed,
+                0.1 * speed,
+                starts=(1e-4, 1e-3),
+                of=CharacteristicScale.SPEED,
+            ),
+            Parameter("presliding_friction.time_constant", "s", 5e-3, 0.0, 0.1, starts=(2e-3,)),
+        ),
+        with_terms=("coulomb_friction",),
     )
 
 

@@ -29,11 +29,16 @@ TINY = 1e-300
 
 
 class Motion(NamedTuple):
-    """Position x, velocity v, and the lagging quantity a, ȧ = rate·(target − a); SI units."""
+    """Position x, velocity v, and the lagging quantity a, ȧ = rate·(target − a); SI units.
+
+    ``bend`` is the share of dry friction that acts, from −1 to 1: the side to which the part moves, but for a
+    short way after a reversal where it presses on bristles (:mod:`physics.bristles`).
+    """
 
     x: float
     v: float
     a: float
+    bend: float
 
 
 class Stops(NamedTuple):
@@ -92,6 +97,12 @@ class Laws(NamedTuple, Generic[Part, Course]):
     part_at: Callable[[Part, Course, int], Part]
     """(part, course, k) to the part between samples k and k + 1."""
 
+    bend_after: Callable[[float, float, float, Part], float]
+    """(bend, side, way, part) to the bend after a way towards ``side``."""
+
+    first_bend: Callable[[Motion, float, Part], float]
+    """(state, u, part) to the bend at the begin of a window."""
+
 
 @inlined
 def step_responses(y: float) -> tuple[float, float, float, float, float]:
@@ -135,22 +146,22 @@ Step = Callable[[Motion, float, float, float, float, Follows, Part], Motion]
 
 def compile_step(laws: Laws[Part, Course]) -> Step[Part]:
     """Compile one time step without events; a part at rest stays where it is."""
-    acceleration, target = laws.acceleration, laws.target
+    acceleration, target, bend_after = laws.acceleration, laws.target, laws.bend_after
 
     @specialised
     def creep(s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, part: Part) -> Motion:
         end, goal, start = u + h * rise, target(s, u, lag, part), acceleration(s, side, u, part)
-        _, _, long, long_ramp, bend = step_responses(h * lag.rate)
+        _, _, long, long_ramp, curvature = step_responses(h * lag.rate)
         _, _, whole, ramp, _ = step_responses(h * lag.creep)
         x, v, a = s.x + h * s.v, s.v, s.a
         for _ in range(2):  # the second pass knows the drive at the end of the step
-            last = target(Motion(x, v, s.a), end, lag, part)
-            a = follow_parabola(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, bend)
-            drift = acceleration(Motion(x, s.v, a), side, end, part) - start
+            last = target(Motion(x, v, s.a, s.bend), end, lag, part)
+            a = follow_parabola(s.a, goal, 0.5 * (goal + last), last, long, long_ramp, curvature)
+            drift = acceleration(Motion(x, s.v, a, s.bend), side, end, part) - start
             v = s.v + (whole * start + ramp * drift) / lag.creep
             way = ramp * start + (0.5 - ramp / (h * lag.creep)) * drift
             x = s.x + h * (s.v + way / lag.creep)
-        return Motion(x, v, a)
+        return Motion(x, v, a, bend_after(s.bend, side, x - s.x, part))
 
     @specialised
     def step(s: Motion, side: float, u: float, rise: float, h: float, lag: Follows, part: Part) -> Motion:
@@ -159,24 +170,28 @@ def compile_step(laws: Laws[Part, Course]) -> Step[Part]:
         moves = 0.0 if side == 0.0 else 1.0
         half = 0.5 * h
         middle, end = u + half * rise, u + h * rise
-        short, ramp, whole, long_ramp, bend = step_responses(h * lag.rate)
+        short, ramp, whole, long_ramp, curvature = step_responses(h * lag.rate)
         goal1 = target(s, u, lag, part)
         acceleration1 = moves * acceleration(s, side, u, part)
         v2 = s.v + half * acceleration1
-        goal2 = target(Motion(s.x + half * s.v, v2, s.a), middle, lag, part)
-        s2 = Motion(s.x + half * s.v, v2, s.a + short * (goal1 - s.a) + ramp * (goal2 - goal1))
+        goal2 = target(Motion(s.x + half * s.v, v2, s.a, s.bend), middle, lag, part)
+        a2 = s.a + short * (goal1 - s.a) + ramp * (goal2 - goal1)
+        s2 = Motion(s.x + half * s.v, v2, a2, bend_after(s.bend, side, half * s.v, part))
         acceleration2 = moves * acceleration(s2, side, middle, part)
         v3 = s.v + half * acceleration2
-        goal3 = target(Motion(s.x + half * v2, v3, s.a), middle, lag, part)
-        s3 = Motion(s.x + half * v2, v3, s.a + short * (goal1 - s.a) + ramp * (goal3 - goal1))
+        goal3 = target(Motion(s.x + half * v2, v3, s.a, s.bend), middle, lag, part)
+        a3 = s.a + short * (goal1 - s.a) + ramp * (goal3 - goal1)
+        s3 = Motion(s.x + half * v2, v3, a3, bend_after(s.bend, side, half * v2, part))
         acceleration3 = moves * acceleration(s3, side, middle, part)
         v4 = s.v + h * acceleration3
-        goal4 = target(Motion(s.x + h * v3, v4, s.a), end, lag, part)
-        a4 = follow_parabola(s.a, goal1, goal3, goal4, whole, long_ramp, bend)
-        acceleration4 = moves * acceleration(Motion(s.x + h * v3, v4, a4), side, end, part)
+        goal4 = target(Motion(s.x + h * v3, v4, s.a, s.bend), end, lag, part)
+        a4 = follow_parabola(s.a, goal1, goal3, goal4, whole, long_ramp, curvature)
+        s4 = Motion(s.x + h * v3, v4, a4, bend_after(s.bend, side, h * v3, part))
+        acceleration4 = moves * acceleration(s4, side, end, part)
         x = s.x + h * (s.v + 2.0 * (v2 + v3) + v4) / 6.0
         v = s.v + h * (acceleration1 + 2.0 * (acceleration2 + acceleration3) + acceleration4) / 6.0
-        goal = target(Motion(x, v, s.a), end, lag, part)
-        return Motion(x, v, follow_parabola(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, bend))
+        goal = target(Motion(x, v, s.a, s.bend), end, lag, part)
+        a = follow_parabola(s.a, goal1, 0.5 * (goal2 + goal3), goal, whole, long_ramp, curvature)
+        return Motion(x, v, a, bend_after(s.bend, side, x - s.x, part))
 
     return step

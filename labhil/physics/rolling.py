@@ -3,10 +3,10 @@
 (M + J/R²)·ẍ = M·g·sin β + M·x·β̇² − (J/R)·β̈ + F₀ − k·x − k₃·x³ − friction, sin β = ratio·sin γ, with
 position x (m), beam angle β and crank angle γ (rad), mass M (kg), radius R (m), inertia J (kg·m²), constant
 force F₀ (N), stiffness k (N/m) and hardening k₃ (N/m³). Equations 4.13 to 4.17 of the reference text, with
-its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept. Everything is divided by the effective
-mass M + J/R² (+ added inertia), so forces are accelerations and the kernel serves rigs of unknown mass. The
-crank turns at a constant rate between nodes; β̇ jumps at a node, which changes the velocity by −(J/R)/(M +
-J/R²)·Δβ̇.
+its errata: the Stribeck exponent is negative, and −(J/R)·β̈ is kept; dry friction may turn over on bristles
+(``physics.bristles``). Everything is divided by the effective mass M + J/R² (+ added inertia), so forces are
+accelerations and the kernel serves rigs of unknown mass. The crank turns at a constant rate between nodes; β̇
+jumps at a node, which changes the velocity by −(J/R)/(M + J/R²)·Δβ̇.
 
 Rest is an event: below break-away the ball is at rest. The instant of break-away is exact (the drive is taken
 as linear in time), and the instant at which a ball comes to rest is found by root bracketing.
@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
+from labhil.physics import bristles
 from labhil.physics.bracket import Bracket, false_position, narrow
 from labhil.physics.extra_force import CompiledForce, friction_at, max_table_step
 from labhil.signals import FloatArray, IntArray
@@ -39,9 +40,14 @@ from labhil.signals import FloatArray, IntArray
     CONSTANT,
     SPRING,
     HARDENING,
-) = range(15)
-SIZE = 15
+    BRISTLE_TIME,
+    PRESLIDING_LENGTH,
+) = range(17)
+SIZE = 17
 """Number of coefficients; an additional force follows them, see :func:`with_force`."""
+
+DRY = (COULOMB, STRIBECK, DRY_SLOPE)
+"""Places of dry friction; bristles bend under no other, and do nothing without it."""
 
 ACTS, LOW, PER_UNIT, WIDTH, N_TABLE = range(SIZE, SIZE + 5)
 TABLE = SIZE + 5
@@ -88,7 +94,7 @@ def lever(angle: float, ratio: float) -> float:
 
 
 def with_force(k: FloatArray, extra: CompiledForce, along: FloatArray) -> FloatArray:
-    """Append an additional force to coefficients ``k`` (15,): user-defined friction, curve or course."""
+    """Append an additional force to coefficients ``k`` (17,): user-defined friction, curve or course."""
     friction = extra.friction
     head = [float(extra.over), extra.low, extra.per_unit, extra.width, float(len(friction))]
     return np.concatenate([k, head, friction, extra.values if extra.over else along])
@@ -143,54 +149,72 @@ def drive(x: float, sine: float, rate: float, turn: float, k: FloatArray) -> flo
 
 
 @inlined
+def dry_friction(x: float, speed: float, k: FloatArray) -> float:
+    """Dry friction of a ball that slides on no bristles, m/s²."""
+    dry = k[COULOMB] + k[DRY_SLOPE] * x
+    if k[STRIBECK] != 0.0 and speed < STRIBECK_RANGE * k[STRIBECK_VELOCITY]:
+        dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
+    return dry
+
+
+@inlined
 def hold(x: float, k: FloatArray) -> float:
-    """Break-away level: acceleration either way up to which the ball stays at rest, m/s²; never negative."""
-    level = k[COULOMB] + k[STRIBECK] + k[STATIC] + k[DRY_SLOPE] * x
+    """Break-away level: acceleration either way up to which the ball stays at rest, m/s²; never negative.
+
+    Bristles do not hold.
+    """
+    level = 0.0 if k[PRESLIDING_LENGTH] > 0.0 else dry_friction(x, 0.0, k) + k[STATIC]
     if k.size > SIZE:
         level += drag(x, 0.0, k)
     return max(level, 0.0)
 
 
 @inlined
-def friction(x: float, v: float, side: float, k: FloatArray) -> float:
-    """Deceleration by friction of a ball that moves towards ``side``, m/s²."""
+def friction(x: float, v: float, side: float, bend: float, k: FloatArray) -> float:
+    """Deceleration by friction of a ball that moves towards ``side`` on bristles with this bend, m/s²."""
     speed = abs(v)
-    dry = k[COULOMB] + k[DRY_SLOPE] * x
-    if k[STRIBECK] != 0.0 and speed < STRIBECK_RANGE * k[STRIBECK_VELOCITY]:
-        dry += k[STRIBECK] * np.exp(-speed / k[STRIBECK_VELOCITY])
+    share = bristles.share_of_dry_friction(v, bend, k[PRESLIDING_LENGTH], k[BRISTLE_TIME])
+    dry = share * dry_friction(x, speed, k)
     viscous = v * (k[VISCOUS] + k[QUADRATIC] * speed + k[CUBIC] * v * v) + k[ASYMMETRIC_VISCOUS] * speed
     if k.size > SIZE:
-        return side * (dry + drag(x, v, k)) + viscous - push(x, v, k)
-    return side * dry + viscous
+        return dry + side * drag(x, v, k) + viscous - push(x, v, k)
+    return dry + viscous
 
 
 @inlined
-def acceleration(x: float, v: float, side: float, crank: Crank, t: float, k: FloatArray) -> float:
+def acceleration(
+    x: float, v: float, side: float, bend: float, crank: Crank, t: float, k: FloatArray
+) -> float:
     """Acceleration of a moving ball t s into a stretch, m/s²."""
     sine, rate, turn = beam(crank, t)
-    return drive(x, sine, rate, turn, k) - friction(x, v, side, k)
+    return drive(x, sine, rate, turn, k) - friction(x, v, side, bend, k)
 
 
 @inlined
 def runge_kutta(
-    a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, bend: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> tuple[float, float]:
     """One classical fourth-order step of a moving ball from t to t + h; ``a1`` is its acceleration at t."""
     sine, rate, turn = beam(crank, t + 0.5 * h)
+    length = k[PRESLIDING_LENGTH]
     x2, v2 = x + 0.5 * h * v, v + 0.5 * h * a1
-    a2 = drive(x2, sine, rate, turn, k) - friction(x2, v2, side, k)
+    bend2 = bristles.bend_after(bend, side, x2 - x, length)
+    a2 = drive(x2, sine, rate, turn, k) - friction(x2, v2, side, bend2, k)
     x3, v3 = x + 0.5 * h * v2, v + 0.5 * h * a2
-    a3 = drive(x3, sine, rate, turn, k) - friction(x3, v3, side, k)
-    v4 = v + h * a3
-    a4 = acceleration(x + h * v3, v4, side, crank, t + h, k)
+    bend3 = bristles.bend_after(bend, side, x3 - x, length)
+    a3 = drive(x3, sine, rate, turn, k) - friction(x3, v3, side, bend3, k)
+    x4, v4 = x + h * v3, v + h * a3
+    bend4 = bristles.bend_after(bend, side, x4 - x, length)
+    a4 = acceleration(x4, v4, side, bend4, crank, t + h, k)
     return x + h * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0, v + h * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
 
 
 @inlined
-def step_length(v: float, pull: float, k: FloatArray) -> float:
-    """Longest step, s: it must not jump over a narrow Stribeck peak.
+def step_length(v: float, left: float, pull: float, k: FloatArray) -> float:
+    """Longest step, s: it must not jump over a narrow Stribeck peak, or over bristles.
 
-    ``pull`` is the acceleration at the start of the step, m/s².
+    ``left`` is the distance of the bristles' bend from its end value, and ``pull`` is the acceleration at the
+    start of the step, m/s².
     """
     speed = abs(v)
     stiffness = abs(k[VISCOUS]) + 2.0 * abs(k[QUADRATIC]) * speed + 3.0 * abs(k[CUBIC]) * v * v
@@ -203,21 +227,24 @@ def step_length(v: float, pull: float, k: FloatArray) -> float:
         h = min(h, k[WIDTH] / ((abs(pull) if 3.0 <= k[ACTS] <= 4.0 else speed) + 1e-9))
     if k.size > SIZE and k[N_TABLE] > 0.0:
         h = min(h, max_table_step(speed, pull, k, TABLE))
+    if k[PRESLIDING_LENGTH] > 0.0:
+        dry = k[COULOMB] + k[STRIBECK]
+        h = min(h, bristles.max_step(v, left, dry, k[PRESLIDING_LENGTH], k[BRISTLE_TIME]))
     return max(min(h, 0.5 / (stiffness + 1e-9)), SHORTEST_STEP)
 
 
 @inlined
 def time_to_rest(
-    a1: float, x: float, v: float, side: float, crank: Crank, t: float, h: float, k: FloatArray
+    a1: float, x: float, v: float, side: float, bend: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> float:
     """Instant of zero velocity within a step of length h that ends with the velocity reversed, s."""
-    later = runge_kutta(a1, x, v, side, crank, t, h, k)[1]
+    later = runge_kutta(a1, x, v, side, bend, crank, t, h, k)[1]
     between = Bracket(0.0, v * side, h, later * side, 0.0)
     for _ in range(60):
         if between.high - between.low < 1e-10:
             break
         middle = false_position(between)
-        speed = runge_kutta(a1, x, v, side, crank, t, middle, k)[1] * side
+        speed = runge_kutta(a1, x, v, side, bend, crank, t, middle, k)[1] * side
         if abs(speed) < 1e-10:
             return middle
         between = narrow(between, middle, speed)
@@ -225,7 +252,7 @@ def time_to_rest(
 
 
 @inlined
-def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple[float, float]:
+def time_to_break_away(x: float, bend: float, crank: Crank, t: float, k: FloatArray) -> tuple[float, float]:
     """Time until break-away (s) and its side (±1); infinity if the drive recedes.
 
     The drive is extrapolated linearly; the caller repeats the call after that time.
@@ -234,6 +261,8 @@ def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple
     now = drive(x, sine, rate, turn, k)
     if k.size > SIZE:
         now += push(x, 0.0, k)
+    if k[PRESLIDING_LENGTH] > 0.0:
+        now -= bend * dry_friction(x, 0.0, k)
     growth = k[GRAVITY] * crank.ratio * np.cos(crank.angle + t * crank.turning) * crank.turning
     level = hold(x, k)
     if now > level:
@@ -249,27 +278,29 @@ def time_to_break_away(x: float, crank: Crank, t: float, k: FloatArray) -> tuple
 
 @inlined
 def advance(
-    x: float, v: float, side: float, crank: Crank, start: float, end: float, k: FloatArray
-) -> tuple[float, float, float]:
+    x: float, v: float, side: float, bend: float, crank: Crank, start: float, end: float, k: FloatArray
+) -> tuple[float, float, float, float]:
     """Move the ball from ``start`` to ``end`` s into a stretch, through rest and break-away.
 
-    ``side`` is +1 or −1 while it moves and 0 at rest. Returns the new x, v, side.
+    ``side`` is +1 or −1 while it moves and 0 at rest. Returns the new x, v, side, bend.
     """
-    t = start
+    t, length = start, k[PRESLIDING_LENGTH]
     while t < end:
         if side == 0.0:
-            wait, towards = time_to_break_away(x, crank, t, k)
+            wait, towards = time_to_break_away(x, bend, crank, t, k)
             if wait >= end - t:
-                return x, 0.0, 0.0
+                return x, 0.0, 0.0, bend
             if wait == 0.0:
                 side = towards
+                bend = bristles.bend_after(bend, side, 0.0, length)
             else:
                 t += wait + BREAK_AWAY_DELAY
             continue
-        pull = acceleration(x, v, side, crank, t, k)
-        step = min(end - t, step_length(v, pull, k))
-        x_new, v_new = runge_kutta(pull, x, v, side, crank, t, step, k)
+        pull = acceleration(x, v, side, bend, crank, t, k)
+        step = min(end - t, step_length(v, abs(side - bend), pull, k))
+        x_new, v_new = runge_kutta(pull, x, v, side, bend, crank, t, step, k)
         if v_new * side >= 0.0:
+            bend = bristles.bend_after(bend, side, x_new - x, length)
             x, v = x_new, v_new
             t += step
         elif v == 0.0:
@@ -277,11 +308,21 @@ def advance(
             side = 0.0
             t += min(step, SHORTEST_STEP)
         else:
-            stop = time_to_rest(pull, x, v, side, crank, t, step, k)
-            x, _ = runge_kutta(pull, x, v, side, crank, t, stop, k)
+            stop = time_to_rest(pull, x, v, side, bend, crank, t, step, k)
+            x_new, _ = runge_kutta(pull, x, v, side, bend, crank, t, stop, k)
+            bend = bristles.bend_after(bend, side, x_new - x, length)
+            x = x_new
             v, side = 0.0, 0.0
             t += stop
-    return x, v, side
+    return x, v, side, bend
+
+
+@inlined
+def begin_bend(x: float, v: float, crank: Crank, t: float, k: FloatArray) -> float:
+    """Bend of the bristles at the begin of a window, t s into a stretch."""
+    sine, rate, turn = beam(crank, t)
+    pull = drive(x, sine, rate, turn, k)
+    return bristles.first_bend(pull, v, dry_friction(x, abs(v), k), k[PRESLIDING_LENGTH])
 
 
 @inlined
@@ -307,7 +348,7 @@ def simulate(
         last: One past the last sample of each window, (w,).
         states: Initial (x, v + k[ROLLING]·β̇) of each window, (w, 2). Unlike v that is continuous at a node,
             so results do not jump when a delay moves nodes across the first sample.
-        k: Coefficients over the effective mass, (15,), or longer with an additional force.
+        k: Coefficients over the effective mass, (17,), or longer with an additional force.
         out: Receives x and v of all windows one after another, (N, 2).
     """
     row = 0
@@ -320,7 +361,7 @@ def simulate(
         crank, began = stretch(node_t, angle, ratio, node)
         x = states[w, 0]
         v = states[w, 1] - k[ROLLING] * beam(crank, now - began)[1]
-        side = np.sign(v)
+        side, bend = np.sign(v), begin_bend(x, v, crank, now - began, k)
         out[row, 0], out[row, 1] = x, v
         row += 1
         for i in range(first[w], last[w] - 1):
@@ -329,7 +370,7 @@ def simulate(
                 k[CONSTANT] = constant + k[TABLE + int(k[N_TABLE]) + i]
             while now < end:
                 until = min(end, node_t[node]) if node < node_t.size else end
-                x, v, side = advance(x, v, side, crank, now - began, until - began, k)
+                x, v, side, bend = advance(x, v, side, bend, crank, now - began, until - began, k)
                 now = until
                 if node < node_t.size and node_t[node] <= now:
                     node += 1
@@ -337,6 +378,7 @@ def simulate(
                     crank, began = stretch(node_t, angle, ratio, node)
                     v -= k[ROLLING] * lever(crank.angle, ratio) * (crank.turning - before)
                     side = np.sign(v)
+                    bend = bristles.bend_after(bend, side, 0.0, k[PRESLIDING_LENGTH])
             out[row, 0], out[row, 1] = x, v
             row += 1
 

@@ -14,17 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import by_type, inlined
+from labhil.physics import friction
 from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra_force
-from labhil.physics.friction import (
-    MAX_STEP_SHARE,
-    Law,
-    break_away_force,
-    damping,
-    friction,
-    law_from_array,
-    max_friction_step,
-    scale_viscous,
-)
+from labhil.physics.friction import MAX_STEP_SHARE, Law, law_from_array, scale_viscous
 from labhil.physics.mapped import Chart, charted_force, charted_slope
 from labhil.physics.moving_part import TINY, Follows, Laws, Motion, Stops
 from labhil.physics.stick_slip import compile_integrator
@@ -149,14 +141,17 @@ def frictionless_acceleration(drive: float, x: float, part: Part) -> float:
 def acceleration(s: Motion, side: float, u: float, p: Slider) -> float:
     """Acceleration of a moving part, friction included, m/s²."""
     drive = drive_force(u, s.x, p.drive)
-    return frictionless_acceleration(drive, s.x, p.part) - friction(s.x, s.v, side, abs(drive), p.law)
+    return frictionless_acceleration(drive, s.x, p.part) - friction.friction(
+        s.x, s.v, s.bend, abs(drive), p.law
+    )
 
 
 @inlined
 def pull_and_hold(s: Motion, u: float, p: Slider) -> tuple[float, float]:
     """Acceleration without friction, and the one up to which a part at rest holds, m/s²."""
     drive = drive_force(u, s.x, p.drive)
-    return frictionless_acceleration(drive, s.x, p.part), break_away_force(s.x, abs(drive), p.law)
+    pull = frictionless_acceleration(drive, s.x, p.part)
+    return friction.pull_and_hold(pull, s.x, s.bend, abs(drive), p.law)
 
 
 @inlined
@@ -190,7 +185,7 @@ def max_step(
     else:
         size = min(
             MAX_STEP_OF_OSCILLATION / np.sqrt(stiff),
-            max_friction_step(s.v, acceleration(s, side, u, p), p.law),
+            friction.max_friction_step(s.v, side, s.bend, acceleration(s, side, u, p), p.law),
         )
     if p.part.cogging_sine != 0.0 or p.part.cogging_cosine != 0.0:
         size = min(size, MAX_STEP_SHARE / (abs(p.part.cogging_order * s.v) + TINY))
@@ -200,24 +195,42 @@ def max_step(
 @inlined
 def part_damping(s: Motion, side: float, p: Slider) -> tuple[float, float]:
     """Damping of a moving part by friction."""
-    return damping(s.v, side, p.law)
+    return friction.damping(s.v, side, p.law)
 
 
-LAWS = Laws(acceleration, target, follow, steady_value, pull_and_hold, max_step, part_damping, part_at)
+@inlined
+def bend_after(bend: float, side: float, way: float, p: Slider) -> float:
+    """Bend of the bristles after a way towards ``side``."""
+    return friction.bend_after(bend, side, way, p.law)
+
+
+@inlined
+def first_bend(s: Motion, u: float, p: Slider) -> float:
+    """Bend of the bristles at the begin of a window."""
+    drive = drive_force(u, s.x, p.drive)
+    pull = frictionless_acceleration(drive, s.x, p.part)
+    return friction.first_bend(pull, s.x, s.v, abs(drive), p.law)
+
+
+LAWS = Laws(
+    acceleration, target, follow, steady_value, pull_and_hold, max_step, part_damping, part_at, bend_after,
+    first_bend,
+)  # fmt: skip
 run = compile_integrator(LAWS)
 run_pushed = compile_integrator(with_extra_force(LAWS))
 
 
 @inlined
 def accelerations(
-    u: FloatArray, x: FloatArray, v: FloatArray, drive: Drive, p: Part, f: FloatArray
+    u: FloatArray, x: FloatArray, v: FloatArray, bend: FloatArray, drive: Drive, p: Part, f: FloatArray
 ) -> FloatArray:
-    """Accelerations (n,) at inputs, positions and velocities (n,), m/s²; zero where the part is at rest."""
+    """Accelerations (n,) at inputs, positions, velocities and bends (n,), m/s²; zero at rest."""
     out = np.zeros(u.size)
     slider = Slider(p, drive, law_from_array(f))
     for k in range(u.size):
-        if v[k] != 0.0:
-            out[k] = acceleration(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], slider)
+        side = np.sign(v[k])
+        if side != 0.0:
+            out[k] = acceleration(Motion(x[k], v[k], 0.0, bend[k]), side, u[k], slider)
     return out
 
 
@@ -246,7 +259,7 @@ def simulate(
         states: Initial position and velocity of each window, (w, 2).
         drive: The drive over the mass.
         p: The part over the mass.
-        f: Friction coefficients over the mass, (10,), in the order of ``physics.friction``.
+        f: Friction coefficients over the mass, (12,), in the order of ``physics.friction``.
         viscous_change: Factor on viscous friction at each sample, (n,).
         out: Receives x, v and 0 of all windows one after another, (N, 3).
     """

@@ -289,16 +289,20 @@ class SolenoidModel:
     def drive_coordinates(
         self, theta: FloatArray, record: Record, windows: Windows, along: Mapping[str, FloatArray]
     ) -> Mapping[str, FloatArray]:
-        """Effective current that gives the magnetic force, (N,), A."""
+        """Effective current that gives the magnetic force (A), and bend of the bristles, each (N,)."""
         nodes, current = self._field(theta, record)
-        return {"field_current": np.interp(record.t[windows.rows], nodes, current)}
+        return {
+            "field_current": np.interp(record.t[windows.rows], nodes, current),
+            "bend": self._values.bends(theta, windows, along["plunger_position"], along["plunger_velocity"]),
+        }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Force on the plunger at these coordinates, (N,), N; zero where it is at rest."""
         x, v, i = (coordinates[n] for n in ("plunger_position", "plunger_velocity", "field_current"))
         mass = self._values.of(theta, "moving_mass")
         part, law = self._part(theta), self._values.friction_law(theta, mass)
-        force = sliding.accelerations(i, x, v, self._magnet(mass), part, law) * mass
+        bend = coordinates["bend"]
+        force = sliding.accelerations(i, x, v, bend, self._magnet(mass), part, law) * mass
         return np.asarray(force - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from labhil.compiled import inlined, merged, specialised
 from labhil.physics.bracket import Bracket, false_position, narrow
+from labhil.physics.bristles import SETTLED
 from labhil.physics.moving_part import Course, Follows, Laws, Motion, Part, Step, Stops, compile_step
 from labhil.signals import FloatArray, IntArray
 
@@ -131,7 +132,7 @@ def compile_rest(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
 
 def compile_move(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
     """Compile motion for h s or until the part comes to rest or reaches a stop."""
-    pull_and_hold = laws.pull_and_hold
+    pull_and_hold, bend_after = laws.pull_and_hold, laws.bend_after
     time_to_event = compile_event_time(step)
 
     @merged
@@ -151,16 +152,16 @@ def compile_move(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
             h = time_to_event(s, side, u, rise, h, lag, np.inf, part)
             later = step(s, side, u, rise, h, lag, part)
             if (edge - later.x) * side >= 0.0:
-                return Motion(later.x, 0.0, later.a), 0.0, h
+                return Motion(later.x, 0.0, later.a, later.bend), 0.0, h
         if (edge - later.x) * side >= 0.0:
             return later, side, h
         h = time_to_event(s, side, u, rise, h, lag, edge, part)
         later = step(s, side, u, rise, h, lag, part)
         back = -stops.restitution * later.v
-        pull, _ = pull_and_hold(Motion(edge, 0.0, later.a), u + h * rise, part)
+        pull, _ = pull_and_hold(Motion(edge, 0.0, later.a, later.bend), u + h * rise, part)
         if back == 0.0 or 2.0 * abs(back) <= finest * pull * side:
-            return Motion(edge, 0.0, later.a), 0.0, h
-        return Motion(edge, back, later.a), -side, h
+            return Motion(edge, 0.0, later.a, later.bend), 0.0, h
+        return Motion(edge, back, later.a, bend_after(later.bend, -side, 0.0, part)), -side, h
 
     return move
 
@@ -187,18 +188,18 @@ def compile_advance(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, flo
         laws.pull_and_hold,
         laws.max_step,
     )
-    acceleration, damping = laws.acceleration, laws.damping
+    acceleration, damping, bend_after = laws.acceleration, laws.damping, laws.bend_after
     step = compile_step(laws)
     rest, move = compile_rest(laws, step), compile_move(laws, step)
 
     @specialised
     def creep(s: Motion, side: float, u: float, remaining: float, part: Part) -> float:
-        rate, bend = damping(s, side, part)
-        if rate * remaining < MIN_CREEP_TIME_CONSTANTS:
+        rate, curvature = damping(s, side, part)
+        if rate * remaining < MIN_CREEP_TIME_CONSTANTS or abs(side - s.bend) > SETTLED:
             return 0.0
         return (
             rate
-            if abs(acceleration(s, side, u, part)) * bend <= MAX_CREEP_DAMPING_CHANGE * rate * rate
+            if abs(acceleration(s, side, u, part)) * curvature <= MAX_CREEP_DAMPING_CHANGE * rate * rate
             else 0.0
         )
 
@@ -210,19 +211,21 @@ def compile_advance(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, flo
         while h - t > TIME_TOLERANCE:
             steps += 1
             if steps > MAX_STEPS:
-                return Motion(np.nan, np.nan, np.nan), side
+                return Motion(np.nan, np.nan, np.nan, side), side
             now = u + t * rise
             lag = follow(s, part)
             if lag.rate * h > INSTANT_RATE:
                 lag = Follows(np.inf, lag.gauge, lag.bias, 0.0)
-                s = Motion(s.x, s.v, steady_value(s, now, part))
+                s = Motion(s.x, s.v, steady_value(s, now, part), s.bend)
             if side == 0.0:
                 side = break_away_side(s.x, pull_and_hold(s, now, part), stops)
+                s = Motion(s.x, s.v, s.a, bend_after(s.bend, side, 0.0, part))
             if side != 0.0:
                 lag = Follows(lag.rate, lag.gauge, lag.bias, creep(s, side, now, h - t, part))
             size = min(h - t, max_step(s, side, now, rise, t, lag, finest, part))
             if side == 0.0:
                 s, side, taken = rest(s, side, now, rise, size, finest, lag, stops, part)
+                s = Motion(s.x, s.v, s.a, bend_after(s.bend, side, 0.0, part))
             else:
                 s, side, taken = move(s, side, now, rise, size, finest, lag, stops, part)
             t += taken
@@ -258,7 +261,7 @@ receives x, v, a of all windows one after another. A simulation that diverges ke
 
 def compile_integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
     """Compile the simulation of windows of a recording by these laws, to be called from a kernel."""
-    advance, part_at = compile_advance(laws), laws.part_at
+    advance, part_at, first_bend = compile_advance(laws), laws.part_at, laws.first_bend
 
     @merged
     def run(
@@ -270,8 +273,10 @@ def compile_integrator(laws: Laws[Part, Course]) -> Run[Part, Course]:
         for w in range(first.size):
             now = t[first[w]]
             node = np.searchsorted(node_t, now, side="right")
-            s = Motion(min(max(states[w, 0], stops.low), stops.high), states[w, 1], states[w, 2])
+            s = Motion(min(max(states[w, 0], stops.low), stops.high), states[w, 1], states[w, 2], 0.0)
             side, lost = np.sign(s.v), False
+            part_here, (u, _) = part_at(part, course, first[w]), stretch(node_t, values, node, now)
+            s = Motion(s.x, s.v, s.a, first_bend(s, u, part_here))
             for k in range(first[w], last[w]):
                 out[row, 0], out[row, 1], out[row, 2] = s.x, s.v, s.a
                 row += 1

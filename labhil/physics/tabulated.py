@@ -88,12 +88,12 @@ def run_pushed(
 
 
 @compiled
-def pulls(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
-    """Accelerations (n,) at positions, velocities and inputs (n,); zero where the part is at rest."""
+def pulls(x: FloatArray, v: FloatArray, bend: FloatArray, u: FloatArray, part: Any) -> FloatArray:
+    """Accelerations (n,) at positions, velocities, bends and inputs (n,); zero where the part is at rest."""
     accelerations = np.zeros(x.size)
     for k in range(x.size):
         if v[k] != 0.0:
-            accelerations[k] = _pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
+            accelerations[k] = _pull(Motion(x[k], v[k], 0.0, bend[k]), np.sign(v[k]), u[k], part)
     return accelerations
 
 

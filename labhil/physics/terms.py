@@ -53,7 +53,7 @@ class Parameter:
         name: ``term.quantity``, or a bare name for a parameter of the rig itself.
         unit: Its unit.
         scale: Typical size in that unit. A standard error above it means that the data do not identify it.
-        lower: Lower bound.
+        lower: Lower bound; above 0 for a size that cannot be zero while its term is in the model.
         upper: Upper bound.
         starts: Values from which a fit begins, besides zero, when the term is added to a model, in units of
             the characteristic scale ``of`` to the ``power``.
@@ -101,6 +101,11 @@ class Parameter:
     def neutral(self) -> float:
         """Value while its term is not in the model."""
         return self.scale if self.shape else 0.0
+
+    @property
+    def is_positive(self) -> bool:
+        """Whether it is a size that cannot be zero: a mass, a resistance, the length of bristles."""
+        return self.lower > 0.0 and not self.shape
 
     def at_bound(self, value: float) -> bool:
         """Whether a value lies at one of the bounds, up to rounding."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labhil.physics import friction
+from labhil.physics.bristles import bends_along
 from labhil.physics.driven import apply_sensor_lag
 from labhil.physics.extra_force import NO_FORCE, CompiledForce, ExtraForce
 from labhil.physics.friction_law import GRID, laws
@@ -35,12 +36,14 @@ class Values:
         return float(theta[self._index[name]]) if name in self._index else 0.0
 
     def friction_law(self, theta: FloatArray, inertia: float) -> FloatArray:
-        """Friction coefficients over the inertia, (10,), in the order of ``physics.friction``."""
+        """Friction coefficients over the inertia, (12,), in the order of ``physics.friction``."""
         law = np.zeros(friction.SIZE)
         for place, name in friction.NAMES.items():
             law[place] = self.of(theta, name) / inertia
         for place, name in friction.NAMES_WITHOUT_INERTIA.items():
             law[place] = self.of(theta, name)
+        if not law[list(friction.DRY)].any():
+            law[friction.PRESLIDING_LENGTH] = 0.0
         return law
 
     def added_friction(self, theta: FloatArray, speeds: FloatArray) -> FloatArray:
@@ -53,6 +56,11 @@ class Values:
     def added_drag(self, theta: FloatArray, velocity: FloatArray) -> FloatArray:
         """User-defined friction (n,) against velocities (n,); zero where the part is at rest."""
         return np.asarray(np.sign(velocity) * self.added_friction(theta, np.abs(velocity)))
+
+    def bends(self, theta: FloatArray, windows: Windows, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Share (N,) of dry friction that acts along a motion x, v (N,): sgn v where there is no bristle."""
+        x, v = np.ascontiguousarray(x), np.ascontiguousarray(v)
+        return bends_along(x, v, windows.owner, self.of(theta, "presliding_friction.length"))
 
     def additional_force(
         self, theta: FloatArray, inertia: float, extra: ExtraForce | None, record: Record

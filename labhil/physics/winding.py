@@ -17,17 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from labhil.compiled import inlined
+from labhil.physics import friction
 from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra_force
-from labhil.physics.friction import (
-    MAX_STEP_SHARE,
-    Law,
-    break_away_force,
-    damping,
-    friction,
-    law_from_array,
-    max_friction_step,
-    scale_viscous,
-)
+from labhil.physics.friction import MAX_STEP_SHARE, Law, law_from_array, scale_viscous
 from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
 from labhil.physics.stick_slip import MIN_STEP_IN_PERIODS, compile_integrator
 from labhil.signals import FloatArray, IntArray
@@ -131,17 +123,16 @@ def drive_size(i: float, m: Motor) -> float:
 @inlined
 def acceleration(s: Motion, side: float, u: float, r: Rotor) -> float:
     """Angular acceleration of a turning rotor, friction included, rad/s²."""
-    return frictionless_acceleration(s.a, s.x, r.motor) - friction(
-        s.x, s.v, side, drive_size(s.a, r.motor), r.law
+    return frictionless_acceleration(s.a, s.x, r.motor) - friction.friction(
+        s.x, s.v, s.bend, drive_size(s.a, r.motor), r.law
     )
 
 
 @inlined
 def pull_and_hold(s: Motion, u: float, r: Rotor) -> tuple[float, float]:
     """Angular acceleration without friction, and the one up to which a rotor at rest holds, rad/s²."""
-    return frictionless_acceleration(s.a, s.x, r.motor), break_away_force(
-        s.x, drive_size(s.a, r.motor), r.law
-    )
+    pull = frictionless_acceleration(s.a, s.x, r.motor)
+    return friction.pull_and_hold(pull, s.x, s.bend, drive_size(s.a, r.motor), r.law)
 
 
 @inlined
@@ -164,7 +155,7 @@ def max_step(
     turning = acceleration(s, side, u, r)
     coupling = m.constant * m.constant / m.inertia
     swift = min(coupling / lag.gauge, np.sqrt(coupling / (m.inductance + TINY)))
-    steady = np.inf if lag.creep > 0.0 else max_friction_step(s.v, turning, r.law)
+    steady = np.inf if lag.creep > 0.0 else friction.max_friction_step(s.v, side, s.bend, turning, r.law)
     size = min(size, max(min(steady, MAX_STEP_SHARE / (swift + TINY)), finest))
     if lag.rate * min(size, finest / MIN_STEP_IN_PERIODS) <= MAX_FIRST_STEP_SHARE or lag.rate == np.inf:
         return size
@@ -182,22 +173,40 @@ def max_step(
 @inlined
 def rotor_damping(s: Motion, side: float, r: Rotor) -> tuple[float, float]:
     """Damping of a turning rotor by friction."""
-    return damping(s.v, side, r.law)
+    return friction.damping(s.v, side, r.law)
 
 
-LAWS = Laws(acceleration, target, follow, steady_value, pull_and_hold, max_step, rotor_damping, part_at)
+@inlined
+def bend_after(bend: float, side: float, way: float, r: Rotor) -> float:
+    """Bend of the bristles after a way towards ``side``."""
+    return friction.bend_after(bend, side, way, r.law)
+
+
+@inlined
+def first_bend(s: Motion, u: float, r: Rotor) -> float:
+    """Bend of the bristles at the begin of a window."""
+    pull = frictionless_acceleration(s.a, s.x, r.motor)
+    return friction.first_bend(pull, s.x, s.v, drive_size(s.a, r.motor), r.law)
+
+
+LAWS = Laws(
+    acceleration, target, follow, steady_value, pull_and_hold, max_step, rotor_damping, part_at, bend_after,
+    first_bend,
+)  # fmt: skip
 run = compile_integrator(LAWS)
 run_pushed = compile_integrator(with_extra_force(LAWS))
 
 
 @inlined
-def accelerations(i: FloatArray, angle: FloatArray, w: FloatArray, m: Motor, f: FloatArray) -> FloatArray:
-    """Angular accelerations (n,) at currents, angles, speeds (n,), rad/s²; zero where the rotor rests."""
+def accelerations(
+    i: FloatArray, angle: FloatArray, w: FloatArray, bend: FloatArray, m: Motor, f: FloatArray
+) -> FloatArray:
+    """Angular accelerations (n,) at currents, angles, speeds and bends (n,), rad/s²; zero at rest."""
     out = np.zeros(w.size)
     law = law_from_array(f)
     for k in range(w.size):
         if w[k] != 0.0:
-            drag = friction(angle[k], w[k], np.sign(w[k]), drive_size(i[k], m), law)
+            drag = friction.friction(angle[k], w[k], bend[k], drive_size(i[k], m), law)
             out[k] = frictionless_acceleration(i[k], angle[k], m) - drag
     return out
 
@@ -226,7 +235,7 @@ def simulate(
         last: One past the last sample of each window, (w,).
         states: Initial speed, current and angle of each window, (w, 3).
         m: The motor.
-        f: Friction coefficients over the inertia, (10,), in the order of ``physics.friction``.
+        f: Friction coefficients over the inertia, (12,), in the order of ``physics.friction``.
         warm: Warm over cold resistance at each sample, (n,).
         viscous_change: Factor on viscous friction at each sample, (n,).
         out: Receives ω, i and angle of all windows one after another, (N, 3).

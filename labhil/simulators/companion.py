@@ -26,6 +26,7 @@ class Law(NamedTuple):
     lines: tuple[str, ...]
 
 
+BRISTLES = "presliding_friction"
 FORCES: Mapping[str, Law] = {
     "constant_force": Law("F = F_0", ("F += {force}",)),
     "spring_force": Law("F = -k x", ("F -= {stiffness} * x",)),
@@ -39,6 +40,10 @@ FORCES: Mapping[str, Law] = {
     "cubic_viscous_friction": Law("F = -c3 v^3", ("F -= {coefficient} * v**3",)),
     "friction_asymmetry": Law("F = -c_a |v|", ("F -= {coefficient} * abs(v)",)),
     "coulomb_friction": Law("F = -F_c sgn v", ("F -= {level} * side",)),
+    BRISTLES: Law(
+        "F = -F_c (b + T db/dt), db = (dx - b |dx|) / length; F_c is the dry friction of creeping motion",
+        ("F -= {level} * (side + {time_constant} * (v - abs(v) * side) / {length})",),
+    ),
     "static_friction": Law(
         "|F| <= F_c + F_st + F_hold at v = 0; the dry friction holds with all of it, and this gives F_hold "
         "back once it moves",
@@ -265,6 +270,7 @@ def _at_most(step: float | None) -> str:
 def _force_function(effects: SortedEffects, at_rest: float) -> list[str]:
     lines = [
         *(line for table in effects.tables for line in table.text(WIDTH)),
+        *(_bristles_class(effects.forces[BRISTLES]["length"]) if BRISTLES in effects.forces else []),
         f"AT_REST = {at_rest:.6g}  # velocity below which dry friction counts as holding",
         "",
         "",
@@ -272,10 +278,40 @@ def _force_function(effects: SortedEffects, at_rest: float) -> list[str]:
         if effects.needs_temperature
         else "def force(x, v, drive=0.0):",
         '    """The force or torque at the joint beside the file\'s own; drive is that of the actuator."""',
-        "    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)",
+        *_directions(effects),
     ]
     own = [f"    F -= interpolate(*{table.name}, abs(v)) * side" for table in effects.tables]
     return [*lines, *_law_lines(effects.forces, FORCES, "    "), *own, "    return F"]
+
+
+def _directions(effects: SortedEffects) -> list[str]:
+    """Lines that compute the direction of dry friction, at rest and in motion."""
+    if BRISTLES in effects.forces:
+        return ["    F, side = 0.0, BRISTLES.bend_at(x, v)", "    moving = side"]
+    return ["    F, side, moving = 0.0, math.tanh(v / AT_REST), math.copysign(1.0, v)"]
+
+
+def _bristles_class(length: float) -> list[str]:
+    """Lines of the state that dry friction on bristles has."""
+    return [
+        "class Bristles:",
+        '    """Bend of the bristles that carry the dry friction, -1 to 1; make a new one for each run."""',
+        "",
+        "    def __init__(self):",
+        "        self.x, self.bend = None, 0.0",
+        "",
+        "    def bend_at(self, x, v):",
+        '        """The bend at x; it changes with the way between calls and begins as in steady motion."""',
+        "        if self.x is None:",
+        "            self.x, self.bend = x, math.copysign(1.0, v) if v else 0.0",
+        "        side = math.copysign(1.0, x - self.x)",
+        f"        self.bend = side - (side - self.bend) * math.exp(-abs(x - self.x) / {length:.6g})",
+        "        self.x = x",
+        "        return self.bend",
+        "",
+        "",
+        "BRISTLES = Bristles()",
+    ]
 
 
 def _stage_class(

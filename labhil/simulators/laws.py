@@ -107,11 +107,11 @@ def compile_kernels(simulator: Simulator) -> Kernels:
         pushed(t, node_t, values, first, last, states, stops, part, course, out)
 
     @njit(error_model="numpy", nogil=True)  # type: ignore[untyped-decorator]
-    def pull_all(x: FloatArray, v: FloatArray, u: FloatArray, part: Any) -> FloatArray:
+    def pull_all(x: FloatArray, v: FloatArray, bend: FloatArray, u: FloatArray, part: Any) -> FloatArray:
         accelerations = np.zeros(x.size)
         for k in range(x.size):
             if v[k] != 0.0:
-                accelerations[k] = pull(Motion(x[k], v[k], 0.0), np.sign(v[k]), u[k], part)
+                accelerations[k] = pull(Motion(x[k], v[k], 0.0, bend[k]), np.sign(v[k]), u[k], part)
         return accelerations
 
     return Kernels(_callable_from_python(acceleration), pull_all, simulate, simulate_pushed)

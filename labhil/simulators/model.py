@@ -268,16 +268,18 @@ class SimulatorModel:
         windows: Windows,
         motion_coordinates: Mapping[str, FloatArray],
     ) -> Mapping[str, FloatArray]:
-        """Return the input behind delay, backlash, limits and lag, (N,)."""
+        """Return the input behind delay, backlash, limits and lag, and the bend of bristles, each (N,)."""
+        x, v = (motion_coordinates[name] for name in self.state_names)
         return {
-            "acting_drive": self._path.at_samples(record, windows, lambda n: self._input_parameter(theta, n))
+            "acting_drive": self._path.at_samples(record, windows, lambda n: self._input_parameter(theta, n)),
+            "bend": self._values.bends(theta, windows, x, v),
         }
 
     def generalised_force(self, theta: FloatArray, coordinates: Mapping[str, FloatArray]) -> FloatArray:
         """Return the generalised force on the inertia at these coordinates, (N,); zero where it rests."""
         x, v = (np.ascontiguousarray(coordinates[name]) for name in self.state_names)
         part, inertia = self._part(theta)
-        force = self._kernels.pull(x, v, coordinates["acting_drive"], part) * inertia
+        force = self._kernels.pull(x, v, coordinates["bend"], coordinates["acting_drive"], part) * inertia
         return np.asarray(force - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:

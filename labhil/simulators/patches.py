@@ -11,11 +11,13 @@ from math import ceil, degrees
 
 from labhil.errors import UsageError
 from labhil.physics.warming import RATE, WARMS
+from labhil.simulators.companion import BRISTLES
 from labhil.simulators.dc_motor_file import COSINE, ORDER, SINE, cogging_numbers, read_cogging
 from labhil.simulators.mechanism import FRICTION_FIELDS, Field, Value, is_dc_motor, read_value
 from labhil.simulators.mjcf_file import MechanismFile
 from labhil.simulators.xml_text import Element, XmlText
 
+BRISTLE_LENGTH = f"{BRISTLES}.length"
 HOLDING_LEVELS = ("stribeck_friction.level", "static_friction.level")
 """Extra friction at rest: the file's dry friction includes it, and the companion subtracts it in motion."""
 
@@ -97,8 +99,20 @@ def merge_holding_friction(file: MechanismFile, values: Mapping[str, float]) -> 
 
 
 def with_shared_values(values: Mapping[str, float]) -> dict[str, float]:
-    """State friction of which a file holds one part and its companion another: at rest, and with warmth."""
-    return _with_warming(_with_holding_friction(values))
+    """State friction of which a file holds one part and its companion another: at rest, and with warmth.
+
+    Dry friction on bristles is the companion's alone.
+    """
+    bristles = values.get(BRISTLE_LENGTH, 0.0) > 0.0
+    return _with_warming(_with_bristles(values) if bristles else _with_holding_friction(values))
+
+
+def _with_bristles(values: Mapping[str, float]) -> dict[str, float]:
+    """Hand the dry friction of creeping motion to the bristles, which do not hold: there is no static one."""
+    dry = FRICTION_FIELDS[Field.FRICTIONLOSS]
+    level = values.get(dry, 0.0) + values.get("stribeck_friction.level", 0.0)
+    moving = {name: value for name, value in values.items() if name != "static_friction.level"}
+    return {**moving, dry: 0.0, f"{BRISTLES}.level": level}
 
 
 def _with_holding_friction(values: Mapping[str, float]) -> dict[str, float]:

@@ -52,7 +52,7 @@ def test_the_search_goes_on_without_a_term_at_its_bound() -> None:
     search._refit_promising(state, with_disturbance)
     at_bound = {s: r for s, r in state.refitted.items() if r.at_bound}
     others = {s: r for s, r in state.refitted.items() if s and not r.at_bound}
-    assert at_bound and all(r.at_bound == {"coulomb_friction"} for r in at_bound.values())
+    assert at_bound and all("coulomb_friction" in r.at_bound for r in at_bound.values())
     assert all(np.isneginf(r.log_evidence) for r in at_bound.values())
     assert others and all(np.isfinite(r.log_evidence) for r in others.values())
     assert max(state.predicted.values(), key=with_disturbance).structure in at_bound

@@ -67,7 +67,7 @@ def test_terms_are_documented_and_their_starts_lie_within_bounds(found):
         for p in term.parameters:
             assert p.unit, p.key
             assert p.scale > 0.0, p.key
-            assert p.lower <= p.neutral <= p.upper, p.key
+            assert p.neutral == 0.0 if p.is_positive else p.lower <= p.neutral <= p.upper, p.key
             for start in p.starts:
                 assert p.lower <= start * measure[p.of] ** p.power <= p.upper, p.key
 

@@ -21,6 +21,8 @@ MIN_REQUIRED_GAIN = 10.0
 MAX_RIVAL_LOSS = 5.0
 """Loss (nats) of a refitted rival against the true effect up to which it is a legitimate rival."""
 UNMODELLED = "unmodelled"
+OTHER_LAWS = {"maxwell_slip_friction": "presliding_friction"}
+"""Effects outside the catalogue that are the same physics as a term of it, with another law."""
 NONE = "none"
 UNNAMED = frozenset({"unexplained_mismatch", "not_decidable"})
 """Verdicts that name no missing physics."""
@@ -157,10 +159,12 @@ def claimed_effects(stated: StatedAnswer) -> tuple[NamedEffect, ...]:
 def is_right_name(effect: TrueEffect, name: str) -> bool:
     """Return whether a name, with its joint, is right for an effect.
 
-    An effect outside the catalogue has no name of its own; one that acts on several joints may be claimed in
-    any of them.
+    An effect outside the catalogue has no name of its own, or that of a term with another law for the same
+    physics; one that acts on several joints may be claimed in any of them.
     """
     if not effect.catalogue:
+        if name == OTHER_LAWS.get(effect.term):
+            return True
         return name.startswith(UNMODELLED) and (
             effect.joint is None or unkeyed(name)[1] in (None, effect.joint)
         )

@@ -6,7 +6,8 @@ import numpy as np
 
 SHAPE_SUFFIXES = (
     ".velocity", ".order", ".phase", ".second", ".width", ".place", ".from", ".speed", ".share",
-    "joint_elasticity.damping", ".spread", ".attraction",
+    "joint_elasticity.damping", "presliding_friction.damping", "maxwell_slip_friction.damping", ".spread",
+    ".attraction",
 )  # fmt: skip
 """Suffixes of parameters that determine where or how an effect acts, not how strongly."""
 FIXED_SUFFIXES = (".phase", ".second", ".share")

@@ -30,6 +30,12 @@ def model_values(model: Model, plant: Mapping[str, float]) -> dict[str, float]:
     return values
 
 
+def _bristle_force(joint: int | None, plant: Mapping[str, float]) -> float:
+    """Force at which bristles slip: that of creeping motion, of an arm that of Coulomb friction alone."""
+    levels = ("coulomb_friction.level", *(() if joint is not None else ("stribeck_friction.level",)))
+    return sum(plant.get(keyed(name, joint), 0.0) for name in levels)
+
+
 def _value(name: str, joint: int | None, plant: Mapping[str, float]) -> float | None:
     def of(name: str) -> float | None:
         return plant.get(keyed(name, joint))
@@ -41,8 +47,12 @@ def _value(name: str, joint: int | None, plant: Mapping[str, float]) -> float | 
         plain = of(INVERSES[name])
         return None if plain is None else 1.0 / plain
     if name == "presliding_friction.length":
-        level, stiffness = of("coulomb_friction.level"), of("presliding_friction.stiffness")
-        return level / stiffness if level and stiffness else None
+        stiffness = of("presliding_friction.stiffness")
+        force = _bristle_force(joint, plant)
+        return force / stiffness if force and stiffness else None
+    if name == "presliding_friction.time_constant":
+        stiffness = of("presliding_friction.stiffness")
+        return (of("presliding_friction.damping") or 0.0) / stiffness if stiffness else None
     amplitude, phase = of(f"{term}.amplitude"), of(f"{term}.phase") or 0.0
     if term in WAVES and part in ("sine", "cosine") and amplitude is not None:
         # amplitude·sin(kx + φ) = amplitude·cos φ·sin kx + amplitude·sin φ·cos kx

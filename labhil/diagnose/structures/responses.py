@@ -285,7 +285,7 @@ def _present_variant(problem: Problem, fitted: Fitted, lin: Linearised, term: st
     parameters = problem.model.parameters
     free = [(j, parameters[i]) for j, i in enumerate(problem.free) if parameters[i].term == term]
     columns = tuple(
-        _Response(p.key, p.scale, p.shape, not p.shape and p.lower == 0.0, lin.by_parameters[:, j])
+        _Response(p.key, p.scale, p.shape, not p.shape and p.lower >= 0.0, lin.by_parameters[:, j])
         for j, p in free
     )
     places = index_of(parameters)
@@ -355,7 +355,7 @@ def _columns_of_size(
     if not _is_proportional(tried, options):
         larger = min(tried, key=lambda size: abs(np.log(tried[size][0] / options.larger_rms_in_noise)))
         sizes = list(dict.fromkeys([chosen, larger]))
-    positive = parameter.lower == 0.0
+    positive = parameter.lower >= 0.0
     return [_Response(parameter.key, parameter.scale, False, positive, tried[size][1]) for size in sizes]
 
 
