@@ -19,8 +19,8 @@ from labhil.diagnose.structures.state import (
     SearchState,
     alternatives,
     inclusion_probabilities,
-    log_odds,
     rivals_of,
+    supported_terms,
     undecided_terms,
 )
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted, fit_terms, with_only
@@ -62,7 +62,7 @@ def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> Sea
 
     Args:
         stage: a finished search.
-        min_log_odds: log odds (nats) that the best structure needs over the one without a term.
+        min_log_odds: log odds (nats) that a structure needs over the same without a term.
         n_candidates: number of terms that may be added.
 
     Returns:
@@ -70,10 +70,9 @@ def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> Sea
     """
     state, model = stage.state, stage.data.model
     base = state.refitted[frozenset()].fitted
-    best = state.best
-    odds_of = {term: log_odds(model, state, term) for term in best}
-    probabilities = inclusion_probabilities(state)
-    steps = [_claim(term, odds, probabilities[term]) for term, odds in odds_of.items() if odds > min_log_odds]
+    best, probabilities = state.best, inclusion_probabilities(state)
+    supported = supported_terms(model, state, min_log_odds)
+    steps = [_claim(term, odds, probabilities[term]) for term, odds in supported.items()]
     steps.sort(key=lambda s: s.evidence.delta_bic)
     log_evidence = state.log_evidence()
     p_value = float(np.exp(min(log_evidence[frozenset()] - log_evidence[best], 0.0)))
@@ -82,7 +81,7 @@ def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> Sea
         base,
         _fit_of_part(stage, claimed),
         tuple(steps),
-        rivals_of(state, best),
+        rivals_of(state, frozenset(supported) if frozenset(supported) in log_evidence else best),
         p_value,
         n_candidates,
         open=undecided_terms(state),

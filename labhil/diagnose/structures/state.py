@@ -198,27 +198,53 @@ def alternatives(state: SearchState, *, min_probability: float = 1e-4) -> tuple[
     )
 
 
-def log_odds(model: Model, state: SearchState, term: str) -> float:
-    """Log odds of the best structure against the one without a term and without those that build on it.
+def log_odds(model: Model, state: SearchState, structure: Structure, term: str) -> float:
+    """Log odds of a structure against the same without a term.
 
-    The structure without the term counts as it was refitted, else as the linearisation at the best one
-    predicts it.
+    Structures count as they were refitted, else as the linearisation at the best one predicts them.
 
     Args:
         model: the model, whose terms state what they build on.
         state: a finished search.
-        term: key of a term of the best structure.
+        structure: the best structure or a part of it.
+        term: key of a term of that structure.
     """
-    best = state.best
-    refit = state.refitted[best]
-    remaining = [v for v in refit.choice if v.term != term]
-    without = refit.enumeration.evaluate([tuple(remaining)])[0].log_evidence
-    carriers = {t for t in best if term in model.terms[t].with_terms}
-    reduced = state.refitted.get(best - {term})
-    # a structure with a parameter at its bound has no evidence, and is no comparison
-    if not carriers and reduced is not None and np.isfinite(reduced.log_evidence):
-        without = reduced.log_evidence
-    return refit.log_evidence - without
+    best = state.refitted[state.best]
+
+    def predicted(part: Structure) -> float:
+        choice = tuple(v for v in best.choice if v.term in part)
+        return best.enumeration.evaluate([choice])[0].log_evidence
+
+    def evidence(part: Structure) -> float:
+        refit = state.refitted.get(part)
+        # a structure with a parameter at its bound has no evidence, and is no comparison
+        return (
+            refit.log_evidence if refit is not None and np.isfinite(refit.log_evidence) else predicted(part)
+        )
+
+    is_carried = any(term in model.terms[t].with_terms for t in structure)
+    reduced = structure - {term}
+    return evidence(structure) - (predicted(reduced) if is_carried else evidence(reduced))
+
+
+def supported_terms(model: Model, state: SearchState, min_log_odds: float) -> dict[str, float]:
+    """Log odds of the terms of the largest part of the best structure in which each has enough.
+
+    The weakest term is dropped while it has too little, and the others are compared without it: of two terms
+    that can replace each other neither has any odds beside the other, however much they explain together.
+
+    Args:
+        model: the model, whose terms state what they build on.
+        state: a finished search.
+        min_log_odds: log odds (nats) that a term needs.
+    """
+    structure = state.best
+    while odds := {term: log_odds(model, state, structure, term) for term in structure}:
+        weakest = min(odds, key=lambda term: odds[term])
+        if odds[weakest] > min_log_odds:
+            break
+        structure -= {weakest}
+    return odds
 
 
 def undecided_terms(state: SearchState, *, min_probability: float = 0.1) -> tuple[str, ...]:
