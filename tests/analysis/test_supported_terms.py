@@ -1,17 +1,17 @@
-"""Two terms that can replace each other: neither has any odds beside the other, and one of them is claimed."""
+"""Two terms that can replace each other: neither has odds beside the other, and one of them is claimed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from labhil_benchmarks.statistics.cases import held_ball
 
 from labhil.diagnose.begin import fit_baseline, prepare_data
 from labhil.diagnose.structures.search import StructureSearch
 from labhil.diagnose.structures.state import SearchState, log_odds, supported_terms
 from labhil.physics.rigs import model_for
 from labhil.rig import default_rig
+from labhil_benchmarks.statistics.cases import held_ball
 
 DRY = frozenset({"coulomb_friction", "stribeck_friction"})
 TRUTH = {
@@ -23,7 +23,7 @@ NOISE, WINDOW, ENOUGH = 1e-3, 4.0, 5.0
 
 
 def test_of_two_terms_that_replace_each_other_the_stronger_is_supported() -> None:
-    """A weak Stribeck friction: it and Coulomb friction explain it together, and each makes up for the other."""
+    """A weak Stribeck friction: it and Coulomb friction explain it, and each makes up for the other."""
     random = np.random.default_rng(2)
     terms = ("viscous_friction", "stribeck_friction")
     records = [held_ball(terms, TRUTH, NOISE * random.standard_normal(2000), phase) for phase in (1.0, 2.5)]
