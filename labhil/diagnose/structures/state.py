@@ -201,7 +201,7 @@ def alternatives(state: SearchState, *, min_probability: float = 1e-4) -> tuple[
 def log_odds(model: Model, state: SearchState, structure: Structure, term: str) -> float:
     """Log odds of a structure against the same without a term.
 
-    Structures count as they were refitted, else as the linearisation at the best one predicts them.
+    Two structures count as they were refitted, else as the linearisation at the best one predicts them.
 
     Args:
         model: the model, whose terms state what they build on.
@@ -209,42 +209,39 @@ def log_odds(model: Model, state: SearchState, structure: Structure, term: str) 
         structure: the best structure or a part of it.
         term: key of a term of that structure.
     """
-    best = state.refitted[state.best]
+    best, reduced = state.refitted[state.best], structure - {term}
 
     def predicted(part: Structure) -> float:
+        if part == state.best:
+            return best.log_evidence
         choice = tuple(v for v in best.choice if v.term in part)
         return best.enumeration.evaluate([choice])[0].log_evidence
 
-    def evidence(part: Structure) -> float:
-        refit = state.refitted.get(part)
-        # a structure with a parameter at its bound has no evidence, and is no comparison
-        return (
-            refit.log_evidence if refit is not None and np.isfinite(refit.log_evidence) else predicted(part)
-        )
-
     is_carried = any(term in model.terms[t].with_terms for t in structure)
-    reduced = structure - {term}
-    return evidence(structure) - (predicted(reduced) if is_carried else evidence(reduced))
+    refits = [state.refitted[part].log_evidence for part in (structure, reduced) if part in state.refitted]
+    # a structure with a parameter at its bound has no evidence, and is no comparison
+    if not is_carried and len(refits) == 2 and np.all(np.isfinite(refits)):
+        return refits[0] - refits[1]
+    return predicted(structure) - predicted(reduced)
 
 
 def supported_terms(model: Model, state: SearchState, min_log_odds: float) -> dict[str, float]:
-    """Log odds of the terms of the largest part of the best structure in which each has enough.
+    """Log odds of the terms of the best structure that have enough beside the other terms.
 
-    The weakest term is dropped while it has too little, and the others are compared without it: of two terms
-    that can replace each other neither has any odds beside the other, however much they explain together.
+    The weakest of the others is dropped, and the rest are compared without it: of two terms that can replace
+    each other neither has any odds beside the other, however much they explain together.
 
     Args:
         model: the model, whose terms state what they build on.
         state: a finished search.
         min_log_odds: log odds (nats) that a term needs.
     """
-    structure = state.best
-    while odds := {term: log_odds(model, state, structure, term) for term in structure}:
-        weakest = min(odds, key=lambda term: odds[term])
-        if odds[weakest] > min_log_odds:
-            break
-        structure -= {weakest}
-    return odds
+    structure, supported = state.best, dict[str, float]()
+    while others := structure - supported.keys():
+        odds = {term: log_odds(model, state, structure, term) for term in others}
+        supported |= {term: value for term, value in odds.items() if value > min_log_odds}
+        structure -= {min(odds, key=lambda term: odds[term])} - supported.keys()
+    return supported
 
 
 def undecided_terms(state: SearchState, *, min_probability: float = 0.1) -> tuple[str, ...]:
