@@ -16,7 +16,8 @@ from labhil.compiled import compiled
 STATIC_VELOCITY = 1e-3
 """Speed (m/s) over which bristles and elements lose the extra static friction."""
 MIN_LEVEL = 1e-9
-"""Dry level (N) below which bristles have no force."""
+MIN_LEVEL_SHARE = 1e-3
+"""Dry level, N and over that at rest, below which bristles have no force: they would relax without end."""
 ELEMENTS = 4
 """Number of elements of the generalised Maxwell-slip model."""
 
@@ -123,15 +124,21 @@ def bristle_level(x: float, v: float, side: float, f: Friction, extra_level: flo
 
 
 @compiled
+def slips_freely(level: float, f: Friction) -> bool:
+    """Whether the dry level is so low that bristles have no force."""
+    return level < max(MIN_LEVEL, MIN_LEVEL_SHARE * (abs(f.coulomb) + abs(f.stribeck) + abs(f.static)))
+
+
+@compiled
 def bristle_rate(z: float, v: float, level: float, f: Friction) -> float:
     """Return how fast bristles bend (m/s), ż = v − (σ₀|v|/g)·z, where they bend up to ``level`` (N)."""
-    return v - f.stiffness * abs(v) / level * z if level > MIN_LEVEL else 0.0
+    return 0.0 if slips_freely(level, f) else v - f.stiffness * abs(v) / level * z
 
 
 @compiled
 def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> float:
     """Return the bristles' deflection (m) after h (s) at constant v and level, solved exactly."""
-    if level < MIN_LEVEL:
+    if slips_freely(level, f):
         return 0.0
     rate = f.stiffness * abs(v) / level
     if rate * h < 1e-12:
@@ -143,4 +150,4 @@ def relax_bristles(z: float, v: float, level: float, h: float, f: Friction) -> f
 @compiled
 def bristle_force(z: float, v: float, level: float, f: Friction) -> float:
     """Return the dry friction (N) of bristles bent by z (m): σ₀·z + σ₁·ż."""
-    return f.stiffness * z + f.damping * bristle_rate(z, v, level, f) if level > MIN_LEVEL else 0.0
+    return 0.0 if slips_freely(level, f) else f.stiffness * z + f.damping * bristle_rate(z, v, level, f)
