@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from labhil.analysis.arm_patching import repair_arm
@@ -24,6 +25,7 @@ from labhil.errors import UsageError
 from labhil.physics.rigs import keeping_declarations
 from labhil.recording.recording import Recording
 from labhil.rig import RigFile
+from labhil.simulators.companion import BRISTLES
 from labhil.simulators.mjcf_file import load_model
 
 
@@ -78,8 +80,8 @@ def _repair(
     check = PatchCheck.of(source, bench.path, bench.rig, holdout)
     before = check.rmse_of(bench.original, {})
     attempts: list[Attempt] = []
-    for candidate in bench.candidates(check, out):
-        remedy = candidate.remedy
+    for left_out, candidate in _simplest_first(bench, check, out):
+        remedy = " and ".join(part for part in (left_out, candidate.remedy) if part)
         progress(f"running the repaired file on the held-out data{remedy and ', '}{remedy}")
         if candidate.effects.unknown:
             raise refusal_of_unknown(bench.path, candidate.effects.unknown)
@@ -92,6 +94,19 @@ def _repair(
                 check.model.rmse, before, tuple(attempts), check.unit, run_by=bench.run_by,
             )  # fmt: skip
     raise check.refusal(attempts)
+
+
+def _simplest_first(bench: Bench, check: PatchCheck, out: Path) -> Iterator[tuple[str, Candidate]]:
+    """Yield the candidates, those without bristles first, each with what was left out.
+
+    Bristles need a state beside the file and short steps; dry friction alone may keep the promise.
+    """
+    plain = {name: value for name, value in check.values.items() if not name.startswith(f"{BRISTLES}.")}
+    if len(plain) < len(check.values):
+        for candidate in bench.candidates(replace(check, values=plain), out):
+            yield f"{BRISTLES} left out", candidate
+    for candidate in bench.candidates(check, out):
+        yield "", candidate
 
 
 def _run(bench: Bench, candidate: Candidate, out: Path, check: PatchCheck) -> float:

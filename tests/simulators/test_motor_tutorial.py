@@ -58,7 +58,8 @@ def test_the_tutorial_ends_with_a_repaired_file(tmp_path: Path, monkeypatch: pyt
     recorded(tmp_path)
     names: dict[str, Any] = {}
     exec(block("python"), names)
-    assert {effect.term for effect in names["found"].missing} == {"cogging_torque", "coulomb_friction"}
+    named = {effect.term for effect in names["found"].missing}
+    assert named == {"cogging_torque", "coulomb_friction", "presliding_friction"}
     assert names["fixed"].attempts[-1].ratio <= 1.05
     assert_repaired(tmp_path / "motor_fixed.xml")
 
