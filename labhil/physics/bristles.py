@@ -32,7 +32,7 @@ def bend_after(bend: float, side: float, way: float, length: float) -> float:
 
 @inlined
 def first_bend(pull: float, v: float, dry: float, length: float) -> float:
-    """Bend at the begin of a window, which nobody measures.
+    """Bend at the start of a window, which nobody measures.
 
     That of steady motion; where friction ``dry`` stops the part within the presliding ``length``, the one
     that balances ``pull``, the acceleration without friction.

@@ -122,7 +122,7 @@ def bend_after(bend: float, side: float, way: float, f: Law) -> float:
 
 @inlined
 def first_bend(drive: float, x: float, v: float, load: float, f: Law) -> float:
-    """Bend of the bristles at the begin of a window; ``drive`` is the acceleration without friction."""
+    """Bend of the bristles at the start of a window; ``drive`` is the acceleration without friction."""
     return bristles.first_bend(drive, v, dry_friction(x, abs(v), load, f), f[PRESLIDING_LENGTH])
 
 

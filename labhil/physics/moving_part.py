@@ -101,7 +101,7 @@ class Laws(NamedTuple, Generic[Part, Course]):
     """(bend, side, way, part) to the bend after a way towards ``side``."""
 
     first_bend: Callable[[Motion, float, Part], float]
-    """(state, u, part) to the bend at the begin of a window."""
+    """(state, u, part) to the bend at the start of a window."""
 
 
 @inlined

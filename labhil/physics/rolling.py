@@ -319,7 +319,7 @@ def advance(
 
 @inlined
 def begin_bend(x: float, v: float, crank: Crank, t: float, k: FloatArray) -> float:
-    """Bend of the bristles at the begin of a window, t s into a stretch."""
+    """Bend of the bristles at the start of a window, t s into a stretch."""
     sine, rate, turn = beam(crank, t)
     pull = drive(x, sine, rate, turn, k)
     return bristles.first_bend(pull, v, dry_friction(x, abs(v), k), k[PRESLIDING_LENGTH])

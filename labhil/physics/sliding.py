@@ -206,7 +206,7 @@ def bend_after(bend: float, side: float, way: float, p: Slider) -> float:
 
 @inlined
 def first_bend(s: Motion, u: float, p: Slider) -> float:
-    """Bend of the bristles at the begin of a window."""
+    """Bend of the bristles at the start of a window."""
     drive = drive_force(u, s.x, p.drive)
     pull = frictionless_acceleration(drive, s.x, p.part)
     return friction.first_bend(pull, s.x, s.v, abs(drive), p.law)

@@ -184,7 +184,7 @@ def bend_after(bend: float, side: float, way: float, r: Rotor) -> float:
 
 @inlined
 def first_bend(s: Motion, u: float, r: Rotor) -> float:
-    """Bend of the bristles at the begin of a window."""
+    """Bend of the bristles at the start of a window."""
     pull = frictionless_acceleration(s.a, s.x, r.motor)
     return friction.first_bend(pull, s.x, s.v, drive_size(s.a, r.motor), r.law)
 
