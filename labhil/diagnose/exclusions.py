@@ -111,8 +111,6 @@ def _sizes_at_bound(fitted: Fitted, min_noise: float = COMPLETE_FIT_NOISE) -> li
     problem = fitted.problem
     if fitted.noise < min_noise:
         return []
-    sizes = [
-        problem.model.parameters[i] for j, i in enumerate(problem.free) if problem.is_positive_constant(j)
-    ]
-    own = [size for size in sizes if size.term is None]
-    return [size.key for size in own if size.at_bound(fitted.estimates[size.key])]
+    parameters = [problem.model.parameters[i] for i in problem.free]
+    sizes = [p for p in parameters if p.term is None and p.is_positive]
+    return [size.key for size in sizes if size.at_bound(fitted.estimates[size.key])]

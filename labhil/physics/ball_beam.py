@@ -251,7 +251,7 @@ class BallBeamModel:
         k = self._kernel(theta)
         x, v = coordinates["ball_position"], coordinates["ball_velocity"]
         sine, rate, bend = (coordinates[name] for name in ("beam_sine", "beam_rate", "bend"))
-        a = accelerations(x, v, bend, sine, rate, k)
+        a = rolling.accelerations(x, v, bend, sine, rate, k)
         return np.asarray(a * self._effective_mass(theta) - self._values.added_drag(theta, v))
 
     def characteristic_scales(self, record: Record) -> Mapping[CharacteristicScale, float]:
@@ -352,23 +352,3 @@ KERNEL_PLACES = {
     rolling.SPRING: "spring_force.stiffness",
     rolling.HARDENING: "spring_hardening.coefficient",
 }
-
-
-def accelerations(
-    x: FloatArray, v: FloatArray, bend: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray
-) -> FloatArray:
-    """Accelerations (n,) at positions, velocities, bends, beam sines and rates (n,), m/s²; zero at rest."""
-    drive = (
-        k[rolling.GRAVITY] * sine
-        + k[rolling.CENTRIFUGAL] * x * rate**2
-        + k[rolling.CONSTANT]
-        - x * (k[rolling.SPRING] + k[rolling.HARDENING] * x**2)
-    )
-    speed = np.abs(v)
-    dry = k[rolling.COULOMB] + k[rolling.DRY_SLOPE] * x
-    dry = dry + k[rolling.STRIBECK] * np.exp(-speed / k[rolling.STRIBECK_VELOCITY])
-    viscous = v * (k[rolling.VISCOUS] + k[rolling.QUADRATIC] * speed + k[rolling.CUBIC] * v**2)
-    if k[rolling.PRESLIDING_LENGTH] > 0.0:
-        bend = bend + k[rolling.BRISTLE_TIME] * (v - speed * bend) / k[rolling.PRESLIDING_LENGTH]
-    moving = drive - bend * dry - viscous - k[rolling.ASYMMETRIC_VISCOUS] * speed
-    return np.where(speed > 0.0, moving, 0.0)

@@ -191,6 +191,22 @@ def acceleration(
 
 
 @inlined
+def accelerations(
+    x: FloatArray, v: FloatArray, bend: FloatArray, sine: FloatArray, rate: FloatArray, k: FloatArray
+) -> FloatArray:
+    """Accelerations (n,) at positions, velocities, bends, beam sines and rates (n,), m/s²; zero at rest.
+
+    The beam turns at a constant rate.
+    """
+    out = np.zeros(v.size)
+    for i in range(v.size):
+        side = np.sign(v[i])
+        if side != 0.0:
+            out[i] = drive(x[i], sine[i], rate[i], 0.0, k) - friction(x[i], v[i], side, bend[i], k)
+    return out
+
+
+@inlined
 def runge_kutta(
     a1: float, x: float, v: float, side: float, bend: float, crank: Crank, t: float, h: float, k: FloatArray
 ) -> tuple[float, float]:

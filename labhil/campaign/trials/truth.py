@@ -32,8 +32,8 @@ def model_values(model: Model, plant: Mapping[str, float]) -> dict[str, float]:
 
 def _bristle_force(joint: int | None, plant: Mapping[str, float]) -> float:
     """Force at which bristles slip: that of creeping motion, of an arm that of Coulomb friction alone."""
-    levels = ("coulomb_friction.level", *(() if joint is not None else ("stribeck_friction.level",)))
-    return sum(plant.get(keyed(name, joint), 0.0) for name in levels)
+    level = plant.get(keyed("coulomb_friction.level", joint), 0.0)
+    return level if joint is not None else level + plant.get("stribeck_friction.level", 0.0)
 
 
 def _value(name: str, joint: int | None, plant: Mapping[str, float]) -> float | None:
