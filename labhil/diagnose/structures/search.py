@@ -117,7 +117,7 @@ class StructureSearch:
         for fitted in begin:
             self._record(state, fitted)
         self._linearise_until_stable(state)
-        if not state.likeliest:
+        if self._is_far(state, state.likeliest):
             self._refit_single_terms(state)
             self._linearise_until_stable(state)
         while len(state.likeliest) <= self.options.max_terms_for_subsets and self._search_subsets(state):
@@ -126,7 +126,7 @@ class StructureSearch:
         for structure in dict.fromkeys((frozenset[str](), state.likeliest)):
             self._refit_shapes(state, structure)
         self._drop_irrelevant(state, state.likeliest, state.min_relevance)
-        if not state.best:
+        if not state.best and self._is_far(state, state.best):
             self._refit_single_terms(state)
         if state.best not in (frozenset(), state.likeliest):
             self._refit_shapes(state, state.best)
@@ -214,11 +214,13 @@ class StructureSearch:
         self._refit_promising(state, with_disturbance)
         return state.likeliest != before
 
+    def _is_far(self, state: SearchState, structure: Structure) -> bool:
+        """Whether missing physics outweighs the noise, so that a linearisation may mislead."""
+        return state.refitted[structure].fitted.noise > self.options.max_residual_in_noise
+
     def _refit_single_terms(self, state: SearchState) -> None:
-        """Refit every single term where the baseline is too far from the data for its linearisation."""
+        """Refit every single term: what a linearisation far from the data does not show, a fit may."""
         near = state.refitted[frozenset()].fitted
-        if near.noise < self.options.max_residual_in_noise:
-            return
         singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
         self._refit_each(state, near, [single for single in singles if single not in state.refitted])
 
