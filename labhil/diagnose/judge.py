@@ -82,14 +82,24 @@ class Data:
             A score for each length, then one on windows of the metric's length; a single score where the
             model has no states (inverse dynamics).
         """
-        lengths: tuple[float | None, ...] = (None,)
-        if self.model.state_names:
-            durations = self.test.durations
-            countable = min(sum(durations) / min_windows, max_share_of_recording * min(durations))
-            length = min(length_in_search_windows * self.window, countable)
-            longest = min(self.model.horizon, self.test.max_horizon)
-            lengths = (*(share * length for share in relative_lengths), longest)
-        return tuple(score(self.model, theta, self.test, self.test_sigma, length) for length in lengths)
+        if not self.model.state_names:
+            return (self.score_on_metric(theta),)
+        durations = self.test.durations
+        countable = min(sum(durations) / min_windows, max_share_of_recording * min(durations))
+        length = min(length_in_search_windows * self.window, countable)
+        shorter = (
+            score(self.model, theta, self.test, self.test_sigma, share * length) for share in relative_lengths
+        )
+        return (*shorter, self.score_on_metric(theta))
+
+    def score_on_metric(self, theta: FloatArray) -> Score:
+        """Score a model on the held-out data, on windows of the metric's length.
+
+        Args:
+            theta: parameter vector of the model.
+        """
+        longest = min(self.model.horizon, self.test.max_horizon) if self.model.state_names else None
+        return score(self.model, theta, self.test, self.test_sigma, longest)
 
 
 def is_supported(

@@ -131,7 +131,7 @@ def _no_target(s: Motion, u: float, lag: Follows, part: Any) -> float:
 
 
 @specialised
-def _no_follower(s: Motion, part: Any) -> Follows:
+def _no_follower(s: Motion, u: float, part: Any) -> Follows:
     return Follows(0.0, 0.0, 0.0, 0.0)
 
 

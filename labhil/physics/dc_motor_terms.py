@@ -44,6 +44,8 @@ class Sizes:
         self.constant, self.time_constant = TYPICAL_VOLTAGE / TYPICAL_SPEED, TYPICAL_TIME_CONSTANT
         if record is not None:
             self.voltage = _rms(record.inputs[:, 0]) or TYPICAL_VOLTAGE
+        largest = 0.0 if record is None else float(np.max(np.abs(record.inputs[:, 0])))
+        self.largest_voltage = largest or TYPICAL_VOLTAGE
         channels = {} if record is None else dict(zip(record.output_names, record.outputs.T, strict=True))
         if "current" in channels:
             self.current = _rms(channels["current"]) or 1.0
@@ -255,7 +257,12 @@ def _electrical_terms(s: Sizes) -> tuple[Term, ...]:
             "U_b = V_b·sgn i",
             "standard",
             "small currents both ways; a recorded current, to distinguish it from dry friction",
-            (Parameter("brush_drop.voltage", "V", 0.1 * s.voltage, 0.0, starts=(0.05 * s.voltage,)),),
+            # brushes that take more than the largest voltage let no current flow
+            (
+                Parameter(
+                    "brush_drop.voltage", "V", 0.1 * s.voltage, 0.0, s.largest_voltage, (0.05 * s.voltage,)
+                ),
+            ),
         ),
         Term(
             "supply_sag",

@@ -348,8 +348,8 @@ def with_extra_force(laws: Laws[Part, Course]) -> Laws[Pushed[Part], PushedCours
         return target(s, u, lag, p.part)
 
     @specialised
-    def extra_follow(s: Motion, p: Pushed[Part]) -> Follows:
-        return follow(s, p.part)
+    def extra_follow(s: Motion, u: float, p: Pushed[Part]) -> Follows:
+        return follow(s, u, p.part)
 
     @specialised
     def extra_steady_value(s: Motion, u: float, p: Pushed[Part]) -> float:

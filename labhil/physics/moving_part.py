@@ -77,8 +77,8 @@ class Laws(NamedTuple, Generic[Part, Course]):
     target: Callable[[Motion, float, Follows, Part], float]
     """(state, u, lag, part) to the target of a; must not depend on a itself."""
 
-    follow: Callable[[Motion, Part], Follows]
-    """(state, part) to the lag of a in the coming step."""
+    follow: Callable[[Motion, float, Part], Follows]
+    """(state, u, part) to the lag of a in the coming step."""
 
     steady_value: Callable[[Motion, float, Part], float]
     """(state, u, part) to the steady value of a, which it has at an infinite rate."""

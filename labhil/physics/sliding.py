@@ -167,7 +167,7 @@ def steady_value(s: Motion, u: float, p: Slider) -> float:
 
 
 @inlined
-def follow(s: Motion, p: Slider) -> Follows:
+def follow(s: Motion, u: float, p: Slider) -> Follows:
     """Zero: a sliding part has no lagging quantity."""
     return Follows(0.0, 0.0, 0.0, 0.0)
 

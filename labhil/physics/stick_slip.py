@@ -125,6 +125,8 @@ def compile_rest(laws: Laws[Part, Course], step: Step[Part]) -> Stage[Part]:
         if towards == 0.0:
             return later, 0.0, h
         taken = time_to_break_away(s, towards, u, rise, h, lag, np.inf, part)
+        if taken == 0.0:
+            return s, towards, 0.0
         return step(s, 0.0, u, rise, taken, lag, part), towards, taken
 
     return rest
@@ -213,7 +215,7 @@ def compile_advance(laws: Laws[Part, Course]) -> Callable[..., tuple[Motion, flo
             if steps > MAX_STEPS:
                 return Motion(np.nan, np.nan, np.nan, side), side
             now = u + t * rise
-            lag = follow(s, part)
+            lag = follow(s, now, part)
             if lag.rate * h > INSTANT_RATE:
                 lag = Follows(np.inf, lag.gauge, lag.bias, 0.0)
                 s = Motion(s.x, s.v, steady_value(s, now, part), s.bend)

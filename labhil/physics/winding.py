@@ -18,10 +18,16 @@ import numpy as np
 
 from labhil.compiled import inlined
 from labhil.physics import friction
+from labhil.physics.bracket import Bracket, false_position, narrow
 from labhil.physics.extra_force import CompiledForce, Pushed, PushedCourse, with_extra_force
 from labhil.physics.friction import MAX_STEP_SHARE, Law, law_from_array, scale_viscous
 from labhil.physics.moving_part import NO_STOPS, TINY, Follows, Laws, Motion
-from labhil.physics.stick_slip import MIN_STEP_IN_PERIODS, compile_integrator
+from labhil.physics.stick_slip import (
+    MAX_ROOT_STEPS,
+    MIN_STEP_IN_PERIODS,
+    TIME_TOLERANCE,
+    compile_integrator,
+)
 from labhil.signals import FloatArray, IntArray
 
 MAX_FIRST_STEP_SHARE = 0.5
@@ -29,6 +35,9 @@ MAX_FIRST_STEP_SHARE = 0.5
 
 STEP_GROWTH_TIME = 5.0
 """Electrical time constants in which the longest step grows by e as the current settles."""
+
+PASSED_SHARE = 1e-6
+"""Share of the brushes' narrow range by which a step passes its edge."""
 
 
 class Motor(NamedTuple):
@@ -71,16 +80,23 @@ def part_at(r: Rotor, c: Course, k: int) -> Rotor:
 
 
 @inlined
-def follow(s: Motion, r: Rotor) -> Follows:
-    """Lag of the current: rate (1/s), resistance (Ω; brushes add to it near zero current), brush drop (V)."""
+def follow(s: Motion, u: float, r: Rotor) -> Follows:
+    """Lag of the current: rate (1/s), resistance (Ω; brushes add to it near zero current), brush drop (V).
+
+    Near zero current brushes take what voltage there is up to their drop: a current that stays there is the
+    steady one. The resistance of this narrow range is no winding's, and nor is its lag.
+    """
     m = r.motor
     gauge, bias = r.resistance, 0.0
+    rate = gauge / m.inductance if m.inductance > 0.0 else np.inf
     if m.brush_drop != 0.0:
         if abs(s.a) < m.brush_width:
             gauge += m.brush_drop / m.brush_width
+            stays = abs(u - m.constant * s.v) < gauge * m.brush_width
+            rate = np.inf if stays else rate * gauge / r.resistance
         else:
             bias = m.brush_drop * np.sign(s.a)
-    return Follows(gauge / m.inductance if m.inductance > 0.0 else np.inf, gauge, bias, 0.0)
+    return Follows(rate, gauge, bias, 0.0)
 
 
 @inlined
@@ -141,22 +157,74 @@ def max_step(
 ) -> float:
     """Longest step, s.
 
+    A step ends where the current comes to the brushes' narrow range, or leaves it.
+    """
+    turning = acceleration(s, side, u, r) if side != 0.0 else 0.0
+    goal = target(s, u, lag, r)
+    longest = max_turning_step(s, side, turning, goal, rise, since, lag, finest, r)
+    if r.motor.brush_drop == 0.0:
+        return longest
+    drift = (rise - r.motor.constant * turning) / lag.gauge
+    within = min(longest, finest / MIN_STEP_IN_PERIODS)
+    until = time_to_brush_edge(s.a, goal, drift, lag.rate, within, r.motor.brush_width)
+    return until if until < within else longest
+
+
+@inlined
+def current_after(t: float, i: float, goal: float, drift: float, rate: float) -> float:
+    """Current after t s towards a goal that drifts, A: exact for a constant drift in A/s."""
+    if rate == np.inf:
+        return goal + drift * t
+    behind = drift / rate
+    return goal + drift * t - behind + (i - goal + behind) * np.exp(-rate * t)
+
+
+@inlined
+def time_to_brush_edge(
+    i: float, goal: float, drift: float, rate: float, within: float, width: float
+) -> float:
+    """Time until a current enters or leaves the range of ±width, s; ``within`` where it does not.
+
+    The edge is passed by a little, so that the next step begins behind it.
+    """
+    last = current_after(within, i, goal, drift, rate)
+    if abs(i) < width:
+        edge = np.copysign(width * (1.0 + PASSED_SHARE), last)
+        if abs(last) <= width * (1.0 + PASSED_SHARE):
+            return within
+    else:
+        edge = np.copysign(width * (1.0 - PASSED_SHARE), i)
+        if (last - edge) * i >= 0.0:
+            return within
+    between = Bracket(0.0, i - edge, within, last - edge, 0.0)
+    for _ in range(MAX_ROOT_STEPS):
+        if between.high - between.low < TIME_TOLERANCE:
+            break
+        middle = false_position(between)
+        value = current_after(middle, i, goal, drift, rate) - edge
+        if abs(value) < PASSED_SHARE * width:
+            return middle
+        between = narrow(between, middle, value)
+    return between.high
+
+
+@inlined
+def max_turning_step(
+    s: Motion, side: float, turning: float, goal: float, rise: float, since: float, lag: Follows,
+    finest: float, r: Rotor,
+) -> float:  # fmt: skip
+    """Longest step without brushes, s.
+
     After a jump of the voltage the decay of the current towards its slow course must be resolved, the less
     the longer ago the jump was.
     """
-    m = r.motor
-    goal = target(s, u, lag, r)
-    size = np.inf
-    if m.brush_drop != 0.0 and lag.rate < np.inf:
-        width = m.brush_width + 0.3 * max(abs(s.a) - m.brush_width, 0.0)
-        size = max(MAX_STEP_SHARE * width / (abs(lag.rate * (goal - s.a)) + TINY), finest)
     if side == 0.0:
-        return size
-    turning = acceleration(s, side, u, r)
+        return np.inf
+    m = r.motor
     coupling = m.constant * m.constant / m.inertia
     swift = min(coupling / lag.gauge, np.sqrt(coupling / (m.inductance + TINY)))
     steady = np.inf if lag.creep > 0.0 else friction.max_friction_step(s.v, side, s.bend, turning, r.law)
-    size = min(size, max(min(steady, MAX_STEP_SHARE / (swift + TINY)), finest))
+    size = max(min(steady, MAX_STEP_SHARE / (swift + TINY)), finest)
     if lag.rate * min(size, finest / MIN_STEP_IN_PERIODS) <= MAX_FIRST_STEP_SHARE or lag.rate == np.inf:
         return size
     course = goal - (rise - m.constant * turning) / (lag.gauge * lag.rate)

@@ -177,6 +177,35 @@ def test_brushes_take_their_voltage_whichever_way_the_current_flows():
             assert np.isclose(i[-1], current, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("drop", "inductance", "period"),
+    [(0.8, 1e-4, 0.01), (8.0, 1e-4, 0.01), (0.8, 5e-3, 0.01), (0.8, 1e-2, 1e-3)],
+)
+def test_brushes_of_a_motor_that_settles_between_samples_agree_with_scipy(drop, inductance, period):
+    """Current reverses and rests in the narrow range, where it is a hundred times faster than the samples."""
+    inertia, constant, resistance, viscous, width = 0.02, 0.25, 1.0, 0.003, 0.01
+    t = period * np.arange(int(2.0 / period))
+    volts = 6.0 * np.sin(4.0 * t) + 3.0 * np.sin(11.0 * t)
+
+    def rates(now, state):
+        speed, i = state
+        across = np.interp(now, t, volts) - resistance * i - constant * speed
+        return (constant * i - viscous * speed) / inertia, (
+            across - drop * np.clip(i / width, -1.0, 1.0)
+        ) / inductance
+
+    expected = solve_ivp(
+        rates, (0.0, t[-1]), [0.0, 0.0], "Radau", t, rtol=1e-8, atol=1e-10, max_step=0.5 * period
+    ).y.T
+    motor = winding.Motor(inertia, constant, resistance, inductance, drop, width, 0.0, 0.0, 0.0, 0.0, 0.0)
+    out, one, span = np.empty((len(t), 3)), np.ones(len(t)), (np.array([0]), np.array([len(t)]))
+    winding.simulate(
+        t, t, volts, *span, np.zeros((1, 3)), motor, law(viscous=viscous / inertia), one, one, out
+    )
+    largest = np.abs(expected).max(axis=0)
+    assert np.all(np.abs(out[:, :2] - expected).max(axis=0) < 2e-4 * largest)
+
+
 def test_rest_ends_where_the_pull_barely_passes_the_hold():
     """A pull that touches the hold for an instant moves nothing far, and one that stays below nothing."""
     period = 2.0 * np.pi / T[-1]

@@ -12,6 +12,7 @@ from scipy import integrate
 
 from labhil.analysis.dataset import load_dataset
 from labhil.diagnose.begin import fit_baseline, prepare_data
+from labhil.diagnose.structures.claims import Stage, refute
 from labhil.diagnose.structures.disturbance import Disturbance
 from labhil.diagnose.structures.enumerate import Prediction
 from labhil.diagnose.structures.marginal import (
@@ -180,7 +181,7 @@ def state_of(log_evidence: dict[str, float], relevance: dict[str, float]) -> Sea
         min_relevance=1.0,
         refitted={
             frozenset(terms): RefittedStructure(
-                cast(Any, SimpleNamespace(mean_squares=np.array([9.0 if terms == "" else 1.5]))),
+                cast(Any, SimpleNamespace(mean_squares=np.array([9.0 if terms == "" else 1.5]), theta=terms)),
                 value,
                 value,
                 (),
@@ -215,3 +216,15 @@ def test_a_prediction_is_corrected_by_what_its_refitted_subset_is_mispredicted_b
     # the linearisation at a does not show a: without it nothing seems lost
     assert corrected == {"": -60.0, "a": 0.0, "b": -61.0, "ab": -3.0}
     assert rivals_of(state, frozenset("a")) == ()
+
+
+def test_what_predicts_held_out_data_far_worse_is_refuted_however_likely_it_is() -> None:
+    state = state_of({"": -300.0, "a": 0.0, "b": -50.0, "c": -52.0}, dict.fromkeys("abc", 2.0))
+    assert state.best == frozenset("a")
+    errors = {"": 18.0, "a": 9.0, "b": 5.0, "c": 6.0}
+    data = SimpleNamespace(score_on_metric=lambda theta: SimpleNamespace(excess=errors[theta]))
+    refute(Stage(cast(Any, data), state))
+    assert state.refuted == {frozenset("a")}  # not the baseline, and not what is hardly worse
+    assert state.best == frozenset("b")
+    assert [rival.term for rival in rivals_of(state, state.best)] == ["c"]
+    assert frozenset("a") not in state.log_evidence()

@@ -16,7 +16,7 @@ from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data, is_strongly_favoured
 from labhil.diagnose.refit import refit_on_windows
 from labhil.diagnose.search_result import SearchResult
-from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, validate_claims
+from labhil.diagnose.structures.claims import Stage, conclude_search, predicts_better, refute, validate_claims
 from labhil.diagnose.structures.curves import CurveSearch
 from labhil.diagnose.structures.disturbance import estimate_spectral_noise
 from labhil.diagnose.structures.prior import candidates
@@ -73,6 +73,8 @@ def search_structures(
             begin = list(side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
+            if finished[-1].best.noise > options.max_residual_in_noise:
+                refute(finished[-1])
             lost = rival is not None and _is_beaten(finished[-1], rival)
             # where something is named, longer windows add up what is missing beside it; else they may show it
             named = finished[-1].state.best and finished[-1].best.noise > options.max_residual_in_noise

@@ -79,6 +79,7 @@ class SearchState:
         enumeration: the newest linearisation.
         linearised: structures at whose fits the others were compared.
         reduced: structures that were refitted again without a term, each with the cost of the fit with it.
+        refuted: structures with terms that held-out data speak against, see `claims.refute`.
     """
 
     min_relevance: float
@@ -87,6 +88,7 @@ class SearchState:
     enumeration: Enumeration | None = None
     linearised: set[Structure] = field(default_factory=set)
     reduced: set[tuple[Structure, float]] = field(default_factory=set)
+    refuted: set[Structure] = field(default_factory=set)
 
     @property
     def relevant(self) -> dict[Structure, RefittedStructure]:
@@ -108,9 +110,9 @@ class SearchState:
 
     @property
     def best(self) -> Structure:
-        """The relevant refitted structure with the largest evidence."""
+        """The relevant refitted structure with the largest evidence of those that are not refuted."""
         relevant = self.relevant
-        return max(relevant, key=lambda s: relevant[s].log_evidence)
+        return max(relevant.keys() - self.refuted, key=lambda s: relevant[s].log_evidence)
 
     def relevance(self, structure: Structure) -> dict[str, float]:
         """Relevance of each term of a refitted structure; by the refit without the term, if there is one."""
@@ -154,11 +156,11 @@ class SearchState:
         return {structure: correct(predicted) for structure, predicted in self.predicted.items()}
 
     def log_evidence(self) -> dict[Structure, float]:
-        """Log evidence of all visited structures that are not more probable than the best relevant one."""
+        """Log evidence of all visited structures that are neither refuted nor likelier than the best one."""
         logs = {s: p.log_evidence for s, p in self.corrected_predictions().items()}
         logs |= {s: r.log_evidence for s, r in self.refitted.items()}
         most = self.refitted[self.best].log_evidence
-        return {structure: value for structure, value in logs.items() if value <= most}
+        return {s: value for s, value in logs.items() if value <= most and s not in self.refuted}
 
 
 def smallest_relevance(relevance: Mapping[str, float]) -> float:
