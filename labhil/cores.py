@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -14,6 +16,9 @@ Result = TypeVar("Result")
 
 _share = 1
 """How many processes like this one share the machine."""
+
+_thread = threading.local()
+"""``is_worker`` where a thread already is one of several that work side by side."""
 
 
 def share_cores(processes: int) -> None:
@@ -32,15 +37,28 @@ def cores() -> int:
 def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterator[Result]:
     """What ``function`` makes of each item, in their order, on all cores; each as soon as it is there.
 
-    Worth it for what simulates for longer than some 10 ms each: kernels release the interpreter, and around
-    them threads wait for each other.
+    Worth it for what simulates for longer than some milliseconds each: kernels release the interpreter, and
+    around them threads wait for each other. Within one of the items, further ones follow each other.
     """
     workers = min(cores(), len(items))
-    if workers < 2:
+    if workers < 2 or getattr(_thread, "is_worker", False):
         yield from map(function, items)
         return
-    with ThreadPoolExecutor(workers) as executor:
-        yield from executor.map(function, items)
+    yield from _pool(workers).map(function, items)
+
+
+@lru_cache
+def _pool(workers: int) -> ThreadPoolExecutor:
+    """Threads that stay, as starting them takes as long as a short simulation."""
+    return ThreadPoolExecutor(workers, "side-by-side", _become_worker)
+
+
+def _become_worker() -> None:
+    _thread.is_worker = True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
 
 
 @contextmanager

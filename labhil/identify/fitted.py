@@ -11,7 +11,6 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from labhil.cores import side_by_side
 from labhil.identify import statistics
 from labhil.identify.least_squares import TOLERANCE, Solution, least_squares
 from labhil.identify.problem import Point, Problem
@@ -285,9 +284,9 @@ def _best_scout(
         further = limit - options.first_iterations
         return problem, solve(problem, solution.point, iterations=further, settled=True)
 
-    scouts = sorted(side_by_side(start_scout, problems), key=lambda scout: scout[1].cost)
+    scouts = sorted(problems[0].side_by_side(start_scout, problems), key=lambda scout: scout[1].cost)
     if many:
-        scouts = list(side_by_side(continue_scout, scouts[: options.n_continued]))
+        scouts = list(problems[0].side_by_side(continue_scout, scouts[: options.n_continued]))
     return min(scouts, key=lambda scout: scout[1].cost)
 
 

@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from labhil.cores import side_by_side
 from labhil.identify.fitted import INTERMEDIATE_TOLERANCE, Fitted
 from labhil.identify.identifiability import (
     MIN_COMPONENT,
@@ -281,8 +280,9 @@ def _profile(valley: Valley, j: int, values: FloatArray, options: ProfileOptions
 
 def _refits(valley: Valley, begins: Sequence[Point], j: int, iterations: int) -> list[Solution]:
     """Refit from each point with free parameter ``j`` where it is there."""
-    refits = list(side_by_side(lambda begin: valley.refit(begin, j, iterations), begins))
-    valley.fitted.problem.evaluations += sum(evaluations for _, evaluations in refits)
+    problem = valley.fitted.problem
+    refits = list(problem.side_by_side(lambda begin: valley.refit(begin, j, iterations), begins))
+    problem.evaluations += sum(evaluations for _, evaluations in refits)
     return [solution for solution, _ in refits]
 
 

@@ -143,6 +143,7 @@ class AxisModel:
         "drive_force": "N",
         "drive_voltage": "V",
     }
+    releases_interpreter = True
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = False
     state_names = ("position", "axis_velocity")

@@ -147,6 +147,7 @@ class BallBeamModel:
     moved = (MovedPart("ball_position", "ball_velocity"),)
     _extra: ExtraForce | None = None
     state_scale = np.array([0.01, 0.05])
+    releases_interpreter = True
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = False
     unobservable_terms: Mapping[str, str] = {}

@@ -61,6 +61,7 @@ class DcMotorModel:
         "voltage": "V",
         "voltage_rate": "V/s",
     }
+    releases_interpreter = True
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = True
     state_names: tuple[str, ...] = ("shaft_velocity", "current")

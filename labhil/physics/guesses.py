@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from labhil.compiled import compiled
 from labhil.physics.record import Record, Windows
 from labhil.physics.terms import CharacteristicScale
-from labhil.signals import FloatArray
+from labhil.signals import FloatArray, IntArray
 
 
 def states_from_line_fit(record: Record, windows: Windows, span: float) -> FloatArray:
@@ -20,14 +21,28 @@ def states_from_line_fit(record: Record, windows: Windows, span: float) -> Float
     Returns:
         Initial states, (w, 2).
     """
-    states = np.empty((len(windows), 2))
-    count = max(4, int(span / record.period))
-    for w, (first, last) in enumerate(zip(windows.first, windows.last, strict=True)):
-        stop = min(first + count, last)
-        t = record.t[first:stop] - record.t[first]
-        slope, start = np.polyfit(t, record.outputs[first:stop, 0], 1) if stop - first > 1 else (0.0, 0.0)
-        states[w] = start, slope
+    states = np.zeros((len(windows), 2))
+    stops = np.minimum(windows.first + max(4, int(span / record.period)), windows.last)
+    _fit_lines(record.t, np.ascontiguousarray(record.outputs[:, 0]), windows.first, stops, states)
     return states
+
+
+@compiled
+def _fit_lines(t: FloatArray, x: FloatArray, first: IntArray, stop: IntArray, states: FloatArray) -> None:
+    """Value at the first sample and slope of a least-squares line through each stretch of samples."""
+    for w in range(first.size):
+        count = stop[w] - first[w]
+        if count < 2:
+            continue
+        mean_t, mean_x, across, along = 0.0, 0.0, 0.0, 0.0
+        for k in range(first[w], stop[w]):
+            mean_t += t[k] / count
+            mean_x += x[k] / count
+        for k in range(first[w], stop[w]):
+            across += (t[k] - mean_t) * (x[k] - mean_x)
+            along += (t[k] - mean_t) ** 2
+        states[w, 1] = across / along if along > 0.0 else 0.0
+        states[w, 0] = mean_x - states[w, 1] * (mean_t - t[first[w]])
 
 
 def characteristic_scales_of(record: Record, drive: float, speed: float) -> dict[CharacteristicScale, float]:

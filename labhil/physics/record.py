@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -46,7 +48,7 @@ class Begin:
     left_out: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Record:
     """The measured signals of one recording, or of several joined one after another (``physics.joining``).
 
@@ -117,7 +119,7 @@ class Record:
         """Duration of the longest recording, s: no window can be longer."""
         return max(self.durations)
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Sampling period: median time between samples, s."""
         return float(np.median(np.diff(self.t)))
@@ -233,6 +235,18 @@ class Windows:
     def select(self, chosen: IntArray) -> Windows:
         """Some of these windows, by their indices (K,)."""
         return self._between(self.first[chosen], self.last[chosen])
+
+    def split(self, count: int) -> list[tuple[slice, Windows]]:
+        """Split into at most ``count`` parts of neighbouring windows, with about as many samples each.
+
+        Returns:
+            The place of each part among these windows, and its windows.
+        """
+        ends = np.cumsum(self.last - self.first)
+        cuts = np.searchsorted(ends, len(self.rows) * np.arange(1, count) / count) + 1
+        edges = np.unique(np.clip([0, *cuts.tolist(), len(self)], 0, len(self))).tolist()
+        places = [slice(first, last) for first, last in pairwise(edges)]
+        return [(place, self._between(self.first[place], self.last[place])) for place in places]
 
     @classmethod
     def _between(cls, first: IntArray, last: IntArray) -> Windows:

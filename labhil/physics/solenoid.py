@@ -169,6 +169,7 @@ class SolenoidModel:
         "coil_current": "A",
         "coil_current_rate": "A/s",
     }
+    releases_interpreter = True
     metric = Metric.WINDOWED_SIMULATION
     fading_memory = True
     state_names = ("plunger_position", "plunger_velocity")

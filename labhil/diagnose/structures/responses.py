@@ -13,7 +13,6 @@ from functools import partial
 
 import numpy as np
 
-from labhil.cores import side_by_side
 from labhil.diagnose.judge import Data
 from labhil.diagnose.structures.disturbance import Disturbance, compute_gram_matrices
 from labhil.diagnose.structures.marginal import GramMatrices
@@ -214,7 +213,7 @@ def _all_absent_variants(
     fitted: Fitted, lin: Linearised, absent: Sequence[str], options: ResponseOptions
 ) -> list[_UnplacedVariant]:
     """All variants of the terms that the fit lacks, in the order of the terms."""
-    of_terms = side_by_side(partial(_absent_variants, fitted, lin, options), absent)
+    of_terms = fitted.problem.side_by_side(partial(_absent_variants, fitted, lin, options), absent)
     return [variant for variants in of_terms for variant in variants]
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labhil.cores import side_by_side
 from labhil.diagnose.judge import Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.structures.enumerate import (
@@ -260,7 +259,8 @@ class StructureSearch:
         near, model = state.refitted[structure].fitted, self.data.model
         shaped = [t for t in near.terms if any(p.shape for p in model.terms[t].parameters)]
         starts = [start for term in shaped for start in starts_for_added_terms(near, [term])]
-        for fitted in side_by_side(lambda start: self._fit_from(near, near.terms, [start]), starts):
+        fits = near.problem.side_by_side(lambda start: self._fit_from(near, near.terms, [start]), starts)
+        for fitted in fits:
             self._record(state, fitted)
 
     def _refit_exchanges(self, state: SearchState) -> None:
@@ -328,7 +328,8 @@ class StructureSearch:
         values = [state.values_of(structure) for structure in structures]
         for structure in structures:
             self.progress(f"refitting {described(structure)}")
-        fits = side_by_side(lambda pair: self._refit(near, *pair), list(zip(structures, values, strict=True)))
+        pairs = list(zip(structures, values, strict=True))
+        fits = near.problem.side_by_side(lambda pair: self._refit(near, *pair), pairs)
         for fitted, begun in zip(fits, values, strict=True):
             self._record_better(state, fitted, begun)
 

@@ -11,7 +11,6 @@ from functools import partial
 
 import numpy as np
 
-from labhil.cores import side_by_side
 from labhil.diagnose.collapsed import far_from_nominal
 from labhil.diagnose.judge import Data, is_strongly_favoured
 from labhil.diagnose.refit import refit_on_windows
@@ -70,7 +69,7 @@ def search_structures(
                 if length <= finished[-1].data.window:
                     break
             stage = replace(data, window=length)
-            begin = list(side_by_side(partial(refit_on_windows, stage), begin))
+            begin = list(baseline.problem.side_by_side(partial(refit_on_windows, stage), begin))
             search = StructureSearch(stage, baseline.terms, correlation, progress, options, nominal)
             finished.append(Stage(stage, search.run(begin)))
             if finished[-1].best.noise > options.max_residual_in_noise:
