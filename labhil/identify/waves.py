@@ -18,6 +18,7 @@ from labhil.identify.problem import Point, Problem
 from labhil.identify.projection import ProjectedResiduals
 from labhil.identify.quantiser import converter_step
 from labhil.identify.transitions import Transitions
+from labhil.physics.driven import SENSOR_LAG, apply_sensor_lag
 from labhil.physics.model import index_of, starts_of, terms_named
 from labhil.physics.terms import TWO_WAVES, Parameter, Term
 from labhil.signals import FloatArray
@@ -133,8 +134,10 @@ class OrderScan:
         order: the order's parameter.
         waves: parameters of the sine and the cosine.
         coordinate: (N,), the coordinate that the force depends on.
-        transitions: the fit to first order, with the amplitude of the cosine as the unit of force; None where
-            the model remembers more than its states: then each order is simulated.
+        transitions: the fit to first order, with the amplitude of the cosine as the unit of force, ahead of a
+            lag of the sensor; None where the model remembers more than its states and that lag: then each
+            order is simulated.
+        lag: time constant of the sensor of the first output, s; 0 for none.
         options: options of the scan.
     """
 
@@ -143,6 +146,7 @@ class OrderScan:
     waves: list[Parameter]
     coordinate: FloatArray
     transitions: Transitions | None
+    lag: float
     options: OrderScanOptions
 
     @classmethod
@@ -157,10 +161,14 @@ class OrderScan:
         options, problem, states = OrderScanOptions(), fitted.problem, fitted.solution.point.states
         along = problem.model.coordinates(fitted.theta, problem.record, problem.windows, states)
         waves = [p for p in term.parameters if p is not order]
-        constant = _constant_force(fitted, order, waves, options)
+        prompt, constant = fitted.theta.copy(), _constant_force(fitted, order, waves, options)
+        place = index_of(problem.model.parameters).get(SENSOR_LAG)
+        lag = 0.0 if place is None else float(prompt[place])
+        if place is not None:
+            prompt[place] = constant[place] = 0.0
         return cls(
             ProjectedResiduals.of(fitted), order, waves, along[order.waves_over],
-            Transitions.of(problem, fitted.theta, states, constant), options,
+            Transitions.of(problem, prompt, states, constant), lag, options,
         )  # fmt: skip
 
     def best(self) -> list[tuple[float, list[float]]]:
@@ -237,7 +245,7 @@ class OrderScan:
     def responses(self, order: float) -> FloatArray:
         """Changes of the residuals (N·c, 2) by the sine and the cosine of one order."""
         if self.transitions is not None:
-            return self.transitions.respond(self._mean_waves(order))
+            return self._behind_sensor(self.transitions.respond(self._mean_waves(order)))
         places, columns = index_of(self.unexplained.fitted.problem.model.parameters), []
         for wave in self.waves:
             theta = self.unexplained.fitted.theta.copy()
@@ -245,6 +253,18 @@ class OrderScan:
             theta[places[wave.key]] = self.options.amplitude_in_scales * wave.scale
             columns.append(self.unexplained.residual_change(theta))
         return np.column_stack(columns)
+
+    def _behind_sensor(self, changes: FloatArray) -> FloatArray:
+        """Changes (N·c, k) of the residuals as the sensor of the first output shows them."""
+        if not self.lag:
+            return changes
+        problem = self.unexplained.fitted.problem
+        rows = changes.reshape(len(problem.windows.rows), -1, changes.shape[1])
+        noise = np.broadcast_to(problem.noise, rows.shape[:2])[:, 0]
+        for column in rows[:, 0].T:
+            shown = apply_sensor_lag(problem.record, problem.windows, column * noise, self.lag)
+            column[:] = shown / noise
+        return rows.reshape(changes.shape)
 
     def _mean_waves(self, order: float) -> FloatArray:
         """Means (N, 2) of sine and cosine over the steps to samples, in units of the cosine's amplitude."""

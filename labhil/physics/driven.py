@@ -22,6 +22,9 @@ INPUT_PATH_PARAMETERS = (
     "actuator_lag.time_constant",
     "time_delay.delay",
 )
+SENSOR_LAG = "sensor_lag.time_constant"
+"""Key of the lag of the first output's sensor."""
+
 Value = Callable[[str], float]
 Lag = Callable[[FloatArray, FloatArray, float], input_path.Nodes]
 

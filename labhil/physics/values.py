@@ -8,7 +8,7 @@ import numpy as np
 
 from labhil.physics import friction
 from labhil.physics.bristles import bends_along
-from labhil.physics.driven import apply_sensor_lag
+from labhil.physics.driven import SENSOR_LAG, apply_sensor_lag
 from labhil.physics.extra_force import NO_FORCE, CompiledForce, ExtraForce
 from labhil.physics.friction_law import GRID, laws
 from labhil.physics.model import index_of
@@ -88,7 +88,7 @@ class Values:
         x = x + cubic * x * x * x if cubic else x
         x = x * (1.0 + gain) if gain else x
         x = x + self.of(theta, "sensor_offset.offset")
-        time_constant = self.of(theta, "sensor_lag.time_constant")
+        time_constant = self.of(theta, SENSOR_LAG)
         return apply_sensor_lag(record, windows, x, time_constant) if time_constant else x
 
 

@@ -70,14 +70,36 @@ def test_a_response_is_the_one_that_is_simulated(kind, orders):
         assert error < 0.1
 
 
+def with_values(fitted: Fitted, **values: float) -> Fitted:
+    """The fit with other values of some parameters, at its own residuals for these."""
+    problem, theta = fitted.problem, fitted.theta.copy()
+    places = index_of(problem.model.parameters)
+    for key, value in values.items():
+        theta[places[key]] = value
+    residuals = problem.residuals_at(theta, fitted.solution.point.states)
+    return replace(fitted, theta=theta, solution=replace(fitted.solution, residuals=residuals))
+
+
+@pytest.mark.extended
+def test_a_response_behind_a_lag_of_the_sensor_is_the_one_that_is_simulated():
+    fitted = with_values(
+        without_waves("axis", recorded("axis", 331.0, 3)), **{"sensor_lag.time_constant": 0.2}
+    )
+    fast = scan_of(fitted)
+    assert fast.transitions is not None
+    simulated = replace(fast, transitions=None).responses(70.0)
+    error = np.linalg.norm(fast.responses(70.0) - simulated) / np.linalg.norm(simulated)
+    prompt = np.linalg.norm(replace(fast, lag=0.0).responses(70.0) - simulated) / np.linalg.norm(simulated)
+    assert error < 0.1 < prompt
+
+
 @pytest.mark.extended
 def test_a_model_that_remembers_more_than_its_states_is_simulated():
-    """A lag of the sensor begins anew with each window, and so with each step."""
+    """The bend of bristles begins anew with each window, and so with each step."""
     fitted = without_waves("axis", recorded("axis", 331.0, 3))
-    theta = fitted.theta.copy()
-    theta[index_of(fitted.problem.model.parameters)["sensor_lag.time_constant"]] = 0.02
+    bristles = {"presliding_friction.length": 1e-3, "coulomb_friction.level": 15.0}
     assert scan_of(fitted).transitions is not None
-    assert scan_of(replace(fitted, theta=theta)).transitions is None
+    assert scan_of(with_values(fitted, **bristles)).transitions is None
 
 
 @pytest.mark.extended
