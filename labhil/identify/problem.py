@@ -20,7 +20,7 @@ from labhil.ending import checkpoint
 from labhil.identify.rounding import effective_fractions
 from labhil.identify.window_products import window_products, without_states
 from labhil.identify.windows import noise_at
-from labhil.physics.model import Model, PartlyLinear
+from labhil.physics.model import Model, PartlyLinear, ReleasesInterpreter
 from labhil.physics.record import UNREAD, Record, Windows
 from labhil.signals import BoolArray, FloatArray, IntArray
 
@@ -160,7 +160,7 @@ class Problem:
         """Take everything but the guessed states from these windows of the record."""
         record = self.record
         self.windows = windows
-        parallel = cores() if getattr(self.model, "releases_interpreter", False) else 1
+        parallel = cores() if isinstance(self.model, ReleasesInterpreter) else 1
         count = min(parallel, len(windows.rows) // MIN_SAMPLES_PER_CORE)
         self._parts = windows.split(count) if count > 1 else []
         self.owner = np.repeat(windows.owner, record.outputs.shape[1])

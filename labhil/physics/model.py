@@ -127,6 +127,13 @@ class Model(Protocol):
 
 
 @runtime_checkable
+class ReleasesInterpreter(Protocol):
+    """A model whose compiled simulation lets other threads run, so that windows may share the cores."""
+
+    releases_interpreter: bool
+
+
+@runtime_checkable
 class PartlyLinear(Model, Protocol):
     """A model without states that has exact derivatives by the parameters in which it is linear."""
 

@@ -214,8 +214,12 @@ class StructureSearch:
         return state.likeliest != before
 
     def _is_far(self, state: SearchState, structure: Structure) -> bool:
-        """Whether missing physics outweighs the noise, so that a linearisation may mislead."""
-        return state.refitted[structure].fitted.noise > self.options.max_residual_in_noise
+        """Whether missing physics outweighs the noise, so that a linearisation may mislead.
+
+        That of inverse dynamics, which has no states, is exact in sizes: there only if it shows nothing.
+        """
+        is_far = state.refitted[structure].fitted.noise > self.options.max_residual_in_noise
+        return is_far and (not structure or bool(self.data.model.state_names))
 
     def _refit_single_terms(self, state: SearchState) -> None:
         """Refit every single term: what a linearisation far from the data does not show, a fit may."""
