@@ -222,10 +222,14 @@ class StructureSearch:
         return is_far and (not structure or bool(self.data.model.state_names))
 
     def _refit_single_terms(self, state: SearchState) -> None:
-        """Refit every single term: what a linearisation far from the data does not show, a fit may."""
+        """Refit every single term: what a linearisation far from the data does not show, a fit may.
+
+        A short fit that explains too little for the search to continue from it is not continued.
+        """
         near = state.refitted[frozenset()].fitted
         singles = [frozenset(terms) for terms in candidates(self.data.model, self.baseline)]
-        self._refit_each(state, near, [single for single in singles if single not in state.refitted])
+        enough = near.solution.cost / (1.0 + self.options.min_step_relevance)
+        self._refit_each(state, near, [s for s in singles if s not in state.refitted], max_scout_cost=enough)
 
     def _drop_irrelevant(self, state: SearchState, structure: Structure, least: float) -> Structure:
         """Drop terms of too little relevance one by one, the smallest first, and refit after each.
@@ -327,13 +331,19 @@ class StructureSearch:
             state, state.enumeration.responses.fitted, [prediction.structure for prediction in predicted]
         )
 
-    def _refit_each(self, state: SearchState, near: Fitted, structures: Sequence[Structure]) -> None:
+    def _refit_each(
+        self,
+        state: SearchState,
+        near: Fitted,
+        structures: Sequence[Structure],
+        max_scout_cost: float = np.inf,
+    ) -> None:
         """Refit structures from one fit, in parallel, with their predicted values."""
         values = [state.values_of(structure) for structure in structures]
         for structure in structures:
             self.progress(f"refitting {described(structure)}")
         pairs = list(zip(structures, values, strict=True))
-        fits = near.problem.side_by_side(lambda pair: self._refit(near, *pair), pairs)
+        fits = near.problem.side_by_side(lambda pair: self._refit(near, *pair, max_scout_cost), pairs)
         for fitted, begun in zip(fits, values, strict=True):
             self._record_better(state, fitted, begun)
 
@@ -353,8 +363,10 @@ class StructureSearch:
             fitted = min((fitted, again), key=lambda fit: fit.solution.cost)
         self._record(state, fitted)
 
-    def _refit(self, near: Fitted, structure: Structure, values: Mapping[str, float]) -> Fitted:
-        """Fit a structure from another fit and with these values by key."""
+    def _refit(
+        self, near: Fitted, structure: Structure, values: Mapping[str, float], max_scout_cost: float = np.inf
+    ) -> Fitted:
+        """Fit a structure from another fit with these values by key; a short fit where the cost is high."""
         model = self.data.model
         terms = (*self.baseline, *(t for t in model.terms if t in structure))
         fresh = [t for t in terms if t not in near.terms]
@@ -363,15 +375,22 @@ class StructureSearch:
             starts += starts_for_added_terms(near, fresh)[1:2]
         if self.nominal:
             starts.append({**values, **self.nominal})
-        return self._fit_from(near, terms, starts)
+        return self._fit_from(near, terms, starts, max_scout_cost)
 
-    def _fit_from(self, near: Fitted, terms: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Fitted:
+    def _fit_from(
+        self,
+        near: Fitted,
+        terms: Sequence[str],
+        starts: Sequence[Mapping[str, float]],
+        max_scout_cost: float = np.inf,
+    ) -> Fitted:
         """Fit terms from another fit, with each of these sets of values by key."""
         return fit_terms(
             self.data.model, self.data.search, terms, self.data.window, self.data.sigma,
             start=with_only(self.data.model, near.theta, terms), starts=starts,
             states=near.solution.point.states, iterations=25,
             tolerance=INTERMEDIATE_TOLERANCE, held=self.data.held,
+            max_scout_cost=max_scout_cost,
         )  # fmt: skip
 
     def _record(self, state: SearchState, fitted: Fitted) -> None:
