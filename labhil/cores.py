@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import lru_cache
 from typing import TypeVar
@@ -44,7 +44,14 @@ def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> I
     if workers < 2 or getattr(_thread, "is_worker", False):
         yield from map(function, items)
         return
-    yield from _pool(workers).map(function, items)
+    futures = [_pool(workers).submit(function, item) for item in items]
+    try:
+        for future in futures:
+            yield future.result()
+    finally:  # after an error nothing goes on behind the caller's back
+        for future in futures:
+            future.cancel()
+        wait(futures)
 
 
 @lru_cache

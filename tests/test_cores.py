@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
@@ -33,3 +34,20 @@ def test_threads_of_a_process_are_not_missed_in_its_fork() -> None:
     expected = squares(5)
     with ProcessPoolExecutor(1, mp_context=get_context("fork")) as pool:
         assert pool.submit(squares, 5).result(timeout=60) == expected
+
+
+def test_after_an_error_nothing_goes_on() -> None:
+    done = []
+
+    def work(number: int) -> int:
+        if number == 0:
+            raise ValueError(number)
+        time.sleep(0.05)
+        done.append(number)
+        return number
+
+    with pytest.raises(ValueError, match="0"):
+        list(side_by_side(work, range(20)))
+    reached = len(done)
+    time.sleep(0.2)
+    assert reached == len(done) < 19

@@ -221,8 +221,11 @@ def test_a_prediction_is_corrected_by_what_its_refitted_subset_is_mispredicted_b
 def test_what_predicts_held_out_data_far_worse_is_refuted_however_likely_it_is() -> None:
     state = state_of({"": -300.0, "a": 0.0, "b": -50.0, "c": -52.0}, dict.fromkeys("abc", 2.0))
     assert state.best == frozenset("a")
-    errors = {"": 18.0, "a": 9.0, "b": 5.0, "c": 6.0}
+    errors = {"": 1.9, "a": 1.0, "b": 1.5, "c": 1.0}
     data = SimpleNamespace(score_on_metric=lambda theta: SimpleNamespace(excess=errors[theta]))
+    refute(Stage(cast(Any, data), state))
+    assert not state.refuted  # one leaves only noise
+    errors |= {"": 18.0, "a": 9.0, "b": 5.0, "c": 6.0}
     refute(Stage(cast(Any, data), state))
     assert state.refuted == {frozenset("a")}  # not the baseline, and not what is hardly worse
     assert state.best == frozenset("b")

@@ -14,7 +14,7 @@ from labhil.diagnose.evidence import Evidence, best_heldout_gain
 from labhil.diagnose.judge import ALPHA, Data
 from labhil.diagnose.refit import without
 from labhil.diagnose.search_result import SearchResult, Step
-from labhil.diagnose.structures.enumerate import relevance
+from labhil.diagnose.structures.enumerate import NOISE_RMS_TOLERANCE, relevance
 from labhil.diagnose.structures.prior import Structure, closure
 from labhil.diagnose.structures.state import (
     SearchState,
@@ -64,20 +64,22 @@ def refute(stage: Stage) -> None:
     Evidence compares models one of which is complete. Where missing physics outweighs the noise none is, and
     what counts on the short windows of the search may be wrong on those by which the model is judged: a lag
     of the sensor in the place of a rotor's inertia. There a structure is refuted if another one explains so
-    much more of the held-out data that the difference is as relevant as a claimed term has to be. The
-    baseline is what all are compared with, and stays.
+    much more of the held-out data that the difference is as relevant as a claimed term has to be. Where one
+    leaves only noise there, evidence decides. The baseline is what all are compared with, and stays.
 
     Args:
         stage: a finished search; its state takes the refuted structures.
     """
     state, data = stage.state, stage.data
     squares = {s: data.score_on_metric(r.fitted.theta).excess ** 2 for s, r in state.relevant.items()}
-    least, every = np.array([min(squares.values())]), np.array([True])
-    state.refuted |= {
-        s
-        for s, square in squares.items()
-        if s and relevance(np.array([square]), least, every) >= state.min_relevance
-    }
+    least = min(squares.values())
+    if least <= NOISE_RMS_TOLERANCE**2:
+        return
+
+    def is_refuted(square: float) -> bool:
+        return relevance(np.array([square]), np.array([least]), np.array([True])) >= state.min_relevance
+
+    state.refuted |= {s for s, square in squares.items() if s and is_refuted(square)}
 
 
 def conclude_search(stage: Stage, min_log_odds: float, n_candidates: int) -> SearchResult:
