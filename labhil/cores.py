@@ -14,6 +14,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
+POOL_NAME = "side-by-side"
+"""What names of threads begin with that stay as long as the process."""
+
 _share = 1
 """How many processes like this one share the machine."""
 
@@ -57,7 +60,7 @@ def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> I
 @lru_cache
 def _pool(workers: int) -> ThreadPoolExecutor:
     """Threads that stay, as starting them takes as long as a short simulation."""
-    return ThreadPoolExecutor(workers, "side-by-side", _become_worker)
+    return ThreadPoolExecutor(workers, POOL_NAME, _become_worker)
 
 
 def _become_worker() -> None:

@@ -14,6 +14,8 @@ import psutil
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
+from labhil.cores import POOL_NAME
+
 # Two processes share the tests out. With a thread for each core in both, threads wait for each other by
 # counting, in products of small matrices: two thirds of the time went there. numpy and scipy read this when
 # they are loaded, which comes later; child processes inherit it.
@@ -101,7 +103,9 @@ def running() -> set[str]:
 def _threads() -> Iterator[str]:
     for thread in threading.enumerate():
         # a thread that Python did not start is only a name for a caller that came by
-        if not isinstance(thread, threading._DummyThread):
+        came_by = isinstance(thread, threading._DummyThread)
+        # those that share the cores wait for the next simulation, as long as the process lives
+        if not came_by and not thread.name.startswith(POOL_NAME):
             yield f"thread {thread.name} ({thread.ident})"
 
 
