@@ -43,8 +43,8 @@ def side_by_side(function: Callable[[Item], Result], items: Sequence[Item]) -> I
     Worth it for what simulates for longer than some milliseconds each: kernels release the interpreter, and
     around them threads wait for each other. Within one of the items, further ones follow each other.
     """
-    workers = min(cores(), len(items))
-    if workers < 2 or getattr(_thread, "is_worker", False):
+    workers = cores()
+    if min(workers, len(items)) < 2 or getattr(_thread, "is_worker", False):
         yield from map(function, items)
         return
     futures = [_pool(workers).submit(function, item) for item in items]

@@ -17,7 +17,7 @@ import numpy as np
 
 from labhil.errors import UsageError
 from labhil.kinds import RigKind, declare_kind
-from labhil.physics.driven import InputPath
+from labhil.physics.driven import SENSOR_LAG, InputPath
 from labhil.physics.extra_force import CurveArgument, ExtraForce, MovedPart, along_positive
 from labhil.physics.friction_terms import friction_terms
 from labhil.physics.model import Metric
@@ -252,7 +252,7 @@ class SimulatedOutputModel(WithoutStates):
         """Return the output at these coordinates, with the lag to first order, (N,)."""
         x = coordinates["passed_on"]
         cubic, gain = (self._values.of(theta, n) for n in ("sensor_nonlinearity.cubic", "sensor_gain.gain"))
-        lag = self._values.of(theta, "sensor_lag.time_constant") * coordinates[self.rate]
+        lag = self._values.of(theta, SENSOR_LAG) * coordinates[self.rate]
         offset = self._values.of(theta, "sensor_offset.offset")
         return np.asarray((1.0 + gain) * (x + cubic * x**3) + offset - lag)
 
